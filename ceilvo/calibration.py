@@ -1,0 +1,126 @@
+"""What commissioning found out about one camera on one robot in one room, and the geometry that follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.camera import CameraModel, LevelView
+from ceilvo.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NoiseCurves:
+    """Observation noise against distance r from the point below the camera (eqs. 26-27).
+
+    Attributes:
+        sigma_x_m, sigma_y_m: polynomial coefficients in r [m], lowest power first, giving metres.
+        sigma_theta_rad: constant.
+        r_min_m, r_max_m: measured range; outside it the curves are held so that they never shrink with r.
+    """
+
+    sigma_x_m: tuple[float, ...]
+    sigma_y_m: tuple[float, ...]
+    sigma_theta_rad: float
+    r_min_m: float
+    r_max_m: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One camera on one robot under one ceiling.
+
+    Attributes:
+        camera: lens and sensor.
+        projection: (3, 4) M of eq. 5: undistorted pixels from [X, Y, Z, 1], X and Y in base, Z = 0 on the ceiling, up.
+        noise: sigma(r).
+        camera_id: what identifies the camera ("" = not recorded).
+        created: ISO 8601 date of commissioning.
+        tile_m: side of the ceiling's tiles, None when unknown or not periodic.
+    """
+
+    camera: CameraModel
+    projection: Array
+    noise: NoiseCurves
+    camera_id: str = ""
+    created: str = ""
+    tile_m: float | None = None
+
+    @cached_property
+    def _pose(self) -> tuple[Array, Array]:
+        """camera_from_base rotation (3, 3) and the camera's position in [X, Y, Z]."""
+        p = np.linalg.inv(self.camera.matrix) @ self.projection
+        scale = np.cbrt(np.linalg.det(p[:, :3]))
+        if not np.isfinite(scale) or abs(scale) < 1e-12:
+            raise CalibrationError(
+                f"projection: determinant of the left 3x3 block is {scale**3:.3g}, expected non-zero; "
+                "the points that it was fitted to were degenerate, run 'calib projection' again"
+            )
+        u, _, vt = np.linalg.svd(p[:, :3] / scale)
+        rot = u @ vt
+        position = -np.linalg.solve(p[:, :3], p[:, 3])
+        return rot, position
+
+    @property
+    def camera_from_base(self) -> Array:
+        """(3, 3) rotation."""
+        return self._pose[0]
+
+    @property
+    def mount_xy_m(self) -> Array:
+        """(2,) camera position in base."""
+        return self._pose[1][:2]
+
+    @property
+    def ceiling_height_m(self) -> float:
+        """Ceiling above the camera."""
+        return float(-self._pose[1][2])
+
+    @cached_property
+    def level_view(self) -> LevelView:
+        f = 0.5 * (self.camera.fx_px + self.camera.fy_px)
+        return LevelView(self.camera, self.camera_from_base.T, f)
+
+    @cached_property
+    def level_from_ceiling(self) -> Array:
+        """(3, 3) m of eq. 6 for the level view: level pixels from [X, Y, 1] on the ceiling in base."""
+        v = self.level_view
+        k = np.array([[v.focal_px, 0, self.camera.cx_px], [0, v.focal_px, self.camera.cy_px], [0, 0, 1.0]])
+        position = self._pose[1]
+        m_full = k @ np.column_stack([np.eye(3), -position])  # eq. 5 for the level view
+        return np.asarray(np.delete(m_full, 2, axis=1))  # eq. 6: Z = 0 drops the third column
+
+    @cached_property
+    def ceiling_from_level(self) -> Array:
+        """(3, 3) m^-1 of eq. 7."""
+        return np.linalg.inv(self.level_from_ceiling)
+
+
+def projection_matrix(
+    camera: CameraModel,
+    camera_from_base: Array,
+    mount_xy_m: tuple[float, float],
+    ceiling_height_m: float,
+) -> Array:
+    """(3, 4) M of eq. 5 from a mounting: rotation (3, 3), camera position in base, ceiling above the camera."""
+    position = np.array([mount_xy_m[0], mount_xy_m[1], -ceiling_height_m])
+    r = np.asarray(camera_from_base, np.float64)
+    return np.asarray(camera.matrix @ np.column_stack([r, -r @ position]))
+
+
+def mount_rotation(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Array:
+    """(3, 3) camera_from_base for a camera turned by yaw about base z, tilted by pitch about its y and roll about its x."""
+    cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
+    cr, sr = np.cos(roll_rad), np.sin(roll_rad)
+    cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)
+    base_from_camera = (
+        np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1.0]])
+        @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+        @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    )
+    return np.asarray(base_from_camera.T)

@@ -1,0 +1,144 @@
+"""Camera models: from raw pixels to rays and back, and the look-up that takes edge points to the level view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Lens and sensor.
+
+    Attributes:
+        kind: "pinhole" (distortion k1 k2 p1 p2 k3 [k4 k5 k6], OpenCV's rational model) or
+            "fisheye" (k1 k2 k3 k4, theta_d = theta (1 + k1 theta^2 + ...), OpenCV's equidistant model).
+    """
+
+    kind: Literal["pinhole", "fisheye"]
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def matrix(self) -> Array:
+        """(3, 3) intrinsic matrix K."""
+        return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
+
+    def rays(self, uv_px: Array) -> Array:
+        """(N, 3) unit vectors in the camera's optical frame for (N, 2) raw pixels."""
+        uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
+        if self.kind == "fisheye":
+            return self._fisheye_rays(uv)
+        dist = np.array(self.distortion or (0.0,) * 5)
+        xy = cv2.undistortPoints(uv.reshape(-1, 1, 2), self.matrix, dist).reshape(-1, 2)
+        r = np.column_stack([xy, np.ones(len(xy))])
+        return np.asarray(r / np.linalg.norm(r, axis=1, keepdims=True))
+
+    def pixels(self, rays: Array) -> Array:
+        """(N, 2) raw pixels of (N, 3) rays in the optical frame; a ray that the model cannot image gives nan."""
+        r = np.asarray(rays, np.float64).reshape(-1, 3)
+        k = _padded(self.distortion, 8)
+        if self.kind == "fisheye":
+            rho = np.hypot(r[:, 0], r[:, 1])
+            th = np.arctan2(rho, r[:, 2])
+            t2 = th * th
+            scale = th * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / np.maximum(rho, 1e-12)
+            x, y = r[:, 0] * scale, r[:, 1] * scale
+        else:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                a, b = r[:, 0] / r[:, 2], r[:, 1] / r[:, 2]
+                a, b = np.where(r[:, 2] > 0, a, np.nan), np.where(r[:, 2] > 0, b, np.nan)
+            r2 = a * a + b * b
+            radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+            x = a * radial + 2 * k[2] * a * b + k[3] * (r2 + 2 * a * a)
+            y = b * radial + k[2] * (r2 + 2 * b * b) + 2 * k[3] * a * b
+        return np.column_stack([self.fx_px * x + self.cx_px, self.fy_px * y + self.cy_px])
+
+    def _fisheye_rays(self, uv: Array) -> Array:
+        x = (uv[:, 0] - self.cx_px) / self.fx_px
+        y = (uv[:, 1] - self.cy_px) / self.fy_px
+        k = _padded(self.distortion, 4)
+        rd = np.hypot(x, y)
+        th = rd.copy()
+        for _ in range(20):
+            t2 = th * th
+            f = th * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) - rd
+            df = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
+            th = np.clip(th - f / np.where(np.abs(df) < 1e-9, 1e-9, df), 0.0, np.pi)
+        s = np.where(rd > 1e-12, np.sin(th) / np.maximum(rd, 1e-12), 1.0)
+        return np.column_stack([x * s, y * s, np.cos(th)])
+
+
+def _padded(k: tuple[float, ...], n: int) -> Array:
+    out = np.zeros(n)
+    out[: len(k)] = k
+    return out
+
+
+@dataclass(frozen=True)
+class LevelView:
+    """A virtual pinhole that stands where the camera does, looks straight up and has its axes along base's.
+
+    In it parallel and perpendicular lines of the ceiling stay parallel and perpendicular, whatever the lens and
+    however the camera is mounted, so the paper's line model holds exactly.
+
+    Attributes:
+        camera: the real one.
+        level_from_camera: (3, 3) rotation.
+        focal_px: focal length of the virtual pinhole; its principal point is the real camera's.
+    """
+
+    camera: CameraModel
+    level_from_camera: Array
+    focal_px: float
+
+    def from_raw(self, uv_px: Array) -> Array:
+        """(N, 2) level pixels of raw pixels; nan at and beyond the horizon."""
+        r = self.camera.rays(uv_px) @ self.level_from_camera.T
+        z = np.where(r[:, 2] > 1e-3, r[:, 2], np.nan)
+        return np.column_stack(
+            [
+                self.focal_px * r[:, 0] / z + self.camera.cx_px,
+                self.focal_px * r[:, 1] / z + self.camera.cy_px,
+            ]
+        )
+
+    def to_raw(self, uv_level_px: Array) -> Array:
+        """(N, 2) raw pixels of level pixels."""
+        uv = np.asarray(uv_level_px, np.float64).reshape(-1, 2)
+        r = np.column_stack(
+            [
+                (uv[:, 0] - self.camera.cx_px) / self.focal_px,
+                (uv[:, 1] - self.camera.cy_px) / self.focal_px,
+                np.ones(len(uv)),
+            ]
+        )
+        return self.camera.pixels(r @ self.level_from_camera)
+
+    def lookup(self, max_view_deg: float) -> tuple[Array32, Array32]:
+        """Per raw pixel: level pixel (H, W, 2) relative to the principal point, nan where the ray is more than
+        max_view_deg off the vertical, and the Jacobian d level / d raw (H, W, 4) as [du/dx, du/dy, dv/dx, dv/dy]."""
+        w, h = self.camera.width_px, self.camera.height_px
+        grid = np.stack(np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64)), axis=-1)
+        centre = np.array([self.camera.cx_px, self.camera.cy_px])
+        uv = (self.from_raw(grid.reshape(-1, 2)) - centre).reshape(h, w, 2)
+        far = ~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))
+        with np.errstate(invalid="ignore"):
+            dy, dx = np.gradient(uv, axis=(0, 1))
+        jac = np.stack([dx[..., 0], dy[..., 0], dx[..., 1], dy[..., 1]], axis=-1)
+        far |= ~np.isfinite(jac).all(axis=-1)
+        uv[far] = np.nan
+        jac[far] = 0.0
+        return uv.astype(np.float32), jac.astype(np.float32)

@@ -1,0 +1,46 @@
+"""Errors of ceilvo.
+
+    CeilvoError
+    ├── ConfigError        a configuration file or key is wrong           exit 78
+    ├── CalibrationError   a calibration file is wrong or does not fit    exit 78
+    ├── CameraError        the camera is absent, lost or gave a bad frame
+    ├── BaseLinkError      the base controller does not answer as it should
+    ├── BusError           Zenoh cannot be used as configured
+    └── FileFormatError    a recording, map or state file cannot be used
+
+A message is one line: what (file, key or device), the value found, what was expected, what to do.
+A failed estimate is not an error but a status in the result.
+"""
+
+EXIT_CONFIG = 78
+"""EX_CONFIG of sysexits.h: systemd must not restart after it."""
+
+
+class CeilvoError(Exception):
+    """Root of all errors that ceilvo raises on purpose."""
+
+    exit_code = 1
+
+
+class ConfigError(CeilvoError):
+    exit_code = EXIT_CONFIG
+
+
+class CalibrationError(CeilvoError):
+    exit_code = EXIT_CONFIG
+
+
+class CameraError(CeilvoError):
+    pass
+
+
+class BaseLinkError(CeilvoError):
+    pass
+
+
+class BusError(CeilvoError):
+    pass
+
+
+class FileFormatError(CeilvoError):
+    pass

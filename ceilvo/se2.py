@@ -1,0 +1,65 @@
+"""Planar rigid motions as arrays [x m, y m, theta rad]; `a_from_b` maps coordinates in b to coordinates in a."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap(angle_rad: float) -> float:
+    """Angle in [-pi, pi)."""
+    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def wrap_array(angle_rad: Array) -> Array:
+    """Angles in [-pi, pi), any shape, a new array."""
+    return np.asarray((angle_rad + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+def rotation(theta_rad: float) -> Array:
+    """(2, 2) rotation matrix of eq. 13."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def compose(a_from_b: Array, b_from_c: Array) -> Array:
+    """a_from_c; either argument may be (..., 3) and they broadcast."""
+    a, b = np.asarray(a_from_b, np.float64), np.asarray(b_from_c, np.float64)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0] = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    out[..., 1] = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    out[..., 2] = wrap_array(a[..., 2] + b[..., 2])
+    return out
+
+
+def inverse(a_from_b: Array) -> Array:
+    """b_from_a, shape (..., 3)."""
+    a = np.asarray(a_from_b, np.float64)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    out = np.empty_like(a)
+    out[..., 0] = -c * a[..., 0] - s * a[..., 1]
+    out[..., 1] = s * a[..., 0] - c * a[..., 1]
+    out[..., 2] = wrap_array(-a[..., 2])
+    return out
+
+
+def between(a_from_b: Array, a_from_c: Array) -> Array:
+    """b_from_c."""
+    return compose(inverse(a_from_b), a_from_c)
+
+
+def transform(a_from_b: Array, xy_b: Array) -> Array:
+    """(N, 2) points of b expressed in a."""
+    return np.asarray(xy_b @ rotation(float(a_from_b[2])).T + a_from_b[:2], dtype=np.float64)
+
+
+def compose_cov(a_from_b: Array, cov_ab: Array, b_from_c: Array, cov_bc: Array) -> Array:
+    """(3, 3) covariance of compose(a_from_b, b_from_c) to first order, the two being independent."""
+    c, s = np.cos(a_from_b[2]), np.sin(a_from_b[2])
+    x, y = b_from_c[0], b_from_c[1]
+    f = np.array([[1.0, 0.0, -s * x - c * y], [0.0, 1.0, c * x - s * y], [0.0, 0.0, 1.0]])
+    g = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(f @ cov_ab @ f.T + g @ cov_bc @ g.T, dtype=np.float64)

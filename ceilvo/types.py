@@ -1,0 +1,210 @@
+"""The quantities that flow through the pipeline: frozen, float64, arrays read-only by convention.
+
+Frames of reference (docs/coordinates.md): base (x forward, y left, z up), map (fixed to the room), level view
+(pixels of a virtual camera that stands where the real one does, looks straight up and has its axes along base's).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class LineKind(IntEnum):
+    """What a line is, along its normal: brightness rises, falls, or a groove (both, close together)."""
+
+    FALLING = -1
+    GROOVE = 0
+    RISING = 1
+
+
+class State(IntEnum):
+    """How far the pose can be trusted; the numbers are on the wire."""
+
+    INIT = 0
+    TRACKING = 1
+    DEGRADED = 2
+    DEAD_RECKONING = 3
+    LOST = 4
+    RELOCALISING = 5
+    STOPPED = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One grey image; stamp_ns is the camera's own, CLOCK_MONOTONIC."""
+
+    seq: int
+    stamp_ns: int
+    gray: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Straight lines n . uv = offset in the level view; all share one direction modulo 90 deg.
+
+    Lines of axis 0 have their normal n at psi, those of axis 1 at psi + 90 deg.
+
+    Attributes:
+        psi_rad: dominant direction in base, in [-pi/4, pi/4).
+        psi_sigma_rad: its standard deviation.
+        axis: (L,) 0 or 1.
+        offset_px: (L,) distance from the level view's principal point along the normal.
+        sigma_px: (L,) standard deviation of the offset.
+        kind: (L,) LineKind.
+        support: (L,) edge points in the fit.
+        tilt_rad: (2,) rotation of the camera about base x and y against its calibration, estimated in the same fit.
+        tilt_sigma_rad: (2,) its standard deviation.
+        points: (P, 2) px, edge points in the level view that support a line, for pictures and coverage checks.
+        point_line: (P,) index of their line.
+    """
+
+    psi_rad: float
+    psi_sigma_rad: float
+    axis: Ints
+    offset_px: Array
+    sigma_px: Array
+    kind: Ints
+    support: Ints
+    tilt_rad: Array
+    tilt_sigma_rad: Array
+    points: Array
+    point_line: Ints
+
+
+@dataclass(frozen=True, slots=True)
+class Crossings:
+    """Point features: crossings of perpendicular lines.
+
+    Attributes:
+        uv_px: (M, 2) in the level view.
+        xy_base_m: (M, 2) on the ceiling, in base.
+        cov_base_m2: (M, 2, 2).
+        kind: (M,) in 0..8, 3 * (kind of axis-0 line + 1) + (kind of axis-1 line + 1); see features.turn_kind.
+        psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines.
+    """
+
+    uv_px: Array
+    xy_base_m: Array
+    cov_base_m2: Array
+    kind: Ints
+    psi_rad: float
+    psi_sigma_rad: float
+    tilt_rad: Array
+    tilt_sigma_rad: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Planar motion between two frames, or none with its reason.
+
+    Attributes:
+        prev_from_curr: (3,) [m, m, rad]; maps static points seen now to where they were seen before, which is the
+            robot's own displacement in its previous base frame.
+        cov: (3, 3).
+        inliers: correspondences used.
+        rms_m: residual of eq. 16.
+        failure: None, or why there is no motion (prev_from_curr is then a prediction).
+    """
+
+    prev_from_curr: Array
+    cov: Array
+    inliers: int
+    rms_m: float
+    failure: str | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.failure is None
+
+
+@dataclass(frozen=True, slots=True)
+class WheelMotion:
+    """Displacement that the base reports between two frames, prev_from_curr (3,) [m, m, rad] with cov (3, 3)."""
+
+    prev_from_curr: Array
+    cov: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """What the filter is updated with.
+
+    Attributes:
+        xy_base_m: (K, 2).
+        var_m2: (K, 2) diagonal of R along base x and y (eq. 27, squared).
+        kind: (K,) crossing kinds turned into the map's quadrant.
+        label: (K,) landmark index, or -1 for a feature that no landmark explains.
+    """
+
+    xy_base_m: Array
+    var_m2: Array
+    kind: Ints
+    label: Ints
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """The map as estimated: ids (L,), xy_map_m (L, 2), cov_m2 (L, 2, 2), kind (L,), sightings (L,)."""
+
+    ids: Ints
+    xy_map_m: Array
+    cov_m2: Array
+    kind: Ints
+    sightings: Ints
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, slots=True)
+class Depletion:
+    """Health of the particle set: effective sample size, distinct ancestors since the last estimate, rms residual of
+    the curve fit (nan when no fit was made), and the mean normalised innovation squared with its degrees of freedom."""
+
+    particles: int
+    ess: float
+    unique_ancestors: int
+    fit_residual: float
+    nis: float
+    nis_dof: int
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What the daemon says about one frame. pose is map_from_base, twist is in base, odom is odom_from_base."""
+
+    seq: int
+    stamp_ns: int
+    pose: Array
+    cov: Array
+    odom: Array
+    twist: Array
+    state: State
+    quality: float
+    reason: str
+    motion: Motion
+    depletion: Depletion
+    crossings: int
+    landmarks: int
+    latency_ms: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def frozen(a: Array) -> Array:
+    """The same array, read-only."""
+    a.setflags(write=False)
+    return a

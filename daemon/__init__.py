@@ -1,0 +1,1 @@
+"""The localisation pipeline, one module a stage, and the process around it."""

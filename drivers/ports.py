@@ -1,0 +1,46 @@
+"""The protocols that the process wires together. Fakes and real devices pass the same contract tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ceilvo.types import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo:
+    """What an opened camera delivers; `name` is for messages and the identity check against the calibration."""
+
+    name: str
+    camera_id: str
+    width_px: int
+    height_px: int
+    rate_hz: float
+    live: bool
+
+
+class Camera(Protocol):
+    """A source of frames.
+
+    open() may be called again after close() or after a CameraError; seq goes on counting across reopenings of a live
+    camera. read() blocks for a bounded time (the camera's read timeout).
+    """
+
+    def open(self) -> CameraInfo:
+        """Raises CameraError when the device is absent, busy or cannot do what the configuration asks."""
+
+    def read(self) -> Frame | None:
+        """The next frame in order, None at the end of a recording (a live camera never ends).
+
+        Raises CameraError on loss, timeout or a frame that cannot be used.
+        """
+
+    def close(self) -> None:
+        """Idempotent, never raises."""
+
+
+class Clock(Protocol):
+    """CLOCK_MONOTONIC in nanoseconds; a fake in tests."""
+
+    def __call__(self) -> int: ...

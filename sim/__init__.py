@@ -1,0 +1,1 @@
+"""A ceiling to look at and a robot to drive."""
