@@ -34,9 +34,7 @@ class Camera:
     source: str = key("v4l2", "where frames come from", choices=("v4l2", "folder", "video"))
     device: str = key("/dev/video0", "device node; prefer the stable name under /dev/v4l/by-id/")
     path: str = key("", "image folder or video file, for source folder or video")
-    pixel_format: str = key(
-        "YUYV", "what to ask of the device; GREY is cheapest", choices=("GREY", "YUYV", "MJPG")
-    )
+    pixel_format: str = key("YUYV", "what to ask of the device; GREY is cheapest", choices=("GREY", "YUYV", "MJPG"))
     width_px: int = key(640, "must equal the calibration's", low=64, high=7680)
     height_px: int = key(480, "must equal the calibration's", low=64, high=4320)
     rate_hz: float = key(30.0, "frames per second to ask for", low=1.0, high=240.0)
@@ -46,9 +44,7 @@ class Camera:
         low=10.0,
         high=1e6,
     )
-    gain: float | None = key(
-        None, "fixed gain in the driver's units; null leaves it alone", low=0.0, high=1e6
-    )
+    gain: float | None = key(None, "fixed gain in the driver's units; null leaves it alone", low=0.0, high=1e6)
     read_timeout_s: float = key(1.0, "a camera silent for longer is lost and reopened", low=0.1, high=10.0)
     reopen_min_s: float = key(0.2, "first wait before reopening a lost camera", low=0.05, high=60.0)
     reopen_max_s: float = key(2.0, "longest wait between attempts to reopen", low=0.1, high=300.0)
@@ -69,22 +65,14 @@ class Features:
     direction_gate_deg: float = key(
         8.0, "edge points further off the dominant directions are not lines", low=1.0, high=20.0
     )
-    hough_angle_deg: float = key(
-        1.0, "Hough search to either side of the dominant direction", low=0.2, high=5.0
-    )
+    hough_angle_deg: float = key(1.0, "Hough search to either side of the dominant direction", low=0.2, high=5.0)
     hough_bin_px: float = key(2.0, "width of a Hough offset bin", low=0.5, high=10.0)
     min_line_points: int = key(30, "votes that make a line", low=8, high=1000)
     max_lines: int = key(60, "strongest lines kept per axis", low=4, high=500)
-    groove_px: float = key(
-        7.0, "a falling and a rising edge closer than this are one groove", low=1.0, high=30.0
-    )
-    crossing_reach_px: float = key(
-        12.0, "both lines need edge points this near to their crossing", low=2.0, high=100.0
-    )
+    groove_px: float = key(7.0, "a falling and a rising edge closer than this are one groove", low=1.0, high=30.0)
+    crossing_reach_px: float = key(12.0, "both lines need edge points this near to their crossing", low=2.0, high=100.0)
     max_view_deg: float = key(70.0, "rays further off the vertical are ignored", low=20.0, high=85.0)
-    estimate_tilt: bool = key(
-        True, "estimate the robot's roll and pitch from the convergence of parallel lines"
-    )
+    estimate_tilt: bool = key(True, "estimate the robot's roll and pitch from the convergence of parallel lines")
     tilt_prior_deg: float = key(1.0, "standard deviation of the robot's tilt beforehand", low=0.01, high=10.0)
 
 
@@ -92,9 +80,7 @@ class Features:
 class Odometry:
     match_radius_m: float = key(0.15, "a feature may be this far from its prediction", low=0.01, high=1.0)
     ransac_px: float = key(2.0, "homography RANSAC threshold", low=0.2, high=20.0)
-    residual_sigmas: float = key(
-        4.0, "residual rejection of eq. 16 in standard deviations", low=1.0, high=10.0
-    )
+    residual_sigmas: float = key(4.0, "residual rejection of eq. 16 in standard deviations", low=1.0, high=10.0)
     residual_max_m: float = key(0.010, "residual rejection of eq. 16, upper bound", low=0.001, high=0.2)
     min_inliers: int = key(3, "fewer correspondences are a failure", low=2, high=50)
     heading_gate_rad: float = key(
@@ -103,15 +89,11 @@ class Odometry:
     max_speed_mps: float = key(2.0, "faster motion is a failure", low=0.05, high=10.0)
     max_turn_radps: float = key(3.5, "faster turning is a failure", low=0.05, high=20.0)
     noise_xy_m: float = key(0.0003, "standard deviation added to every step along x and y", low=0.0, high=0.1)
-    noise_theta_rad: float = key(
-        0.0001, "standard deviation added to every step in heading", low=0.0, high=0.1
-    )
+    noise_theta_rad: float = key(0.0001, "standard deviation added to every step in heading", low=0.0, high=0.1)
     coast_accel_mps2: float = key(
         0.5, "acceleration assumed while vision is out: covariance grows with it", low=0.01, high=10.0
     )
-    coast_turn_radps2: float = key(
-        0.5, "angular acceleration assumed while vision is out", low=0.01, high=20.0
-    )
+    coast_turn_radps2: float = key(0.5, "angular acceleration assumed while vision is out", low=0.01, high=20.0)
 
 
 @dataclass(frozen=True)
@@ -133,9 +115,7 @@ class Filter:
     )
     update_turn_deg: float = key(3.0, "or after this much turning", low=0.0, high=90.0)
     update_period_s: float = key(1.0, "or after this much time", low=0.0, high=60.0)
-    association_gate_m: float = key(
-        0.20, "largest distance of a feature from its landmark", low=0.01, high=1.0
-    )
+    association_gate_m: float = key(0.20, "largest distance of a feature from its landmark", low=0.01, high=1.0)
     birth_sightings: int = key(3, "sightings that confirm a landmark", low=1, high=20)
     max_landmarks: int = key(2000, "landmarks kept", low=10, high=100000)
     initial_pose_x_m: float = key(0.0, "pose in map at start", low=-1e5, high=1e5)
@@ -165,9 +145,7 @@ class Base:
     parity: str = key("E", "Modbus RTU's default is even", choices=("N", "E", "O"))
     unit_id: int = key(1, "Modbus address of the base", low=1, high=247)
     rate_hz: float = key(20.0, "poses per second on the wire", low=0.1, high=200.0)
-    timeout_s: float = key(
-        0.10, "a base that does not answer within this has failed once", low=0.005, high=5.0
-    )
+    timeout_s: float = key(0.10, "a base that does not answer within this has failed once", low=0.005, high=5.0)
     turnaround_ms: float = key(3.0, "time the base takes to answer, for the rate check", low=0.0, high=1000.0)
     function: str = key(
         "fc23", "fc23 = one transaction; fc16_fc04 = for bases without FC23", choices=("fc23", "fc16_fc04")
@@ -181,9 +159,7 @@ class Zenoh:
     enabled: bool = key(True, "publish on Zenoh")
     prefix: str = key("ceilvo", "first part of every key")
     mode: str = key("peer", "peer needs no router", choices=("peer", "client"))
-    listen: tuple[str, ...] = key(
-        ["tcp/127.0.0.1:0"], "endpoints to listen on; loopback unless you say otherwise"
-    )
+    listen: tuple[str, ...] = key(["tcp/127.0.0.1:0"], "endpoints to listen on; loopback unless you say otherwise")
     connect: tuple[str, ...] = key([], "endpoints to connect to, for example a router")
     multicast: bool = key(True, "find peers by multicast on the loopback interface")
     config_file: str = key("", "a Zenoh configuration file (JSON5) passed through whole: TLS, access control")
@@ -194,9 +170,7 @@ class Zenoh:
 
 @dataclass(frozen=True)
 class Service:
-    state_dir: str = key(
-        "", "where map and last pose are kept; empty = $STATE_DIRECTORY, else nothing is kept"
-    )
+    state_dir: str = key("", "where map and last pose are kept; empty = $STATE_DIRECTORY, else nothing is kept")
     state_period_s: float = key(10.0, "period of saving the last pose", low=0.5, high=3600.0)
     seed: int = key(1, "seed of all randomness", low=0, high=2**31 - 1)
     log_level: str = key("info", "least severe message logged", choices=("debug", "info", "warning", "error"))
