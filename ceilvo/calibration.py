@@ -64,7 +64,7 @@ class Calibration:
         u, _, vt = np.linalg.svd(p[:, :3] / scale)
         rot = u @ vt
         position = -np.linalg.solve(p[:, :3], p[:, 3])
-        return rot, position
+        return np.asarray(rot, np.float64), np.asarray(position, np.float64)
 
     @property
     def camera_from_base(self) -> Array:
@@ -98,7 +98,7 @@ class Calibration:
     @cached_property
     def ceiling_from_level(self) -> Array:
         """(3, 3) m^-1 of eq. 7."""
-        return np.linalg.inv(self.level_from_ceiling)
+        return np.asarray(np.linalg.inv(self.level_from_ceiling), np.float64)
 
 
 def projection_matrix(
@@ -114,7 +114,7 @@ def projection_matrix(
 
 
 def mount_rotation(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Array:
-    """(3, 3) camera_from_base for a camera turned by yaw about base z, tilted by pitch about its y and roll about its x."""
+    """(3, 3) camera_from_base: turned by yaw about base z, then tilted by pitch about its y and roll about its x."""
     cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
     cr, sr = np.cos(roll_rad), np.sin(roll_rad)
     cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)

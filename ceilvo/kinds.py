@@ -1,0 +1,33 @@
+"""Kinds of crossings: which two kinds of lines meet, coded so that they can be turned with their axes.
+
+A crossing's kind is 3 * (kind of the axis-0 line + 1) + (kind of the axis-1 line + 1), with LineKind -1, 0, 1 along
+the axis' normal. Axes are only known modulo 90 deg; naming them a quarter turn further (axis 0' = axis 1,
+axis 1' = -axis 0) exchanges the two kinds and reverses one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+
+CROSSING_KINDS = 9
+
+
+def crossing_kind(kind_axis0: Ints, kind_axis1: Ints) -> Ints:
+    """(M,) codes from two (M,) LineKind arrays."""
+    return np.asarray(3 * (kind_axis0 + 1) + (kind_axis1 + 1), dtype=np.int64)
+
+
+def turn_kind(kind: Ints, quarter_turns: int) -> Ints:
+    """(M,) codes after naming the axes `quarter_turns` x 90 deg further counter-clockwise."""
+    k0, k1 = kind // 3 - 1, kind % 3 - 1
+    for _ in range(quarter_turns % 4):
+        k0, k1 = k1, -k0
+    return crossing_kind(k0, k1)
+
+
+def quarter_turns(psi_rad: float, reference_rad: float) -> int:
+    """How many quarter turns further an axis at psi must be named to lie nearest to an axis at reference."""
+    return round((reference_rad - psi_rad) / (0.5 * np.pi)) % 4
