@@ -58,7 +58,7 @@ class CalibrationFile:
 @dataclass(frozen=True)
 class Features:
     canny_sigmas: float = key(
-        3.0, "upper Canny threshold in standard deviations of the image gradient", low=1.0, high=20.0
+        4.0, "upper Canny threshold in standard deviations of the image gradient", low=1.0, high=20.0
     )
     canny_floor: float = key(12.0, "smallest upper Canny threshold", low=1.0, high=255.0)
     canny_low_ratio: float = key(0.45, "lower over upper threshold", low=0.1, high=1.0)

@@ -1,0 +1,76 @@
+"""Stage 3: crossings of perpendicular lines, placed on the ceiling (eqs. 5-7)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.kinds import crossing_kind
+from ceilvo.types import Crossings, Lines
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_COVERAGE_BIN_PX = 3.0
+_MIN_COVERAGE = 0.3
+
+
+def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings:
+    """Crossings where both lines have edge points nearby; the others are crossings of mere extensions."""
+    first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
+    reach = config.crossing_reach_px
+    there = _coverage(lines, first, 1, lines.offset_px[second], reach) & (
+        _coverage(lines, second, 0, lines.offset_px[first], reach).T
+    )
+    i, j = np.nonzero(there)
+    a, b = first[i], second[j]
+    normals = _normals(lines.psi_rad)
+    uv_rel = lines.offset_px[a, None] * normals[0] + lines.offset_px[b, None] * normals[1]
+    view = calibration.level_view
+    uv = uv_rel + np.array([view.camera.cx_px, view.camera.cy_px])
+    metres_per_px = calibration.ceiling_height_m / view.focal_px
+    var = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2
+    cov = np.einsum("mk,ki,kj->mij", var, normals, normals)
+    return Crossings(
+        uv_px=uv,
+        xy_base_m=to_ceiling(calibration.ceiling_from_level, uv),
+        cov_base_m2=cov,
+        kind=crossing_kind(lines.kind[a], lines.kind[b]),
+        psi_rad=lines.psi_rad,
+        psi_sigma_rad=lines.psi_sigma_rad,
+        tilt_rad=lines.tilt_rad,
+        tilt_sigma_rad=lines.tilt_sigma_rad,
+    )
+
+
+def to_ceiling(ceiling_from_level: Array, uv_px: Array) -> Array:
+    """(M, 2) metres on the ceiling in base for (M, 2) level pixels."""
+    s = np.column_stack([uv_px, np.ones(len(uv_px))]) @ ceiling_from_level.T  # eq. 7
+    return np.asarray(s[:, :2] / s[:, 2:], np.float64)
+
+
+def _normals(psi: float) -> Array:
+    c, s = np.cos(psi), np.sin(psi)
+    return np.array([[c, s], [-s, c]])
+
+
+def _coverage(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: float) -> NDArray[np.bool_]:
+    """(len(ids), len(at)): does the line have edge points within reach of a position along itself?"""
+    if len(ids) == 0 or len(at) == 0:
+        return np.zeros((len(ids), len(at)), bool)
+    row = np.full(len(lines.axis), -1, np.int64)
+    row[ids] = np.arange(len(ids))
+    mine = np.flatnonzero(row[lines.point_line] >= 0)
+    along = lines.points[mine] @ _normals(lines.psi_rad)[along_axis]
+    low = min(float(along.min(initial=0.0)), float(at.min())) - reach_px - _COVERAGE_BIN_PX
+    high = max(float(along.max(initial=0.0)), float(at.max())) + reach_px + _COVERAGE_BIN_PX
+    bins = int((high - low) / _COVERAGE_BIN_PX) + 2
+    cell = ((along - low) / _COVERAGE_BIN_PX).astype(np.int64)
+    hit = np.bincount(row[lines.point_line[mine]] * bins + cell, minlength=len(ids) * bins).reshape(-1, bins) > 0
+    total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
+    begin = np.clip(((at - reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64), 0, bins)
+    end = np.clip(((at + reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64) + 1, 0, bins)
+    need = _MIN_COVERAGE * 2.0 * reach_px / _COVERAGE_BIN_PX
+    return np.asarray(total[:, end] - total[:, begin] >= need)

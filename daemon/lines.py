@@ -1,0 +1,280 @@
+"""Stage 2: straight lines that are all parallel or perpendicular, with the robot's tilt, in one least squares.
+
+Canny's points vote in a Hough transform restricted to the dominant direction; the peaks start a joint least squares
+whose unknowns are the common direction, the tilt (roll, pitch) and one offset a line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.config import Features
+from ceilvo.daemon.edges import Edges
+from ceilvo.types import LineKind, Lines
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_GATES_PX = (6.0, 3.0, 1.5, 0.8)
+_DIRECTION_BINS = 90
+_SAME_LINE_PX = 3.0
+_CORRELATED_POINTS = 3.0
+_SIGMA_FLOOR_PX = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """Edge points whose gradient is along one axis, with its polarity; uv (P, 2), axis (P,), rising (P,)."""
+
+    uv: Array
+    axis: Ints
+    rising: NDArray[np.bool_]
+
+
+def dominant_direction(phi_rad: Array) -> float | None:
+    """Direction in [-pi/4, pi/4) that most gradients share modulo 90 deg, or None without points."""
+    if len(phi_rad) == 0:
+        return None
+    folded = np.mod(4.0 * phi_rad, 2.0 * np.pi)
+    width = 2.0 * np.pi / _DIRECTION_BINS
+    votes = np.bincount((folded / width).astype(np.int64) % _DIRECTION_BINS, minlength=_DIRECTION_BINS)
+    smooth = votes + np.roll(votes, 1) + np.roll(votes, -1)
+    peak = (float(np.argmax(smooth)) + 0.5) * width
+    near = np.abs(_wrap(folded - peak)) < 4.0 * np.radians(4.0)
+    psi = (peak + float(np.mean(_wrap(folded[near] - peak)))) / 4.0
+    return _fold(psi)
+
+
+def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
+    """Lines of one frame, or None when too few edge points agree on a direction."""
+    psi = dominant_direction(edges.phi_rad)
+    if psi is None:
+        return None
+    group = _split(edges, psi, np.radians(config.direction_gate_deg))
+    psi, starts = _hough(group, psi, config)
+    if sum(len(s) for s in starts) < 2:
+        return None
+    fit = _Fit(group, psi, starts, focal_px, config)
+    for gate_px in _GATES_PX:
+        fit.assign(gate_px)
+        fit.solve()
+    return _join_grooves(fit, config)
+
+
+def _split(edges: Edges, psi: float, gate_rad: float) -> _Group:
+    off = edges.phi_rad - psi
+    quarter = np.rint(off / (0.5 * np.pi)).astype(np.int64)
+    keep = np.abs(off - quarter * (0.5 * np.pi)) < gate_rad
+    quarter = quarter[keep] % 4
+    return _Group(edges.uv_px[keep], quarter % 2, quarter < 2)
+
+
+def _hough(group: _Group, psi: float, config: Features) -> tuple[float, list[Array]]:
+    """The direction with the sharpest votes and, for each of the four (axis, polarity) groups, line offsets."""
+    members = [group.uv[(group.axis == axis) & (group.rising == rising)] for axis in (0, 1) for rising in (False, True)]
+    reach = np.radians(config.hough_angle_deg)
+    best, best_score, best_votes = psi, -1.0, [np.zeros((0, 2))] * 4
+    for angle in psi + np.linspace(-reach, reach, 5):
+        votes = [_votes(uv, angle + 0.5 * np.pi * (g // 2), config.hough_bin_px) for g, uv in enumerate(members)]
+        score = sum(float(np.sum(v[:, 1] ** 2)) for v in votes)
+        if score > best_score:
+            best, best_score, best_votes = float(angle), score, votes
+    return best, [_peaks(v, config) for v in best_votes]
+
+
+def _votes(uv: Array, angle: float, bin_px: float) -> Array:
+    """(B, 2) offset and votes of every bin between the first and the last used one."""
+    if len(uv) == 0:
+        return np.zeros((0, 2))
+    cell = np.floor((uv[:, 0] * np.cos(angle) + uv[:, 1] * np.sin(angle)) / bin_px).astype(np.int64)
+    first = int(cell.min())
+    count = np.bincount(cell - first)
+    return np.column_stack([(np.arange(len(count)) + first + 0.5) * bin_px, count])
+
+
+def _peaks(votes: Array, config: Features) -> Array:
+    """Offsets of local maxima of three neighbouring bins, strongest `max_lines`, sorted."""
+    if len(votes) == 0:
+        return np.zeros(0)
+    count = np.concatenate([[0.0], votes[:, 1], [0.0]])
+    three = count[:-2] + count[1:-1] + count[2:]
+    left, right = np.concatenate([[0.0], three[:-1]]), np.concatenate([three[1:], [0.0]])
+    at = np.flatnonzero((three >= config.min_line_points) & (three > left) & (three >= right))
+    at = np.sort(at[np.argsort(-three[at], kind="stable")[: config.max_lines]])
+    moment = (count[2:][at] - count[:-2][at]) / three[at]
+    return np.asarray(votes[at, 0] + moment * config.hough_bin_px)
+
+
+class _Fit:
+    """Joint least squares: n(psi) . p(tilt) = offset of the point's line."""
+
+    def __init__(self, group: _Group, psi: float, starts: list[Array], focal_px: float, config: Features) -> None:
+        self.psi = psi
+        self.tilt = np.zeros(2)
+        self._group, self._focal, self._config = group, focal_px, config
+        self.offset = np.concatenate(starts)
+        self.line_group = np.repeat(np.arange(4), [len(s) for s in starts])
+        self.covariance = np.eye(3)
+        self.noise_px = 1.0
+        self.support = np.zeros(len(self.offset), np.int64)
+        self._rotate()
+
+    @property
+    def axis(self) -> Ints:
+        return np.asarray(self.line_group // 2, np.int64)
+
+    def _rotate(self) -> None:
+        """Points as a level robot would see them; tilt is the robot's, so seen rays are turned back by it."""
+        a, b = self.tilt
+        x, y = self._group.uv[:, 0] / self._focal, self._group.uv[:, 1] / self._focal
+        rx, ry, rz = x + b, y - a, 1.0 + a * y - b * x
+        self.uv = np.column_stack([rx / rz, ry / rz]) * self._focal
+
+    def _along(self) -> tuple[Array, Array]:
+        """Coordinates of all points along their group's normal and along its derivative by psi."""
+        c, s = np.cos(self.psi), np.sin(self.psi)
+        p0 = self.uv[:, 0] * c + self.uv[:, 1] * s
+        p1 = -self.uv[:, 0] * s + self.uv[:, 1] * c
+        first = self._group.axis == 0
+        return np.where(first, p0, p1), np.where(first, p1, -p0)
+
+    def assign(self, gate_px: float) -> None:
+        """Give every point the nearest line of its axis and polarity within the gate."""
+        rho, _ = self._along()
+        self.line = np.full(len(rho), -1, np.int64)
+        group_of_point = 2 * self._group.axis + self._group.rising
+        for g in range(4):
+            ids = np.flatnonzero(self.line_group == g)
+            points = np.flatnonzero(group_of_point == g)
+            if len(ids) == 0 or len(points) == 0:
+                continue
+            ids = ids[np.argsort(self.offset[ids], kind="stable")]
+            edges = 0.5 * (self.offset[ids][1:] + self.offset[ids][:-1])
+            nearest = ids[np.searchsorted(edges, rho[points])]
+            near = np.abs(rho[points] - self.offset[nearest]) < gate_px
+            self.line[points[near]] = nearest[near]
+
+    def solve(self) -> None:
+        """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line."""
+        used = np.flatnonzero(self.line >= 0)
+        line = self.line[used]
+        n = len(self.offset)
+        self.support = np.bincount(line, minlength=n)
+        count = np.maximum(self.support, 1)
+        rho, tangent = self._along()
+        columns = np.column_stack([rho[used], tangent[used], self._tilt_columns(used)])
+        means = np.column_stack([np.bincount(line, columns[:, k], n) / count for k in range(4)])
+        centred = columns - means[line]
+        r, jac = centred[:, 0], centred[:, 1:]
+        self.noise_px = max(float(np.sqrt(np.mean(r * r))) if len(r) else 1.0, _SIGMA_FLOOR_PX)
+        weight = 1.0 / (self.noise_px**2 * _CORRELATED_POINTS)
+        prior = np.radians(self._config.tilt_prior_deg if self._config.estimate_tilt else 1e-6)
+        info = weight * jac.T @ jac + np.diag([1e-3, prior**-2, prior**-2])
+        gradient = weight * jac.T @ r + np.array([0.0, *(self.tilt / prior**2)])
+        self.covariance = np.asarray(np.linalg.inv(info))
+        step = -self.covariance @ gradient
+        self.psi += float(step[0])
+        self.tilt = self.tilt + step[1:]
+        self._rotate()
+        rho, _ = self._along()
+        self.offset = np.where(self.support > 0, np.bincount(line, rho[used], n) / count, self.offset)
+
+    def _tilt_columns(self, used: NDArray[np.intp]) -> Array:
+        x, y = self.uv[used, 0] / self._focal, self.uv[used, 1] / self._focal
+        angle = self.psi + 0.5 * np.pi * self._group.axis[used]
+        nx, ny = np.cos(angle), np.sin(angle)
+        roll = -nx * x * y - ny * (1.0 + y * y)
+        pitch = nx * (1.0 + x * x) + ny * x * y
+        return self._focal * np.column_stack([roll, pitch])
+
+
+def _join_grooves(fit: _Fit, config: Features) -> Lines | None:
+    """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line."""
+    keep = np.flatnonzero(fit.support >= max(config.min_line_points // 2, 4))
+    if len(keep) < 2:
+        return None
+    order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
+    order = order[_distinct(fit, order)]
+    offset, axis, group = fit.offset[order], fit.axis[order], fit.line_group[order]
+    partner = _pairs(offset, axis, group % 2, config.groove_px)
+    first = (partner < 0) | (partner > np.arange(len(order)))  # one entry a pair
+    new_of_old = np.full(len(fit.offset), -1, np.int64)
+    index = np.cumsum(first) - 1
+    new_of_old[order] = np.where(first, index, index[np.maximum(partner, 0)])
+    other = np.where(partner >= 0, partner, np.arange(len(order)))
+    paired = partner >= 0
+    edge_kind = np.where(group % 2 == 1, LineKind.RISING, LineKind.FALLING)
+    support = fit.support[order]
+    sigma = fit.noise_px * np.sqrt(_CORRELATED_POINTS / support) + _SIGMA_FLOOR_PX
+    joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
+    joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
+    point_line = np.where(fit.line >= 0, new_of_old[np.maximum(fit.line, 0)], -1)
+    used = point_line >= 0
+    psi, turned = _fold_turns(fit.psi)
+    lines = Lines(
+        psi_rad=psi,
+        psi_sigma_rad=float(np.sqrt(fit.covariance[0, 0])),
+        axis=axis[first],
+        offset_px=joined[first],
+        sigma_px=joined_sigma[first],
+        kind=np.where(paired, LineKind.GROOVE, edge_kind)[first].astype(np.int64),
+        support=np.where(paired, support + support[other], support)[first],
+        tilt_rad=fit.tilt,
+        tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
+        points=fit.uv[used],
+        point_line=point_line[used],
+    )
+    return _turn_axes(lines, turned)
+
+
+def _distinct(fit: _Fit, order: Ints) -> NDArray[np.bool_]:
+    """False for a line that stands within 3 px of a stronger one of its own axis and polarity."""
+    good = np.ones(len(order), bool)
+    for g in range(4):
+        ids = np.flatnonzero(fit.line_group[order] == g)
+        close = np.flatnonzero(np.diff(fit.offset[order[ids]]) < _SAME_LINE_PX)
+        for k in close:
+            a, b = ids[k], ids[k + 1]
+            good[a if fit.support[order[a]] < fit.support[order[b]] else b] = False
+    return good
+
+
+def _pairs(offset: Array, axis: Ints, rising: Ints, groove_px: float) -> Ints:
+    """Index of every line's partner, or -1: neighbours of opposite polarity, closest pairs first."""
+    partner = np.full(len(offset), -1, np.int64)
+    gap = np.diff(offset)
+    fits = (np.diff(axis) == 0) & (np.diff(rising) != 0) & (gap < groove_px)
+    for k in np.argsort(gap, kind="stable"):
+        if fits[k] and partner[k] < 0 and partner[k + 1] < 0:
+            partner[k], partner[k + 1] = k + 1, k
+    return partner
+
+
+def _turn_axes(lines: Lines, turned: int) -> Lines:
+    """Rename the axes after psi was folded by `turned` quarter turns (clockwise)."""
+    axis, offset, kind = lines.axis, lines.offset_px, lines.kind
+    for _ in range(turned % 4):
+        # psi was taken a quarter turn back: old axis 0 is new axis 1, old axis 1 is new axis 0 reversed
+        sign = np.where(axis == 1, -1, 1)
+        axis, offset, kind = 1 - axis, offset * sign, kind * sign
+    return Lines(
+        lines.psi_rad, lines.psi_sigma_rad, axis, offset, lines.sigma_px, kind, lines.support,
+        lines.tilt_rad, lines.tilt_sigma_rad, lines.points, lines.point_line,
+    )  # fmt: skip
+
+
+def _fold(psi: float) -> float:
+    return _fold_turns(psi)[0]
+
+
+def _fold_turns(psi: float) -> tuple[float, int]:
+    """psi in [-pi/4, pi/4) and the quarter turns taken off it."""
+    turns = int(np.floor((psi + 0.25 * np.pi) / (0.5 * np.pi)))
+    return psi - turns * 0.5 * np.pi, turns
+
+
+def _wrap(a: Array) -> Array:
+    return np.asarray((a + np.pi) % (2.0 * np.pi) - np.pi)

@@ -1,0 +1,133 @@
+"""Stage 4: the robot's motion from frame to frame (section 2.1 of the paper).
+
+Features are predicted from the last motion (or the wheels), matched to the last good frame, cleaned by a homography
+and by the residuals of the rigid fit. After a failure the last good frame stays the reference and the prediction
+grows with the gap, so one bad frame costs nothing but covariance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.daemon.homography import consistent
+from ceilvo.daemon.matching import mutual_nearest
+from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion
+from ceilvo.kinds import quarter_turns, turn_kind
+from ceilvo.types import Crossings, Motion, WheelMotion
+
+Array = NDArray[np.float64]
+
+_MAX_MISSES = 8
+
+
+class VisualOdometry:
+    """Frame-to-frame motion. It keeps the last good frame, the (dead-reckoned) pose since then and the last twist."""
+
+    def __init__(self, config: Odometry) -> None:
+        self._config = config
+        self._reference: Crossings | None = None
+        self._ref_from_prev = np.zeros(3)
+        self._since_ref_s = 0.0
+        self._misses = 0
+        self._twist = np.zeros(3)
+
+    @property
+    def twist(self) -> Array:
+        """(3,) m/s, m/s, rad/s in base, of the last good step."""
+        return self._twist
+
+    def step(self, crossings: Crossings | None, dt_s: float, wheels: WheelMotion | None = None) -> Motion:
+        """Motion since the previous call.
+
+        Args:
+            crossings: of the current frame; None when the frame gave none.
+            dt_s: time since the previous call.
+            wheels: what the base says of the same interval, when it does.
+
+        Returns:
+            A Motion; where it failed, prev_from_curr is the prediction and cov says how little that is worth.
+        """
+        predicted = wheels.prev_from_curr if wheels is not None else self._twist * dt_s
+        if crossings is None or len(crossings) < self._config.min_inliers:
+            return self._coast(predicted, dt_s, wheels, f"{0 if crossings is None else len(crossings)} crossings")
+        if self._reference is None:
+            self._refer_to(crossings)
+            return Motion(np.zeros(3), self._floor(), len(crossings), 0.0, "first frame")
+        fit, failure = self._register(crossings, se2.compose(self._ref_from_prev, predicted), dt_s)
+        if fit is None:
+            return self._miss(crossings, self._coast(predicted, dt_s, wheels, failure))
+        motion = se2.between(self._ref_from_prev, fit.b_from_a)
+        self._twist = fit.b_from_a / (self._since_ref_s + dt_s)
+        self._refer_to(crossings)
+        return Motion(motion, fit.cov + self._floor(), int(np.count_nonzero(fit.used)), fit.rms_m)
+
+    def _refer_to(self, crossings: Crossings) -> None:
+        self._reference, self._ref_from_prev = crossings, np.zeros(3)
+        self._since_ref_s, self._misses = 0.0, 0
+
+    def _floor(self) -> Array:
+        xy, theta = self._config.noise_xy_m, self._config.noise_theta_rad
+        return np.diag([xy * xy, xy * xy, theta * theta])
+
+    def _register(self, crossings: Crossings, guess: Array, dt_s: float) -> tuple[RigidFit | None, str]:
+        """ref_from_curr by matching near the guess, or why there is none."""
+        ref, cfg = self._reference, self._config
+        if ref is None:
+            return None, "no reference"
+        turn = _direction_change(ref.psi_rad, crossings.psi_rad, float(guess[2]))
+        guess = np.array([guess[0], guess[1], turn])
+        kinds = turn_kind(crossings.kind, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
+        i, j = mutual_nearest(
+            se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.kind, cfg.match_radius_m
+        )
+        if len(i) < cfg.min_inliers:
+            return None, f"{len(i)} of {len(crossings)} crossings matched, {cfg.min_inliers} needed"
+        good = consistent(crossings.uv_px[i], ref.uv_px[j], cfg.ransac_px)
+        i, j = i[good], j[good]
+        fit = robust_rigid_motion(
+            crossings.xy_base_m[i], ref.xy_base_m[j], cfg.residual_sigmas, cfg.residual_max_m, cfg.min_inliers
+        )
+        if fit is None:
+            return None, "too few consistent correspondences"
+        failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)
+        return (None, failure) if failure else (fit, "")
+
+    def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
+        cfg = self._config
+        off = abs(se2.wrap(float(ref_from_curr[2]) - turn))
+        travel = float(np.hypot(ref_from_curr[0], ref_from_curr[1]))
+        if off > cfg.heading_gate_rad:
+            return f"rotation of points and of lines differ by {off:.3f} rad"
+        if travel > cfg.max_speed_mps * elapsed_s:
+            return f"moved {travel:.3f} m in {elapsed_s:.3f} s"
+        if abs(ref_from_curr[2]) > cfg.max_turn_radps * elapsed_s:
+            return f"turned {abs(ref_from_curr[2]):.3f} rad in {elapsed_s:.3f} s"
+        return ""
+
+    def _miss(self, crossings: Crossings, motion: Motion) -> Motion:
+        """After several frames that do not fit the reference, go on from here; covariance tells what that costs."""
+        self._misses += 1
+        if self._misses >= _MAX_MISSES:
+            self._refer_to(crossings)
+        return motion
+
+    def _coast(self, predicted: Array, dt_s: float, wheels: WheelMotion | None, reason: str) -> Motion:
+        start_s = self._since_ref_s
+        self._since_ref_s += dt_s
+        self._ref_from_prev = se2.compose(self._ref_from_prev, predicted)
+        if wheels is not None:
+            return Motion(predicted, wheels.cov, 0, 0.0, reason)
+        # an unknown constant acceleration displaces by a t^2 / 2; its variance, split over the steps of the gap
+        share = 0.25 * (self._since_ref_s**4 - start_s**4)
+        xy, theta = self._config.coast_accel_mps2**2 * share, self._config.coast_turn_radps2**2 * share
+        return Motion(np.asarray(predicted, np.float64), np.diag([xy, xy, theta]) + self._floor(), 0, 0.0, reason)
+
+
+def _direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
+    """ref_from_curr rotation from the change of dominant direction: the branch modulo 90 deg nearest the prediction."""
+    change = psi_ref - psi_curr
+    branch = np.round((predicted - change) / (0.5 * np.pi))
+    return float(change + branch * 0.5 * np.pi)
