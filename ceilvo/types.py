@@ -146,12 +146,16 @@ class Observations:
         var_m2: (K, 2) diagonal of R along base x and y (eq. 27, squared).
         kind: (K,) crossing kinds turned into the map's quadrant.
         label: (K,) landmark index, or -1 for a feature that no landmark explains.
+        heading_rad, heading_var_rad2: heading in the map from the lines' common direction and R33 of eq. 27; an
+            infinite variance means that there is none.
     """
 
     xy_base_m: Array
     var_m2: Array
     kind: Ints
     label: Ints
+    heading_rad: float = 0.0
+    heading_var_rad2: float = float("inf")
 
     def __len__(self) -> int:
         return len(self.label)

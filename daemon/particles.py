@@ -1,0 +1,65 @@
+"""What the pipeline asks of a pose filter, and the sums over weighted particles that every such filter needs."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ceilvo.se2 import compose, wrap_array
+from ceilvo.types import Array, Depletion, Landmarks, Motion, Observations
+
+
+class PoseFilter(Protocol):
+    """Estimates map_from_base and the map. Poses are (3,) [m, m, rad], covariances (3, 3)."""
+
+    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None) -> None:
+        """Start again at a pose, with a known map or with an empty one."""
+
+    def predict(self, motion: Motion) -> None:
+        """Move by the motion since the last call."""
+
+    def update(self, obs: Observations) -> None:
+        """Weigh against the map; labels index the landmarks() of this moment."""
+
+    def estimate(self) -> tuple[Array, Array, Depletion]:
+        """Pose, covariance and health."""
+
+    def landmarks(self) -> Landmarks:
+        """The map as estimated."""
+
+    def particles(self) -> tuple[Array, Array]:
+        """(N, 3) poses and (N,) weights that sum to one."""
+
+
+def mean_and_cov(poses: Array, weights: Array) -> tuple[Array, Array]:
+    """Weighted mean, circular in heading (eq. 20), and covariance of (N, 3) poses."""
+    theta = np.arctan2(weights @ np.sin(poses[:, 2]), weights @ np.cos(poses[:, 2]))
+    mean = np.array([weights @ poses[:, 0], weights @ poses[:, 1], theta])
+    off = np.column_stack([poses[:, :2] - mean[:2], wrap_array(poses[:, 2] - theta)])
+    mean[2] = wrap_array(theta + weights @ off[:, 2])  # exact where arctan2 of means is only first order
+    return mean, np.asarray((off * weights[:, None]).T @ off, np.float64)
+
+
+def effective_size(weights: Array) -> float:
+    """ESS = 1 / sum w^2."""
+    return float(1.0 / np.sum(weights * weights))
+
+
+def normalised(log_weights: Array) -> Array:
+    """Weights that sum to one from logarithms."""
+    w = np.exp(log_weights - np.max(log_weights))
+    return np.asarray(w / np.sum(w), np.float64)
+
+
+def spread(mean: Array, cov: Array, n: int, rng: np.random.Generator) -> Array:
+    """(n, 3) Gaussian draws whose sample mean is exactly `mean`, so that drawing adds no drift; cov may be singular."""
+    values, vectors = np.linalg.eigh(0.5 * (cov + cov.T))
+    noise = rng.standard_normal((n, 3))
+    noise = (noise - np.mean(noise, axis=0)) * np.sqrt(n / max(n - 1, 1))
+    return np.asarray(mean + noise @ (vectors * np.sqrt(np.maximum(values, 0.0))).T, np.float64)
+
+
+def moved(poses: Array, motion: Motion, rng: np.random.Generator) -> Array:
+    """(N, 3) poses, each after its own draw of the motion."""
+    return compose(poses, spread(motion.prev_from_curr, motion.cov, len(poses), rng))
