@@ -107,6 +107,12 @@ class Filter:
         0.5, "resample when ESS falls below this share of the particles", low=0.05, high=1.0
     )
     outlier_floor: float = key(0.02, "share of observations that may be outliers", low=0.0, high=0.5)
+    feature_independence: float = key(
+        0.5,
+        "K features of one frame count as K to this power: 1 = independent, 0.5 = crossings of a grid of lines",
+        low=0.0,
+        high=1.0,
+    )
     update_travel_m: float = key(
         0.05,
         "update with landmarks after this much travel: nearby frames share their errors",
@@ -129,6 +135,7 @@ class States:
     tracking_frames: int = key(5, "good frames in a row before TRACKING", low=1, high=100)
     degraded_inliers: int = key(6, "fewer inliers is DEGRADED", low=2, high=100)
     degraded_sigma_m: float = key(0.10, "larger position sigma is DEGRADED", low=0.001, high=10.0)
+    degraded_heading_deg: float = key(3.0, "larger heading sigma is DEGRADED", low=0.01, high=90.0)
     lost_sigma_m: float = key(0.50, "larger position sigma is LOST", low=0.01, high=100.0)
     nis_high: float = key(3.0, "mean NIS per degree of freedom above this is DEGRADED", low=1.0, high=100.0)
     nis_lost: float = key(
