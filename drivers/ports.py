@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from ceilvo.drivers.base_protocol import BaseStatus, PoseTelegram
 from ceilvo.types import Frame
 
 
@@ -34,6 +35,26 @@ class Camera(Protocol):
         """The next frame in order, None at the end of a recording (a live camera never ends).
 
         Raises CameraError on loss, timeout or a frame that cannot be used.
+        """
+
+    def close(self) -> None:
+        """Idempotent, never raises."""
+
+
+class Base(Protocol):
+    """A base controller. Every failure is a BaseLinkError that names the port and what to do."""
+
+    @property
+    def is_open(self) -> bool:
+        """False before open(), after close(), and after the port was lost: then open() again."""
+
+    def open(self) -> None:
+        """Raises BaseLinkError when the port is absent, busy or not permitted."""
+
+    def exchange(self, telegram: PoseTelegram) -> BaseStatus:
+        """Write the pose, read the status; bounded time.
+
+        Raises BaseLinkError when the base does not answer as it should. The port stays open unless it was lost.
         """
 
     def close(self) -> None:
