@@ -1,0 +1,230 @@
+"""How far the pose can be trusted, and why: a state machine without a clock (docs/states.md).
+
+Time comes with the evidence. Every change of state has exactly one reason. Thresholds for entering and leaving a
+condition differ and counts must agree, so evidence that hovers at a threshold does not make the state flap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ceilvo.config import States
+from ceilvo.types import State
+
+LEAVE_RATIO = 0.8
+"""A condition entered beyond a threshold is left only within this share of it."""
+ESS_REFERENCE = 0.1
+"""Effective sample sizes below this share of the particles lower the quality (by a fifth at most)."""
+UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
+"""States in which the pose must not be used; their quality is 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one frame says about the pose.
+
+    Attributes:
+        stamp_ns: the frame's.
+        motion_ok, failure: whether vision gave a motion; if not, why.
+        inliers, crossings: correspondences used, and crossings seen.
+        position_sigma_m, heading_sigma_rad: of the pose, not finite = unknown.
+        nis: mean normalised innovation squared per degree of freedom (1 when the filter is consistent).
+        nis_dof: its degrees of freedom; 0 = the landmarks were not used on this frame.
+        ess_ratio: effective sample size over the number of particles.
+        landmarks_matched: observations that a landmark explained; needed to confirm a relocalisation.
+        relocalising: the filter is searching, so the pose is one hypothesis among several.
+    """
+
+    stamp_ns: int
+    motion_ok: bool
+    failure: str
+    inliers: int
+    crossings: int
+    position_sigma_m: float
+    heading_sigma_rad: float
+    nis: float = 1.0
+    nis_dof: int = 0
+    ess_ratio: float = 1.0
+    landmarks_matched: int = 0
+    relocalising: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """State, quality in [0, 1], the one reason for being in this state, and whether this frame changed it."""
+
+    state: State
+    quality: float
+    reason: str
+    changed: bool
+
+
+class _Agreement:
+    """A condition that holds once `need` votes more came for it than against it, and until all are taken back."""
+
+    def __init__(self, need: int) -> None:
+        self._need = need
+        self._votes = 0
+        self.holds = False
+
+    def vote(self, bad: bool, good: bool) -> None:
+        self._votes = min(max(self._votes + int(bad) - int(good), 0), self._need)
+        if self._votes in (0, self._need):
+            self.holds = self._votes == self._need
+
+    def clear(self) -> None:
+        self._votes, self.holds = 0, False
+
+
+class StateMachine:
+    """Feed it every frame's evidence in order; it is deterministic and knows no time but the stamps."""
+
+    def __init__(self, config: States) -> None:
+        self._cfg = config
+        self._state = State.INIT
+        self._reported = State.INIT
+        self._reason = "starting"
+        self._cause = ""
+        self._causes: dict[str, str] = {}
+        self._nis_high = _Agreement(config.nis_frames)
+        self._nis_lost = _Agreement(config.nis_frames)
+        self._nis_mean = 1.0
+        self._vision_score = 0.0
+        self._stamp_ns: int | None = None
+        self._vision_ns: int | None = None
+        self._good_frames = 0
+        self._vision_frames = 0
+        self._confirmed = False
+
+    def reset(self, reason: str) -> None:
+        """Back to INIT (a pose was set from outside, or the map was dropped); the next step reports the change."""
+        self._enter(State.INIT, "reset", reason)
+        self._forget()
+
+    def step(self, evidence: Evidence) -> Verdict:
+        self._weigh(evidence)
+        if evidence.relocalising:
+            self._forget()
+        state, cause, reason = self._decide(evidence)
+        if state is not self._state or cause not in ("", self._cause):
+            self._enter(state, cause, reason)
+        changed = self._state is not self._reported
+        self._reported = self._state
+        return Verdict(self._state, self._quality(evidence), self._reason, changed)
+
+    def _enter(self, state: State, cause: str, reason: str) -> None:
+        self._state, self._cause, self._reason = state, cause, reason
+
+    def _forget(self) -> None:
+        """Innovations and good frames of a pose that is no longer believed say nothing about the next one."""
+        self._nis_high.clear()
+        self._nis_lost.clear()
+        self._nis_mean = 1.0
+        self._causes.clear()
+        self._good_frames = 0
+        self._confirmed = False
+
+    def _weigh(self, e: Evidence) -> None:
+        """Update the conditions that hold, the counts and the smoothed scores with this frame."""
+        cfg = self._cfg
+        elapsed_s = 0.0 if self._stamp_ns is None else max(e.stamp_ns - self._stamp_ns, 0) / 1e9
+        self._stamp_ns = e.stamp_ns
+        if e.motion_ok or self._vision_ns is None:
+            self._vision_ns = e.stamp_ns
+        self._vision_frames = self._vision_frames + 1 if e.motion_ok else 0
+        if e.motion_ok:  # without a motion the count says nothing that the failure does not say better
+            n = cfg.degraded_inliers
+            text = f"{e.inliers} inliers of {e.crossings} crossings, fewer than {n}"
+            self._hold("inliers", e.inliers < n, e.inliers * LEAVE_RATIO >= n, text)
+        self._hold_below("sigma", e.position_sigma_m, cfg.degraded_sigma_m, "position sigma {:.3f} m, above {:g} m")
+        heading_deg = math.degrees(e.heading_sigma_rad)
+        self._hold_below("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
+        self._hold_below("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
+        self._weigh_nis(e)
+        spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
+        self._good_frames = self._good_frames + 1 if e.motion_ok and not self._causes and not spike else 0
+        self._confirmed |= not e.relocalising and e.landmarks_matched > 0
+        hold = math.exp(-elapsed_s / cfg.dead_reckoning_s) if cfg.dead_reckoning_s > 0 else 0.0
+        now = _score(cfg.degraded_inliers, e.inliers) if e.motion_ok else 0.0
+        self._vision_score = max(now, self._vision_score * hold)
+
+    def _weigh_nis(self, e: Evidence) -> None:
+        cfg = self._cfg
+        if e.nis_dof > 0:
+            nis = e.nis if math.isfinite(e.nis) else math.inf
+            self._nis_high.vote(nis > cfg.nis_high, nis < LEAVE_RATIO * cfg.nis_high)
+            self._nis_lost.vote(nis > cfg.nis_lost, nis < LEAVE_RATIO * cfg.nis_lost)
+            self._nis_mean += (min(nis, 2.0 * cfg.nis_lost) - self._nis_mean) / cfg.nis_frames
+        text = f"NIS per degree of freedom {e.nis:.1f}, above {{:g}} for {cfg.nis_frames} updates"
+        for name, agreement, limit in (
+            ("nis", self._nis_high, cfg.nis_high),
+            ("lost_nis", self._nis_lost, cfg.nis_lost),
+        ):
+            self._hold(name, agreement.holds, not agreement.holds, text.format(limit))
+
+    def _hold_below(self, name: str, value: float, limit: float, text: str) -> None:
+        """A condition entered above the limit; a value that is not a number is above it."""
+        self._hold(name, not value <= limit, value < LEAVE_RATIO * limit, text.format(value, limit))
+
+    def _hold(self, name: str, enter: bool, leave: bool, text: str) -> None:
+        if enter:
+            self._causes.setdefault(name, text)
+        elif leave:
+            self._causes.pop(name, None)
+
+    def _decide(self, e: Evidence) -> tuple[State, str, str]:
+        """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
+        cfg, state = self._cfg, self._state
+        if e.relocalising:
+            return State.RELOCALISING, "relocalising", "searching: the pose is a hypothesis until landmarks confirm it"
+        lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
+        if lost:
+            return State.LOST, lost, self._causes[lost]
+        enough = self._good_frames >= cfg.tracking_frames
+        if state in (State.INIT, State.RELOCALISING):
+            enough &= state is State.INIT or self._confirmed
+            return (State.TRACKING, "good", self._good_reason()) if enough else (state, "", "")
+        if not e.motion_ok:
+            return self._without_vision(e)
+        if state is State.DEAD_RECKONING and self._vision_frames < cfg.tracking_frames:
+            return state, "", ""
+        if enough or (state is State.TRACKING and not self._causes):
+            return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
+        cause = self._first_cause("nis", "sigma", "heading", "inliers")
+        if cause:
+            return State.DEGRADED, cause, self._causes[cause]
+        return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
+
+    def _without_vision(self, e: Evidence) -> tuple[State, str, str]:
+        out_s = (e.stamp_ns - (self._vision_ns or 0)) / 1e9
+        why = e.failure or "no motion"
+        if out_s > self._cfg.dead_reckoning_s or self._state is State.DEAD_RECKONING:
+            kept = self._state is State.DEAD_RECKONING
+            return State.DEAD_RECKONING, "" if kept else "blind", f"no vision for {out_s:.2f} s: {why}"
+        return State.DEGRADED, "missed", f"no motion from this frame: {why}"
+
+    def _first_cause(self, *names: str) -> str:
+        return next((n for n in names if n in self._causes), "")
+
+    def _good_reason(self) -> str:
+        n = self._cfg.tracking_frames
+        return f"{n} good frame{'s' if n > 1 else ''} in a row"
+
+    def _quality(self, e: Evidence) -> float:
+        """Product of scores, each 1/2 at its DEGRADED threshold and falling as its evidence gets worse."""
+        if self._state in UNUSABLE:
+            return 0.0
+        cfg = self._cfg
+        sigma = _score(e.position_sigma_m, cfg.degraded_sigma_m)
+        heading = _score(math.degrees(e.heading_sigma_rad), cfg.degraded_heading_deg)
+        nis = _score(self._nis_mean, cfg.nis_high)
+        ess = 0.8 + 0.2 * min(max(e.ess_ratio, 0.0) / ESS_REFERENCE, 1.0) if math.isfinite(e.ess_ratio) else 0.8
+        return sigma * heading * nis * self._vision_score * ess
+
+
+def _score(value: float, reference: float) -> float:
+    """1 / (1 + (value / reference)^2), 0 for what is not finite."""
+    if not (math.isfinite(value) and reference > 0):
+        return 0.0
+    return 1.0 / (1.0 + (value / reference) ** 2)
