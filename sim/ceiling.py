@@ -1,0 +1,223 @@
+"""A picture of a ceiling, exact to a fraction of a texel, and the truth about what is on it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo import se2
+from ceilvo.sim.ceiling_layout import CeilingSpec, Layout, Panel, Spot, TrueLines, make_layout
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Rect = tuple[float, float, float, float]
+
+TILE, GROOVE, LIP, RIM, SLOT, PANEL = 0.76, 0.16, 0.84, 0.90, 0.20, 0.84
+LAMP_RADIANCE = 4.5  # a white surface under the room's light is 1
+HALO = 0.22  # extra light on the tiles next to a lamp
+
+
+class Ceiling:
+    """Drawn from a seed.
+
+    Attributes:
+        layout: what hangs where.
+        albedo: (Ny, Nx) float32; texel [j, i] covers x0 + [i, i + 1] * texel, y0 + [j, j + 1] * texel.
+    """
+
+    def __init__(self, spec: CeilingSpec | None = None, seed: int = 1) -> None:
+        self.spec = spec or CeilingSpec()
+        rng = np.random.default_rng([seed, 0xCE11])
+        self.layout: Layout = make_layout(self.spec, rng)
+        x0, y0, x1, y1 = self.layout.extent
+        n = self.spec.texel_m
+        self._size = (int(np.ceil((x1 - x0) / n)), int(np.ceil((y1 - y0) / n)))
+        self.albedo: Array32 = self._draw(rng)
+
+    def true_crossings(self) -> tuple[Array, Ints]:
+        """(N, 2) crossings in map and (N,) CrossingKind: grooves that meet, corners of lamps and vents."""
+        xy, kind = self.layout.crossings()
+        return se2.transform(self._map_from_ceiling, xy), kind
+
+    def true_lines(self) -> TrueLines:
+        """Every groove, lamp edge and slat edge, with end points in map."""
+        lines = self.layout.lines()
+        xy = se2.transform(self._map_from_ceiling, lines.segments.reshape(-1, 2))
+        return TrueLines(xy.reshape(-1, 2, 2), lines.axis, lines.kind)
+
+    @cached_property
+    def _map_from_ceiling(self) -> Array:
+        """The grid is turned about the room's centre."""
+        c = np.full(2, 0.5 * self.spec.room_m)
+        turn = np.array([0.0, 0.0, self.spec.grid_yaw_rad])
+        return np.array([*(c - se2.transform(turn, c[None])[0]), self.spec.grid_yaw_rad])
+
+    @cached_property
+    def texel_from_map(self) -> Array:
+        """(3, 3) homogeneous: texture coordinates, integers at texel centres, from metres in map."""
+        x, y, th = se2.inverse(self._map_from_ceiling)
+        c, s = np.cos(th), np.sin(th)
+        k = 1.0 / self.spec.texel_m
+        x0, y0 = self.layout.extent[:2]
+        return np.array(
+            [[c * k, -s * k, (x - x0) * k - 0.5], [s * k, c * k, (y - y0) * k - 0.5], [0.0, 0.0, 1.0]]
+        )
+
+    def radiance(self, lit: tuple[int, ...] | None = None, daylight: float = 0.3) -> tuple[Array32, Array32]:
+        """Two (Ny, Nx) float32 pictures to be added: by daylight, and by the lamps that are lit.
+
+        Args:
+            lit: indices into layout.lamps, None for all.
+            daylight: share of the room's light that does not come from lamps; the rest comes with the share lit.
+        """
+        lamps = self.layout.lamps
+        on = lamps if lit is None else tuple(lamps[i] for i in lit)
+        share = len(on) / len(lamps) if lamps else 1.0
+        glow = np.zeros_like(self.albedo)
+        for lamp in on:
+            self._emit(glow, lamp)
+        light = (1.0 - daylight) * share + self._halo(glow)
+        return self.albedo * np.float32(daylight), self.albedo * light + glow
+
+    def _emit(self, glow: Array32, lamp: Panel) -> None:
+        win, cover = self._cover(lamp.inner)
+        x0, y0, x1, y1 = lamp.inner
+        _, y = self._centres()
+        tubes = 0.9 + 0.1 * np.cos(4 * np.pi * (y[win[0]] - y0) / (y1 - y0))
+        glow[win] += (LAMP_RADIANCE * cover * tubes[:, None]).astype(np.float32)
+
+    def _halo(self, glow: Array32) -> Array32:
+        """Light that lamps throw on the tiles around them."""
+        small = cv2.resize(glow, None, fx=1 / 16, fy=1 / 16, interpolation=cv2.INTER_AREA)
+        sigma = 0.30 / (16 * self.spec.texel_m)
+        soft = cv2.GaussianBlur(small, (0, 0), sigma) * (HALO / LAMP_RADIANCE)
+        return np.asarray(cv2.resize(soft, self._size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+    def _draw(self, rng: np.random.Generator) -> Array32:
+        a = self._tiles(rng)
+        self._stain(a, rng)
+        a *= self._mineral(rng)
+        self._grooves(a)
+        for p in self.layout.panels:
+            self._panel(a, p)
+        for s in self.layout.spots:
+            self._spot(a, s)
+        return a
+
+    def _centres(self) -> tuple[Array, Array]:
+        """Texel centres along x and y."""
+        n = self.spec.texel_m
+        x0, y0 = self.layout.extent[:2]
+        return x0 + (np.arange(self._size[0]) + 0.5) * n, y0 + (np.arange(self._size[1]) + 0.5) * n
+
+    def _tiles(self, rng: np.random.Generator) -> Array32:
+        """Each tile's own brightness, and a slow fall of light across the room."""
+        x, y = self._centres()
+        i, j = np.searchsorted(self.layout.grooves[0], x), np.searchsorted(self.layout.grooves[1], y)
+        shape = (len(self.layout.grooves[1]) + 1, len(self.layout.grooves[0]) + 1)
+        own = np.clip(rng.normal(TILE, TILE * self.spec.tile_spread, shape), 0.4, 0.95)
+        a = own.astype(np.float32)[j[:, None], i[None, :]]
+        a *= (1.0 + 0.04 * np.sin(0.5 * x + 0.3)).astype(np.float32)
+        a *= (1.0 + 0.03 * np.cos(0.6 * y)).astype(np.float32)[:, None]
+        return np.asarray(a, np.float32)
+
+    def _mineral(self, rng: np.random.Generator) -> Array32:
+        """Mineral-fibre board: mottling, grain and small dark fissures, as a factor."""
+        w, h = self._size
+        out = np.ones((h, w), np.float32)
+        if self.spec.texture <= 0:
+            return out
+        amount = np.float32(self.spec.texture)
+        coarse = rng.standard_normal((h // 24 + 2, w // 24 + 2), dtype=np.float32)
+        out += 0.010 * amount * cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
+        grain = rng.standard_normal((h, w), dtype=np.float32)
+        out += 0.022 * amount * grain
+        holes = (rng.random((h, w), dtype=np.float32) < 0.012).astype(np.float32)
+        out -= 0.7 * amount * cv2.GaussianBlur(holes, (0, 0), 0.8)
+        return np.asarray(np.clip(out, 0.2, 1.3), np.float32)
+
+    def _stain(self, a: Array32, rng: np.random.Generator) -> None:
+        """Dried water: a soft patch with a darker rim, not quite round."""
+        for x, y, r in self.layout.stains:
+            win, (dx, dy) = self._window((x - 1.6 * r, y - 1.6 * r, x + 1.6 * r, y + 1.6 * r))
+            th = np.arctan2(dy - y, dx - x)
+            lobes = sum(0.09 * np.cos(k * th + p) for k, p in zip((2, 3, 5), rng.uniform(0, 6.28, 3), strict=True))
+            d = np.hypot(dx - x, dy - y) / (r * (1.0 + lobes))
+            inside = 1.0 / (1.0 + np.exp((d - 1.0) / 0.05))
+            rim = np.exp(-0.5 * ((d - 0.97) / 0.06) ** 2)
+            a[win] *= (1.0 - 0.05 * inside - 0.10 * rim).astype(np.float32)
+
+    def _grooves(self, a: Array32) -> None:
+        """Dark joints with a bright bevel on either side; coverage is exact per texel."""
+        half, lip = 0.5 * self.spec.groove_m, self.spec.lip_m
+        dark, bevel = [], []
+        for axis in (0, 1):
+            at = self.layout.grooves[axis]
+            dark.append(self._profile(axis, at - half, at + half))
+            bevel.append(self._profile(axis, at - half - lip, at + half + lip))
+        for cover, value in ((bevel, LIP), (dark, GROOVE)):
+            keep = np.outer(1.0 - cover[1], 1.0 - cover[0]).astype(np.float32)
+            a -= np.float32(value)
+            a *= keep
+            a += np.float32(value)
+
+    def _panel(self, a: Array32, p: Panel) -> None:
+        if not p.recessed:
+            x0, y0, x1, y1 = p.rect
+            self._fill(a, (x0 - 0.007, y0 - 0.007, x1 + 0.007, y1 + 0.007), 0.45)  # its shadow line
+        self._fill(a, p.rect, RIM)
+        self._fill(a, p.inner, PANEL)
+        for slot in p.steps():
+            self._fill(a, slot, SLOT)
+        for i, ring in enumerate(p.rings()):
+            self._fill(a, ring, SLOT if i % 2 == 0 else RIM)
+
+    def _spot(self, a: Array32, s: Spot) -> None:
+        rings = {
+            "sprinkler": ((1.0, 0.88), (0.55, 0.35), (0.30, 0.80)),
+            "detector": ((1.0, 0.92), (0.80, 0.30), (0.68, 0.90), (0.12, 0.25)),
+            "speaker": ((1.0, 0.90), (0.88, 0.58)),
+        }[s.kind]
+        x, y = s.xy
+        m = s.radius_m + 3 * self.spec.texel_m
+        win, (dx, dy) = self._window((x - m, y - m, x + m, y + m))
+        d = np.hypot(dx - x, dy - y)
+        for share, value in rings:
+            cover = np.clip((share * s.radius_m - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
+            a[win] += cover * (np.float32(value) - a[win])
+
+    def _fill(self, a: Array32, rect: Rect, value: float) -> None:
+        win, cover = self._cover(rect)
+        a[win] += cover * (np.float32(value) - a[win])
+
+    def _cover(self, rect: Rect) -> tuple[tuple[slice, slice], Array32]:
+        """Window of texels that a rectangle touches and the exact share of each that it covers."""
+        sx, cx = self._interval(0, rect[0], rect[2])
+        sy, cy = self._interval(1, rect[1], rect[3])
+        return (sy, sx), np.outer(cy, cx).astype(np.float32)
+
+    def _interval(self, axis: int, lo: float, hi: float) -> tuple[slice, Array]:
+        n, origin = self.spec.texel_m, self.layout.extent[axis]
+        a, b = (lo - origin) / n, (hi - origin) / n
+        first, last = max(int(np.floor(a)), 0), min(int(np.ceil(b)), self._size[axis])
+        i = np.arange(first, max(last, first))
+        return slice(first, max(last, first)), np.clip(np.minimum(i + 1, b) - np.maximum(i, a), 0.0, 1.0)
+
+    def _profile(self, axis: int, lo: Array, hi: Array) -> Array:
+        """Share of each texel along an axis that disjoint intervals cover."""
+        out = np.zeros(self._size[axis])
+        for a, b in zip(lo, hi, strict=True):
+            where, cover = self._interval(axis, float(a), float(b))
+            out[where] += cover
+        return out
+
+    def _window(self, rect: Rect) -> tuple[tuple[slice, slice], tuple[Array, Array]]:
+        """Window of texels and their centres as a broadcastable pair."""
+        sx, _ = self._interval(0, rect[0], rect[2])
+        sy, _ = self._interval(1, rect[1], rect[3])
+        x, y = self._centres()
+        return (sy, sx), (x[sx][None, :], y[sy][:, None])

@@ -1,0 +1,297 @@
+"""What hangs where: tiles, lamps, vents and round spots of a simulated ceiling, and the true lines they make.
+
+Coordinates are the ceiling's own: metres, parallel to its grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.errors import ConfigError
+from ceilvo.types import LineKind
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+PanelKind = Literal["lamp", "vent", "diffuser"]
+SpotKind = Literal["sprinkler", "detector", "speaker"]
+SPOTS: tuple[tuple[SpotKind, float], ...] = (("sprinkler", 0.038), ("detector", 0.055), ("speaker", 0.105))
+
+
+class CrossingKind(IntEnum):
+    """What meets at a true crossing."""
+
+    CROSS = 0  # two grooves, all four arms visible
+    TEE = 1  # two grooves, an arm hidden by a panel
+    LAMP = 2  # corner of a lamp's luminous field
+    VENT = 3  # corner of a vent's opening
+
+
+@dataclass(frozen=True)
+class CeilingSpec:
+    """A tiled office ceiling.
+
+    Attributes:
+        room_m: side of the room below it.
+        margin_m: how far it goes on beyond the walls (open plan), so that the camera never sees its end.
+        tile_m: side of a tile.
+        grid_offset_m: where a groove of each axis lies, from the map's origin.
+        grid_yaw_rad: the grid against the map, turned about the room's centre.
+        groove_m, lip_m: width of the dark joint, and of the bright bevel on either side of it.
+        texel_m: resolution of the picture.
+        tile_spread: standard deviation of the tiles' brightness.
+        texture: strength of the tiles' speckle and mottling; 0 is plain.
+        lamp_every: one lamp in so many tiles along each axis; (0, 0) is none.
+        vents, spots, stains: how many of each in the room and its margin.
+    """
+
+    room_m: float = 5.0
+    margin_m: float = 2.0
+    tile_m: float = 0.6
+    grid_offset_m: tuple[float, float] = (0.137, 0.418)
+    grid_yaw_rad: float = 0.0
+    groove_m: float = 0.008
+    lip_m: float = 0.005
+    texel_m: float = 0.003
+    tile_spread: float = 0.025
+    texture: float = 1.0
+    lamp_every: tuple[int, int] = (4, 3)
+    vents: int = 12
+    spots: int = 24
+    stains: int = 7
+
+    def __post_init__(self) -> None:
+        for name in ("room_m", "tile_m", "groove_m", "texel_m"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"ceiling: {name} is {getattr(self, name)}, expected more than 0")
+        if self.groove_m + 2 * self.lip_m > 0.5 * self.tile_m:
+            raise ConfigError(
+                f"ceiling: groove_m {self.groove_m} with lip_m {self.lip_m} does not fit tiles of tile_m {self.tile_m}"
+            )
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Something rectangular in the ceiling: outer rectangle x0, y0, x1, y1 in metres; axis its long one, or the slats'."""
+
+    kind: PanelKind
+    rect: tuple[float, float, float, float]
+    axis: int
+    recessed: bool = True
+
+    RIM_M = 0.030
+    SLAT_M = 0.050
+
+    @property
+    def inner(self) -> tuple[float, float, float, float]:
+        """Luminous field or opening, inside the rim."""
+        x0, y0, x1, y1 = self.rect
+        return (x0 + self.RIM_M, y0 + self.RIM_M, x1 - self.RIM_M, y1 - self.RIM_M)
+
+    def steps(self) -> list[tuple[float, float, float, float]]:
+        """Dark rectangles in a vent's opening: slots between slats, or nothing for a lamp and a diffuser."""
+        if self.kind != "vent":
+            return []
+        x0, y0, x1, y1 = self.inner
+        lo, hi = (x0, x1) if self.axis == 1 else (y0, y1)
+        n = max(1, round((hi - lo) / self.SLAT_M))
+        pitch = (hi - lo) / n
+        slots = [(lo + (i + 0.15) * pitch, lo + (i + 0.60) * pitch) for i in range(n)]
+        if self.axis == 1:
+            return [(a, y0, b, y1) for a, b in slots]
+        return [(x0, a, x1, b) for a, b in slots]
+
+    def rings(self) -> list[tuple[float, float, float, float]]:
+        """Nested rectangles of a diffuser, outermost first, alternately dark and bright."""
+        if self.kind != "diffuser":
+            return []
+        x0, y0, x1, y1 = self.inner
+        half = 0.5 * min(x1 - x0, y1 - y0)
+        insets = [d for i in range(20) for d in (0.075 * i, 0.075 * i + 0.028) if d < half - 0.03]
+        return [(x0 + d, y0 + d, x1 - d, y1 - d) for d in insets]
+
+    def hides(self, x: float, y: float) -> bool:
+        """Whether a groove at this point lies behind the panel."""
+        x0, y0, x1, y1 = self.rect
+        return x0 < x < x1 and y0 < y < y1
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Something round: a sprinkler's plate, a smoke detector, a loudspeaker's grille."""
+
+    kind: SpotKind
+    xy: tuple[float, float]
+    radius_m: float
+
+
+@dataclass(frozen=True)
+class TrueLines:
+    """Straight lines that can be seen.
+
+    Attributes:
+        segments: (L, 2, 2) end points in map.
+        axis: (L,) 0 for x = const in the ceiling's own frame, 1 for y = const.
+        kind: (L,) LineKind along the axis' positive normal in the ceiling's frame.
+    """
+
+    segments: Array
+    axis: Ints
+    kind: Ints
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Everything on one ceiling: extent (x0, y0, x1, y1), groove positions per axis, panels, spots, stains (x, y, r)."""
+
+    spec: CeilingSpec
+    extent: tuple[float, float, float, float]
+    grooves: tuple[Array, Array]
+    panels: tuple[Panel, ...]
+    spots: tuple[Spot, ...]
+    stains: tuple[tuple[float, float, float], ...]
+    lamps: tuple[Panel, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lamps", tuple(p for p in self.panels if p.kind == "lamp"))
+
+    def crossings(self) -> tuple[Array, Ints]:
+        """(N, 2) true crossings and (N,) CrossingKind."""
+        xy: list[tuple[float, float]] = []
+        kind: list[int] = []
+        for x in self.grooves[0]:
+            for y in self.grooves[1]:
+                if not self._hidden(x, y):
+                    arms = ((x + 0.05, y), (x - 0.05, y), (x, y + 0.05), (x, y - 0.05))
+                    xy.append((x, y))
+                    kind.append(CrossingKind.TEE if any(self._hidden(*a) for a in arms) else CrossingKind.CROSS)
+        for p in self.panels:
+            x0, y0, x1, y1 = p.inner
+            xy += [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+            kind += [CrossingKind.LAMP if p.kind == "lamp" else CrossingKind.VENT] * 4
+        return np.array(xy).reshape(-1, 2), np.array(kind, dtype=np.int64)
+
+    def lines(self) -> TrueLines:
+        """All true lines, with segments in the ceiling's own frame."""
+        found: list[tuple[int, float, float, float, int]] = []
+        for axis in (0, 1):
+            for at in self.grooves[axis]:
+                found += [(axis, at, lo, hi, int(LineKind.GROOVE)) for lo, hi in self._visible(axis, at)]
+        for p in self.panels:
+            if p.kind == "lamp":
+                found += _outline(p.inner, LineKind.RISING)
+            for slot in p.steps():
+                found += _outline(slot, LineKind.FALLING)
+            for i, ring in enumerate(p.rings()):
+                found += _outline(ring, LineKind.FALLING if i % 2 == 0 else LineKind.RISING)
+        a = np.array(found, dtype=np.float64).reshape(-1, 5)
+        axis = a[:, 0].astype(np.int64)
+        ends = a[:, 2:4]
+        across = np.repeat(a[:, 1:2], 2, axis=1)
+        x = np.where(axis[:, None] == 0, across, ends)
+        y = np.where(axis[:, None] == 0, ends, across)
+        return TrueLines(np.stack([x, y], axis=-1), axis, a[:, 4].astype(np.int64))
+
+    def _hidden(self, x: float, y: float) -> bool:
+        return any(p.hides(x, y) for p in self.panels)
+
+    def _visible(self, axis: int, at: float) -> list[tuple[float, float]]:
+        """Stretches of a groove that no panel covers."""
+        lo, hi = self.extent[1 - axis], self.extent[3 - axis]
+        over = sorted(
+            (p.rect[1 - axis], p.rect[3 - axis]) for p in self.panels if p.rect[axis] < at < p.rect[axis + 2]
+        )
+        out = []
+        for a, b in over:
+            if a > lo:
+                out.append((lo, a))
+            lo = max(lo, b)
+        return [*out, (lo, hi)] if hi > lo else out
+
+
+def _outline(rect: tuple[float, float, float, float], first: LineKind) -> list[tuple[int, float, float, float, int]]:
+    """Four edges of a rectangle whose inside is brighter (first RISING) or darker (first FALLING) than its outside."""
+    x0, y0, x1, y1 = rect
+    k = int(first)
+    return [(0, x0, y0, y1, k), (0, x1, y0, y1, -k), (1, y0, x0, x1, k), (1, y1, x0, x1, -k)]
+
+
+def make_layout(spec: CeilingSpec, rng: np.random.Generator) -> Layout:
+    """Hang lamps in a regular array with exceptions, and the rest at random into free tiles."""
+    half = 0.5 * spec.room_m + spec.margin_m
+    turn = abs(np.cos(spec.grid_yaw_rad)) + abs(np.sin(spec.grid_yaw_rad))
+    lo, hi = 0.5 * spec.room_m - half * turn, 0.5 * spec.room_m + half * turn
+    grooves = (_grooves(spec, 0, lo, hi), _grooves(spec, 1, lo, hi))
+    nx, ny = (len(g) - 1 for g in grooves)
+    free = np.ones((nx, ny), dtype=bool)
+    panels = _lamps(spec, grooves, free, rng)
+    for i, j in _pick(free, spec.vents, rng):
+        kind: PanelKind = "vent" if rng.random() < 0.6 else "diffuser"
+        panels.append(Panel(kind, _tiles(spec, grooves, i, j, 1, 1), int(rng.integers(2))))
+    spots = []
+    for i, j in _pick(free, spec.spots, rng):
+        name, radius_m = SPOTS[int(rng.choice(len(SPOTS), p=(0.5, 0.3, 0.2)))]
+        spots.append(Spot(name, _centre(spec, grooves, i, j), radius_m))
+    stains = [_stain(lo, hi, rng) for _ in range(spec.stains)]
+    return Layout(spec, (lo, lo, hi, hi), grooves, tuple(panels), tuple(spots), tuple(stains))
+
+
+def _stain(lo: float, hi: float, rng: np.random.Generator) -> tuple[float, float, float]:
+    return float(rng.uniform(lo, hi)), float(rng.uniform(lo, hi)), float(rng.uniform(0.06, 0.22))
+
+
+def _grooves(spec: CeilingSpec, axis: int, lo: float, hi: float) -> Array:
+    """Positions of the grooves of one axis within the extent."""
+    first = np.ceil((lo - spec.grid_offset_m[axis]) / spec.tile_m)
+    n = int(np.floor((hi - spec.grid_offset_m[axis]) / spec.tile_m) - first) + 1
+    return np.asarray(spec.grid_offset_m[axis] + spec.tile_m * (first + np.arange(n)))
+
+
+def _tiles(
+    spec: CeilingSpec, grooves: tuple[Array, Array], i: int, j: int, wide: int, high: int
+) -> tuple[float, float, float, float]:
+    """Rectangle between the grooves around a block of tiles."""
+    g = 0.5 * spec.groove_m
+    x0, y0 = float(grooves[0][i]), float(grooves[1][j])
+    return (x0 + g, y0 + g, x0 + wide * spec.tile_m - g, y0 + high * spec.tile_m - g)
+
+
+def _centre(spec: CeilingSpec, grooves: tuple[Array, Array], i: int, j: int) -> tuple[float, float]:
+    return float(grooves[0][i]) + 0.5 * spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
+
+
+def _lamps(
+    spec: CeilingSpec, grooves: tuple[Array, Array], free: NDArray[np.bool_], rng: np.random.Generator
+) -> list[Panel]:
+    """Troffers of two tiles by one, some places left out, some with a narrow surface-mounted lamp instead."""
+    every_x, every_y = spec.lamp_every
+    if every_x < 1 or every_y < 1:
+        return []
+    nx, ny = free.shape
+    out = []
+    first_i, first_j = int(rng.integers(every_x)), int(rng.integers(every_y))
+    for i in range(first_i, nx - 1, every_x):
+        for j in range(first_j, ny, every_y):
+            chance = rng.random()
+            if chance < 0.08 or not free[i : i + 2, j].all():
+                continue
+            free[i : i + 2, j] = False
+            if chance < 0.75:
+                out.append(Panel("lamp", _tiles(spec, grooves, i, j, 2, 1), 0))
+                continue
+            x, y = float(grooves[0][i]) + spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
+            w, h = spec.tile_m, 0.25 * spec.tile_m
+            out.append(Panel("lamp", (x - w, y - h, x + w, y + h), 0, recessed=False))
+    return out
+
+
+def _pick(free: NDArray[np.bool_], n: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Up to n free tiles, taken."""
+    where = np.argwhere(free)
+    chosen = where[rng.permutation(len(where))[:n]]
+    free[chosen[:, 0], chosen[:, 1]] = False
+    return [(int(i), int(j)) for i, j in chosen]
