@@ -94,10 +94,10 @@ install_app() {
   mkdir -p "$root${APP%/*}"
   [ "$deps" = yes ] || venv_opts=(--system-site-packages)
   say "virtual environment with $("$python" -V 2>&1)"
-  "$python" -m venv "${venv_opts[@]}" "$new"
+  "$python" -I -m venv "${venv_opts[@]}" "$new"
   pip_options
   say "packages from $package"
-  "$new/bin/python" -m pip install "${opts[@]}" "$package"
+  "$new/bin/python" -I -m pip install "${opts[@]}" "$package"
   for cmd in $COMMANDS; do
     [ -x "$new/bin/$cmd" ] || die "$package does not bring the command '$cmd'"
   done
@@ -105,7 +105,7 @@ install_app() {
   grep -rlIZ --fixed-strings "$new" "$new/bin" "$new/pyvenv.cfg" | xargs -0r sed -i "s|$new|$APP|g"
   # Byte code checked by content, not by time: an installation is the same bytes each time.
   find "$new/lib" -name __pycache__ -prune -exec rm -rf {} +
-  "$new/bin/python" -m compileall -qq --invalidation-mode checked-hash -s "$new" -p "$APP" "$new/lib" || true
+  "$new/bin/python" -I -m compileall -qq --invalidation-mode checked-hash -s "$new" -p "$APP" "$new/lib" || true
   install_share "$new/share/ceilvo"
   if [ -e "$root$APP" ]; then mv -T "$root$APP" "$old"; fi
   mv -T "$new" "$root$APP"
@@ -124,7 +124,7 @@ install_share() {
   for f in "$here/constraints.txt" "$here/../constraints.txt"; do
     if [ -f "$f" ]; then install -m644 "$f" "$1/constraints.txt"; break; fi
   done
-  "$new/bin/python" -m ceilvo.config_file >"$1/config.yaml"
+  "$new/bin/python" -I -m ceilvo.config_file >"$1/config.yaml"
 }
 
 install_user() {
