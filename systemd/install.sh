@@ -105,7 +105,7 @@ install_app() {
   grep -rlIZ --fixed-strings "$new" "$new/bin" "$new/pyvenv.cfg" | xargs -0r sed -i "s|$new|$APP|g"
   # Byte code checked by content, not by time: an installation is the same bytes each time.
   find "$new/lib" -name __pycache__ -prune -exec rm -rf {} +
-  "$new/bin/python" -I -m compileall -qq --invalidation-mode checked-hash -s "$new" -p "$APP" "$new/lib" || true
+  "$new/bin/python" -I -m compileall -qqf --invalidation-mode checked-hash -s "$new" -p "$APP" "$new/lib" || true
   install_share "$new/share/ceilvo"
   if [ -e "$root$APP" ]; then mv -T "$root$APP" "$old"; fi
   mv -T "$new" "$root$APP"
