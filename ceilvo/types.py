@@ -90,6 +90,8 @@ class Crossings:
         cov_base_m2: (M, 2, 2).
         kind: (M,) in 0..8, 3 * (kind of axis-0 line + 1) + (kind of axis-1 line + 1); see features.turn_kind.
         psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines.
+        common_cov_m2: (2, 2) the part of cov_base_m2 that all crossings of a frame share: an error of the tilt
+            shifts them together.
     """
 
     uv_px: Array
@@ -100,6 +102,7 @@ class Crossings:
     psi_sigma_rad: float
     tilt_rad: Array
     tilt_sigma_rad: Array
+    common_cov_m2: Array
 
     def __len__(self) -> int:
         return len(self.kind)

@@ -32,7 +32,9 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
     uv = uv_rel + np.array([view.camera.cx_px, view.camera.cy_px])
     metres_per_px = calibration.ceiling_height_m / view.focal_px
     var = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2
-    cov = np.einsum("mk,ki,kj->mij", var, normals, normals)
+    roll, pitch = calibration.ceiling_height_m * lines.tilt_sigma_rad
+    common = np.diag([pitch**2, roll**2])
+    cov = np.einsum("mk,ki,kj->mij", var, normals, normals) + common
     return Crossings(
         uv_px=uv,
         xy_base_m=to_ceiling(calibration.ceiling_from_level, uv),
@@ -42,6 +44,7 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
         psi_sigma_rad=lines.psi_sigma_rad,
         tilt_rad=lines.tilt_rad,
         tilt_sigma_rad=lines.tilt_sigma_rad,
+        common_cov_m2=common,
     )
 
 

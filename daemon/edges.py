@@ -49,7 +49,7 @@ class EdgeDetector:
         high = max(self._config.canny_sigmas * noise, self._config.canny_floor)
         mask = cv2.Canny(dx, dy, self._config.canny_low_ratio * high, high, L2gradient=True)
         at = np.flatnonzero(cv2.bitwise_and(mask, mask, mask=self._usable))
-        return self._to_level(at, dx.reshape(-1), dy.reshape(-1))
+        return self._to_level(at, np.asarray(dx, np.int16).reshape(-1), np.asarray(dy, np.int16).reshape(-1))
 
     def _to_level(self, at: NDArray[np.intp], dx: NDArray[np.int16], dy: NDArray[np.int16]) -> Edges:
         gx, gy = dx[at].astype(np.float32), dy[at].astype(np.float32)

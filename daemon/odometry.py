@@ -39,20 +39,29 @@ class VisualOdometry:
         """(3,) m/s, m/s, rad/s in base, of the last good step."""
         return self._twist
 
-    def step(self, crossings: Crossings | None, dt_s: float, wheels: WheelMotion | None = None) -> Motion:
+    def step(
+        self,
+        crossings: Crossings | None,
+        dt_s: float,
+        wheels: WheelMotion | None = None,
+        missing: str = "no lines found",
+    ) -> Motion:
         """Motion since the previous call.
 
         Args:
             crossings: of the current frame; None when the frame gave none.
             dt_s: time since the previous call.
             wheels: what the base says of the same interval, when it does.
+            missing: why there are no crossings, for the failure.
 
         Returns:
             A Motion; where it failed, prev_from_curr is the prediction and cov says how little that is worth.
         """
         predicted = wheels.prev_from_curr if wheels is not None else self._twist * dt_s
-        if crossings is None or len(crossings) < self._config.min_inliers:
-            return self._coast(predicted, dt_s, wheels, f"{0 if crossings is None else len(crossings)} crossings")
+        if crossings is None:
+            return self._coast(predicted, dt_s, wheels, missing)
+        if len(crossings) < self._config.min_inliers:
+            return self._coast(predicted, dt_s, wheels, f"only {len(crossings)} crossings")
         if self._reference is None:
             self._refer_to(crossings)
             return Motion(np.zeros(3), self._floor(), len(crossings), 0.0, "first frame")
@@ -60,9 +69,11 @@ class VisualOdometry:
         if fit is None:
             return self._miss(crossings, self._coast(predicted, dt_s, wheels, failure))
         motion = se2.between(self._ref_from_prev, fit.b_from_a)
+        cov = fit.cov + self._floor()
+        cov[:2, :2] += self._reference.common_cov_m2 + crossings.common_cov_m2
         self._twist = fit.b_from_a / (self._since_ref_s + dt_s)
         self._refer_to(crossings)
-        return Motion(motion, fit.cov + self._floor(), int(np.count_nonzero(fit.used)), fit.rms_m)
+        return Motion(motion, cov, int(np.count_nonzero(fit.used)), fit.rms_m)
 
     def _refer_to(self, crossings: Crossings) -> None:
         self._reference, self._ref_from_prev = crossings, np.zeros(3)

@@ -12,7 +12,8 @@ from ceilvo.se2 import rotation, transform
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-_ROUNDS = 4
+_ROUNDS = 10
+_HALF = 1.2
 _CORNER_SIGMA_M = 0.0005
 
 
@@ -43,22 +44,33 @@ def robust_rigid_motion(a: Array, b: Array, sigmas: float, max_m: float, min_poi
     for _ in range(_ROUNDS):
         if np.count_nonzero(used) < max(min_points, 2):
             return None
-        fit = rigid_motion(a[used], b[used])
-        eta = np.hypot(*(b - transform(fit, a)).T)  # eq. 16
-        sigma = max(1.4826 * float(np.median(eta[used])), _CORNER_SIGMA_M)
-        keep = eta < min(max_m, sigmas * sigma)
+        eta = np.hypot(*(b - transform(rigid_motion(a[used], b[used]), a)).T)  # eq. 16
+        keep = eta < _gate(eta, sigmas, max_m)
         if np.array_equal(keep, used):
             break
         used = keep
+    else:
+        used &= eta < max_m
     if np.count_nonzero(used) < max(min_points, 2):
         return None
     fit = rigid_motion(a[used], b[used])
+    if np.median(np.hypot(*(b[used] - transform(fit, a[used])).T)) > max_m:
+        return None
     residual = b[used] - transform(fit, a[used])
     dof = max(2 * len(residual) - 3, 1)
     variance = float(np.sum(residual**2)) / dof
     return RigidFit(
         fit, used, float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))), _covariance(a[used], fit, variance)
     )
+
+
+def _gate(eta: Array, sigmas: float, max_m: float) -> float:
+    """Largest residual kept: a few sigma of the better half, and never so tight that the better half would go.
+
+    While many outliers still pull the fit, the second rule lets the half that agrees best take it over.
+    """
+    median = float(np.median(eta))
+    return max(min(max_m, sigmas * max(1.4826 * median, _CORNER_SIGMA_M)), _HALF * median)
 
 
 def _covariance(a: Array, fit: Array, variance: float) -> Array:

@@ -1,0 +1,238 @@
+"""The method of the paper as one visible step: a frame in, an estimate out.
+
+No clock, I/O, logging or threads here: time comes with the frame, randomness from the Generator handed in, so a live
+run, a replay and a test do the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.calibration import Calibration
+from ceilvo.config import Config
+from ceilvo.daemon.crossings import cross
+from ceilvo.daemon.edges import EdgeDetector
+from ceilvo.daemon.lines import find_lines
+from ceilvo.daemon.observation import observe
+from ceilvo.daemon.odometry import VisualOdometry
+from ceilvo.daemon.particles import PoseFilter
+from ceilvo.daemon.pfcf import Pfcf
+from ceilvo.daemon.states import Evidence, StateMachine
+from ceilvo.types import (
+    Array,
+    Crossings,
+    Depletion,
+    Estimate,
+    Frame,
+    Landmarks,
+    Lines,
+    Motion,
+    Observations,
+    WheelMotion,
+)
+
+Lap = Callable[[str], None]
+"""Called with a stage's name when it has ended; the caller owns the clock."""
+
+_NS = 1e-9
+_START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
+
+
+def no_lap(stage: str) -> None:
+    """For callers that do not time the stages."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the last frame looked like to the pipeline, for pictures."""
+
+    frame: Frame
+    lines: Lines | None
+    crossings: Crossings | None
+
+
+class Pipeline:
+    """Canny -> Hough -> least squares -> crossings -> motion -> particle filter -> state."""
+
+    def __init__(self, calibration: Calibration, config: Config, rng: np.random.Generator) -> None:
+        self._calibration = calibration
+        self._config = config
+        self._edges = EdgeDetector(calibration, config.features)
+        self._filter: PoseFilter = Pfcf(config.filter, rng)
+        self.reset()
+
+    # -- the method
+
+    def step(self, frame: Frame, wheels: WheelMotion | None = None, lap: Lap = no_lap) -> Estimate:
+        """Take one frame of the calibrated size, in order of time."""
+        dt_s = self._elapsed_s(frame.stamp_ns)
+        edges = self._edges(frame.gray)
+        lap("edges")
+        lines = find_lines(edges, self._config.features, self._calibration.level_view.focal_px)
+        lap("lines")
+        crossings = None if lines is None else cross(lines, self._calibration, self._config.features)
+        lap("crossings")
+        motion = self._odometry.step(crossings, dt_s, wheels)
+        lap("odometry")
+        self._view = View(frame, lines, crossings)
+        return self._fuse(frame.stamp_ns, dt_s, motion, crossings, lap)
+
+    def coast(self, stamp_ns: int, reason: str, wheels: WheelMotion | None = None) -> Estimate:
+        """No frame came: move on by prediction, so that every output says so at once."""
+        dt_s = self._elapsed_s(stamp_ns)
+        motion = self._odometry.step(None, dt_s, wheels, reason)
+        return self._fuse(stamp_ns, dt_s, motion, None, no_lap)
+
+    def _fuse(self, stamp_ns: int, dt_s: float, motion: Motion, crossings: Crossings | None, lap: Lap) -> Estimate:
+        self._filter.predict(motion)
+        self._odom = se2.compose(self._odom, motion.prev_from_curr)
+        observations = self._observe(stamp_ns, motion, crossings)
+        if observations is not None:
+            self._filter.update(observations)
+        lap("filter")
+        return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
+
+    def _observe(self, stamp_ns: int, motion: Motion, crossings: Crossings | None) -> Observations | None:
+        """Observations of landmarks, when enough was travelled since the last ones that they are news."""
+        self._travel_m += float(np.hypot(*motion.prev_from_curr[:2]))
+        self._turn_rad += abs(float(motion.prev_from_curr[2]))
+        if crossings is None or not len(crossings):
+            return None
+        cfg = self._config.filter
+        due = (
+            self._updated_ns is None
+            or self._travel_m >= cfg.update_travel_m
+            or self._turn_rad >= np.radians(cfg.update_turn_deg)
+            or (stamp_ns - self._updated_ns) * _NS >= cfg.update_period_s
+        )
+        if not due:
+            return None
+        self._travel_m = self._turn_rad = 0.0
+        self._updated_ns = stamp_ns
+        pose, _, _ = self._filter.estimate()
+        if self._map_axis_rad is None:
+            self._map_axis_rad = float(se2.wrap(crossings.psi_rad + float(pose[2])))
+        return observe(
+            crossings,
+            self._calibration.noise,
+            self._calibration.mount_xy_m,
+            pose,
+            self._filter.landmarks(),
+            cfg,
+            self._map_axis_rad,
+        )
+
+    def _conclude(
+        self,
+        stamp_ns: int,
+        dt_s: float,
+        motion: Motion,
+        crossings: Crossings | None,
+        observations: Observations | None,
+    ) -> Estimate:
+        pose, cov, depletion = self._filter.estimate()
+        if motion.ok and dt_s > 0:
+            self._twist = motion.prev_from_curr / dt_s
+        seen = 0 if crossings is None else len(crossings)
+        verdict = self._states.step(_evidence(stamp_ns, motion, seen, cov, depletion, observations))
+        self._seq += 1
+        return Estimate(
+            seq=self._seq,
+            stamp_ns=stamp_ns,
+            pose=pose,
+            cov=cov,
+            odom=self._odom,
+            twist=self._twist,
+            state=verdict.state,
+            quality=verdict.quality,
+            reason=verdict.reason,
+            motion=motion,
+            depletion=depletion,
+            crossings=seen,
+            landmarks=len(self._filter.landmarks()),
+        )
+
+    def _elapsed_s(self, stamp_ns: int) -> float:
+        dt_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) * _NS
+        self._stamp_ns = stamp_ns
+        return dt_s
+
+    # -- what the outside may ask or tell
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """Time of the last step."""
+        return self._stamp_ns
+
+    @property
+    def map_axis_rad(self) -> float | None:
+        """Direction of the ceiling's lines in the map modulo 90 deg, once seen."""
+        return self._map_axis_rad
+
+    @property
+    def view(self) -> View | None:
+        """The last frame with what was found in it."""
+        return self._view
+
+    def landmarks(self) -> Landmarks:
+        return self._filter.landmarks()
+
+    def particles(self) -> tuple[Array, Array]:
+        return self._filter.particles()
+
+    def reset(self) -> None:
+        """Forget pose and map; start at the configured initial pose."""
+        cfg = self._config.filter
+        start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
+        self._odometry = VisualOdometry(self._config.odometry)
+        self._states = StateMachine(self._config.states)
+        self._seq = getattr(self, "_seq", 0)
+        self._stamp_ns: int | None = getattr(self, "_stamp_ns", None)
+        self._odom = np.zeros(3)
+        self._twist = np.zeros(3)
+        self._view: View | None = None
+        self._map_axis_rad: float | None = None
+        self._start_at(start, np.diag(_START_SIGMA**2), None)
+
+    def assume(self, pose: Array, cov: Array, why: str) -> None:
+        """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
+        self._start_at(pose, cov, self._filter.landmarks())
+        self._states.reset(why)
+
+    def know_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Array, cov: Array) -> None:
+        """Start on a map of an earlier run; the pose is a hypothesis that landmarks must confirm."""
+        self._map_axis_rad = map_axis_rad
+        self._start_at(pose, cov, landmarks)
+        self._states.reset("stored map and pose, to be confirmed")
+
+    def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None) -> None:
+        self._filter.reset(pose, cov, landmarks)
+        self._travel_m = self._turn_rad = 0.0
+        self._updated_ns: int | None = None
+
+
+def _evidence(
+    stamp_ns: int,
+    motion: Motion,
+    crossings: int,
+    cov: Array,
+    depletion: Depletion,
+    observations: Observations | None,
+) -> Evidence:
+    return Evidence(
+        stamp_ns=stamp_ns,
+        motion_ok=motion.ok,
+        failure=motion.failure or "",
+        inliers=motion.inliers,
+        crossings=crossings,
+        position_sigma_m=float(np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0))),
+        heading_sigma_rad=float(np.sqrt(max(cov[2, 2], 0.0))),
+        nis=depletion.nis if depletion.nis_dof else 1.0,
+        nis_dof=depletion.nis_dof if observations is not None else 0,
+        ess_ratio=depletion.ess / max(depletion.particles, 1),
+        landmarks_matched=0 if observations is None else int(np.count_nonzero(observations.label >= 0)),
+    )
