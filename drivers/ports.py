@@ -11,7 +11,14 @@ from ceilvo.types import Frame
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """What an opened camera delivers; `name` is for messages and the identity check against the calibration."""
+    """What an opened camera delivers.
+
+    Attributes:
+        name: for messages.
+        camera_id: what identifies the camera, for the check against the calibration; "" = unknown.
+        live: False for a recording, which ends and whose frames wait until they are read.
+        notes: one line each on what was accepted though it is not as asked or not as it should be.
+    """
 
     name: str
     camera_id: str
@@ -19,22 +26,26 @@ class CameraInfo:
     height_px: int
     rate_hz: float
     live: bool
+    notes: tuple[str, ...] = ()
 
 
 class Camera(Protocol):
     """A source of frames.
 
     open() may be called again after close() or after a CameraError; seq goes on counting across reopenings of a live
-    camera. read() blocks for a bounded time (the camera's read timeout).
+    camera, a recording starts again. read() blocks for a bounded time (the camera's read timeout). Stamps increase
+    strictly from frame to frame. Used by one thread at a time.
     """
 
     def open(self) -> CameraInfo:
-        """Raises CameraError when the device is absent, busy or cannot do what the configuration asks."""
+        """Raises CameraError when the device is absent, busy or cannot do what the configuration asks, and
+        FileFormatError when a recording cannot be used (trying again does not help)."""
 
     def read(self) -> Frame | None:
         """The next frame in order, None at the end of a recording (a live camera never ends).
 
-        Raises CameraError on loss, timeout or a frame that cannot be used.
+        Raises CameraError on loss or timeout: close and open again. Raises BadFrameError when this frame cannot be
+        used but the camera is there: read again. Raises FileFormatError when a recording is damaged.
         """
 
     def close(self) -> None:
