@@ -3,7 +3,8 @@
     CeilvoError
     ├── ConfigError        a configuration file or key is wrong           exit 78
     ├── CalibrationError   a calibration file is wrong or does not fit    exit 78
-    ├── CameraError        the camera is absent, lost or gave a bad frame
+    ├── CameraError        the camera is absent, lost or cannot do what was asked
+    │   └── BadFrameError  one frame cannot be used, the camera is still there
     ├── BaseLinkError      the base controller does not answer as it should
     ├── BusError           Zenoh cannot be used as configured
     └── FileFormatError    a recording, map or state file cannot be used
@@ -22,15 +23,29 @@ class CeilvoError(Exception):
     exit_code = 1
 
 
-class ConfigError(CeilvoError):
+class _FileError(CeilvoError):
+    """One line a problem; `problems` has them apart."""
+
     exit_code = EXIT_CONFIG
 
+    def __init__(self, *problems: str) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
 
-class CalibrationError(CeilvoError):
-    exit_code = EXIT_CONFIG
+
+class ConfigError(_FileError):
+    pass
+
+
+class CalibrationError(_FileError):
+    pass
 
 
 class CameraError(CeilvoError):
+    pass
+
+
+class BadFrameError(CameraError):
     pass
 
 
