@@ -63,9 +63,7 @@ class Ceiling:
         c, s = np.cos(th), np.sin(th)
         k = 1.0 / self.spec.texel_m
         x0, y0 = self.layout.extent[:2]
-        return np.array(
-            [[c * k, -s * k, (x - x0) * k - 0.5], [s * k, c * k, (y - y0) * k - 0.5], [0.0, 0.0, 1.0]]
-        )
+        return np.array([[c * k, -s * k, (x - x0) * k - 0.5], [s * k, c * k, (y - y0) * k - 0.5], [0.0, 0.0, 1.0]])
 
     def radiance(self, lit: tuple[int, ...] | None = None, daylight: float = 0.3) -> tuple[Array32, Array32]:
         """Two (Ny, Nx) float32 pictures to be added: by daylight, and by the lamps that are lit.
@@ -85,7 +83,7 @@ class Ceiling:
 
     def _emit(self, glow: Array32, lamp: Panel) -> None:
         win, cover = self._cover(lamp.inner)
-        x0, y0, x1, y1 = lamp.inner
+        _, y0, _, y1 = lamp.inner
         _, y = self._centres()
         tubes = 0.9 + 0.1 * np.cos(4 * np.pi * (y[win[0]] - y0) / (y1 - y0))
         glow[win] += (LAMP_RADIANCE * cover * tubes[:, None]).astype(np.float32)
@@ -112,7 +110,9 @@ class Ceiling:
         """Texel centres along x and y."""
         n = self.spec.texel_m
         x0, y0 = self.layout.extent[:2]
-        return x0 + (np.arange(self._size[0]) + 0.5) * n, y0 + (np.arange(self._size[1]) + 0.5) * n
+        x = x0 + (np.arange(self._size[0], dtype=np.float64) + 0.5) * n
+        y = y0 + (np.arange(self._size[1], dtype=np.float64) + 0.5) * n
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
 
     def _tiles(self, rng: np.random.Generator) -> Array32:
         """Each tile's own brightness, and a slow fall of light across the room."""

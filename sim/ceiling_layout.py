@@ -76,7 +76,13 @@ class CeilingSpec:
 
 @dataclass(frozen=True)
 class Panel:
-    """Something rectangular in the ceiling: outer rectangle x0, y0, x1, y1 in metres; axis its long one, or the slats'."""
+    """Something rectangular in the ceiling.
+
+    Attributes:
+        rect: outer rectangle x0, y0, x1, y1 in metres.
+        axis: a vent's slats run along x (0) or y (1).
+        recessed: in the grid's place, not screwed on with a gap around it.
+    """
 
     kind: PanelKind
     rect: tuple[float, float, float, float]
@@ -146,7 +152,7 @@ class TrueLines:
 
 @dataclass(frozen=True)
 class Layout:
-    """Everything on one ceiling: extent (x0, y0, x1, y1), groove positions per axis, panels, spots, stains (x, y, r)."""
+    """Everything on one ceiling: extent (x0, y0, x1, y1), groove positions per axis, what hangs, stains (x, y, r)."""
 
     spec: CeilingSpec
     extent: tuple[float, float, float, float]
@@ -189,12 +195,12 @@ class Layout:
             for i, ring in enumerate(p.rings()):
                 found += _outline(ring, LineKind.FALLING if i % 2 == 0 else LineKind.RISING)
         a = np.array(found, dtype=np.float64).reshape(-1, 5)
-        axis = a[:, 0].astype(np.int64)
+        axes = a[:, 0].astype(np.int64)
         ends = a[:, 2:4]
         across = np.repeat(a[:, 1:2], 2, axis=1)
-        x = np.where(axis[:, None] == 0, across, ends)
-        y = np.where(axis[:, None] == 0, ends, across)
-        return TrueLines(np.stack([x, y], axis=-1), axis, a[:, 4].astype(np.int64))
+        x = np.where(axes[:, None] == 0, across, ends)
+        y = np.where(axes[:, None] == 0, ends, across)
+        return TrueLines(np.stack([x, y], axis=-1), axes, a[:, 4].astype(np.int64))
 
     def _hidden(self, x: float, y: float) -> bool:
         return any(p.hides(x, y) for p in self.panels)
@@ -202,9 +208,7 @@ class Layout:
     def _visible(self, axis: int, at: float) -> list[tuple[float, float]]:
         """Stretches of a groove that no panel covers."""
         lo, hi = self.extent[1 - axis], self.extent[3 - axis]
-        over = sorted(
-            (p.rect[1 - axis], p.rect[3 - axis]) for p in self.panels if p.rect[axis] < at < p.rect[axis + 2]
-        )
+        over = sorted((p.rect[1 - axis], p.rect[3 - axis]) for p in self.panels if p.rect[axis] < at < p.rect[axis + 2])
         out = []
         for a, b in over:
             if a > lo:

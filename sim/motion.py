@@ -252,7 +252,5 @@ class TiltProfile:
     def _waves(self, t: Array, axis: int) -> Array:
         hz = (*self.SWAY_HZ[axis], *self.VIBRATION_HZ[axis])
         shares = (0.5 * self.SWAY,) * 2 + (0.5 * self.VIBRATION,) * 2
-        waves = [
-            a * np.sin(2 * np.pi * f * t + p) for a, f, p in zip(shares, hz, self._phase[axis], strict=True)
-        ]
+        waves = [a * np.sin(2 * np.pi * f * t + p) for a, f, p in zip(shares, hz, self._phase[axis], strict=True)]
         return np.asarray(sum(waves))

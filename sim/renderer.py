@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ Array32 = NDArray[np.float32]
 Gray = NDArray[np.uint8]
 
 _STEEPEST = 12.0  # tan of the largest angle off the vertical that is drawn, beyond any ceiling
+_NO_MAP: Any = None  # the map has two channels; the type stubs do not know that None is allowed
 _BANK = 257  # the noise bank is larger than a frame by this many pixels
 
 
@@ -65,7 +67,9 @@ class RenderSpec:
 class Renderer:
     """Draws frames. One thread at a time: it keeps scratch buffers."""
 
-    def __init__(self, calibration: Calibration, ceiling: Ceiling, spec: RenderSpec | None = None, seed: int = 1) -> None:
+    def __init__(
+        self, calibration: Calibration, ceiling: Ceiling, spec: RenderSpec | None = None, seed: int = 1
+    ) -> None:
         self.spec = spec or RenderSpec()
         self._cal, self._ceiling = calibration, ceiling
         self._rays = _level_rays(calibration)
@@ -117,7 +121,7 @@ class Renderer:
         cv2.remap(
             texture,
             self._at,
-            None,
+            _NO_MAP,
             cv2.INTER_LINEAR,
             dst=out,
             borderMode=cv2.BORDER_CONSTANT,
@@ -157,7 +161,7 @@ class Renderer:
     def _sense(self, signal: Array32, rng: np.random.Generator) -> Gray:
         """Shot and read noise, saturation, 8 bits."""
         if self.spec.read_noise == 0 and self.spec.shot_noise == 0:
-            return np.asarray(cv2.add(signal, 0.0, dtype=cv2.CV_8U), np.uint8)
+            return np.asarray(cv2.convertScaleAbs(signal), np.uint8)
         i, j = rng.integers(0, _BANK, 2)
         h, w = signal.shape
         noise = self._part
