@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ _log = logging.getLogger("ceilvo.base")
 _BACKOFF_MIN_S = 0.05
 _FAILURES_BEFORE_REOPENING = 5
 _JOIN_S = 1.0
+_WARN_PERIOD_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,7 @@ class BaseLink:
         self._heartbeat = 0
         self._opened = 0
         self._failures_in_row = 0
+        self._warned_s = -math.inf
 
     @property
     def wheels(self) -> WheelTrack:
@@ -149,9 +152,7 @@ class BaseLink:
         self._heartbeat = (self._heartbeat + 1) & 0xFFFF
         estimate = self._latest
         now_ns = self._clock()
-        telegram = (
-            no_estimate(self._heartbeat) if estimate is None else telegram_of(estimate, now_ns, self._heartbeat)
-        )
+        telegram = no_estimate(self._heartbeat) if estimate is None else telegram_of(estimate, now_ns, self._heartbeat)
         if self._final_state is None:
             return telegram
         return replace(telegram, state=self._final_state, quality=0.0)
@@ -181,7 +182,10 @@ class BaseLink:
         self._snapshot = replace(self._snapshot, up=True, telegrams_sent=sent, status=status)
 
     def _note_failure(self, error: BaseLinkError, telegrams: int) -> None:
-        if self._snapshot.up or str(error) != self._snapshot.last_error:
+        now_s = time.monotonic()
+        changed = str(error) != self._snapshot.last_error and now_s - self._warned_s > _WARN_PERIOD_S
+        if self._snapshot.up or changed:
+            self._warned_s = now_s
             _log.warning("base link: %s", error)
         failed = self._snapshot.telegrams_failed + telegrams
         self._snapshot = replace(self._snapshot, up=False, telegrams_failed=failed, last_error=str(error))

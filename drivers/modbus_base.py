@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 import struct
 import termios
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import serial
 from pymodbus.client import ModbusSerialClient
@@ -23,9 +25,10 @@ from ceilvo.drivers.base_protocol import (
     encode_pose,
 )
 from ceilvo.errors import BaseLinkError
-from ceilvo.wire_budget import POSE_REGISTERS, STATUS_REGISTERS, stop_bits
+from ceilvo.wire_budget import STATUS_REGISTERS, stop_bits
 
 _FC_READ_INPUT, _FC_WRITE, _FC_READ_WRITE = 4, 16, 23
+_PTY_MAJORS = range(136, 144)
 _ILLEGAL_FUNCTION = 1
 _EXCEPTIONS = {
     _ILLEGAL_FUNCTION: "illegal function",
@@ -36,8 +39,16 @@ _EXCEPTIONS = {
 }
 
 
+def port_parity(port: str, parity: str) -> str:
+    """The parity to open a port with: a pseudo-terminal has none, and some C libraries refuse to set it there."""
+    try:
+        return "N" if os.major(Path(port).stat().st_rdev) in _PTY_MAJORS else parity
+    except OSError:
+        return parity
+
+
 class ModbusBase:
-    """drivers.ports.Base on a serial port. One request at a time, no retries: a late pose is worth less than a new one."""
+    """drivers.ports.Base on a serial port. No retries: a late pose is worth less than a new one."""
 
     def __init__(self, config: Base) -> None:
         self._config = config
@@ -55,7 +66,7 @@ class ModbusBase:
         client = ModbusSerialClient(
             c.port,
             baudrate=c.baud,
-            parity=c.parity,
+            parity=port_parity(c.port, c.parity),
             stopbits=stop_bits(c.parity),
             timeout=c.timeout_s,
             retries=0,
@@ -82,7 +93,7 @@ class ModbusBase:
         client, self._client = self._client, None
         if client is not None:
             with suppress(OSError, termios.error):
-                client.close()
+                client.close()  # type: ignore[no-untyped-call]
 
     def _read_write(self, client: ModbusSerialClient, values: list[int]) -> ModbusPDU:
         return client.readwrite_registers(
@@ -157,7 +168,7 @@ class ModbusBase:
         c = self._config
         hint = f"check base.port ({c.port}), its permissions (group dialout) and that no other program holds it"
         try:
-            serial.Serial(c.port, c.baud, parity=c.parity, stopbits=stop_bits(c.parity), exclusive=True).close()
+            serial.Serial(c.port, c.baud, exclusive=True).close()
         except (OSError, ValueError, termios.error) as e:
             return f"{e}; {hint}"
         return f"it was busy; {hint}"
