@@ -34,6 +34,7 @@ COLUMNS = ("stamp_ns", "file")
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 RAW_SUFFIX = ".raw.gz"
 DEFAULT_RATE_HZ = 30.0
+_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the calibration knows the sensor's rows and columns
 
 Gray = NDArray[np.uint8]
 Shot = tuple[int, Gray, str]
@@ -249,7 +250,7 @@ def _read_image(path: Path, where: str) -> Gray:
     image = None
     if data.size:
         with contextlib.suppress(cv2.error):
-            image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+            image = cv2.imdecode(data, _AS_STORED)
     if image is None:
         raise FileFormatError(f"{where}: {path.name} is no image that OpenCV can read ({data.size} bytes)")
     return np.asarray(image, np.uint8)
@@ -272,10 +273,8 @@ def _read_raw(path: Path, width_px: int, height_px: int) -> Iterator[tuple[Gray,
         raise FileFormatError(f"{path}: frame {count}: damaged gzip file: {exc}") from exc
 
 
-def _gray(image: NDArray[np.generic]) -> Gray:
-    if image.ndim == 3:
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-    return np.asarray(image, np.uint8)
+def _gray(image: cv2.typing.MatLike) -> Gray:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
 
 
 def _nominal_ns(index: int, rate_hz: float) -> int:

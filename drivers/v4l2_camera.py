@@ -22,6 +22,7 @@ MAX_AGE_NS = 2_000_000_000
 PROBE_FRAMES = 5
 """Frames that open() looks at before it gives up on the driver's stamps."""
 
+_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 _BUFFERS = 4  # OpenCV's own default, so no extra stream reset; the capture loop keeps the queue empty
 _BYTES_PER_PIXEL = {"GREY": 1, "YUYV": 2}
 _AUTO_EXPOSURE_MANUAL = 1  # V4L2_EXPOSURE_MANUAL
@@ -59,7 +60,7 @@ def luma(raw: NDArray[np.uint8], pixel_format: str, width_px: int, height_px: in
 
 def _jpeg_luma(data: NDArray[np.uint8], width_px: int, height_px: int) -> NDArray[np.uint8]:
     whole = data.size > 0 and data.tobytes().rfind(b"\xff\xd9") >= 0  # some versions decode half a file without a word
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if whole else None
+    image = cv2.imdecode(data, _AS_STORED) if whole else None
     if image is None:
         raise BadFrameError(f"frame of {data.size} bytes is no whole JPEG; the transfer was cut short")
     if image.shape != (height_px, width_px):

@@ -1,0 +1,239 @@
+"""The capture thread: newest frame wins, a lost camera is reopened, everything is counted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from ceilvo.config import Camera as CameraConfig
+from ceilvo.drivers.ports import Camera, CameraInfo, Clock
+from ceilvo.errors import BadFrameError, CameraError
+from ceilvo.types import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureEvent:
+    """Something worth a line in the log.
+
+    opened: frames come (first time or again); note: the camera is not quite as asked; lost: no frames until further
+    notice; bad_frame: the first unusable frame after good ones; finished: the recording ended.
+    """
+
+    kind: Literal["opened", "note", "lost", "bad_frame", "finished"]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureCounters:
+    """Since start().
+
+    Attributes:
+        frames: good ones read from the camera.
+        drops: good ones that a newer one replaced before they were taken.
+        bad_frames: cut short, of the wrong size, or with an unusable stamp.
+        bad_stamps: those of them whose stamp did not increase.
+        losses: times that the camera was lost.
+        reopens: times that it came back.
+        last_error: the newest problem, "" when there was none.
+        connected: frames come.
+    """
+
+    frames: int = 0
+    drops: int = 0
+    bad_frames: int = 0
+    bad_stamps: int = 0
+    losses: int = 0
+    reopens: int = 0
+    last_error: str = ""
+    connected: bool = False
+
+
+class CaptureLoop:
+    """Reads a camera in its own thread into a mailbox of one.
+
+    A live camera's frame that nobody took is replaced by the next one. A recording waits until its frame was taken,
+    so nothing is dropped and a replay is repeatable. seq increases strictly over reopenings, stamps too; the size
+    stays what it was at first. on_event and on_crash are called from the thread.
+
+    Args:
+        clock: CLOCK_MONOTONIC, for how long no good frame came.
+        on_crash: called with whatever is no CameraError (FileFormatError of a damaged recording, programming errors),
+            after which the loop ends.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        settings: CameraConfig,
+        clock: Clock,
+        on_event: Callable[[CaptureEvent], None] = lambda _: None,
+        on_crash: Callable[[Exception], None] = lambda _: None,
+    ) -> None:
+        self._camera, self._cfg, self._clock = camera, settings, clock
+        self._on_event, self._on_crash = on_event, on_crash
+        self._stopping = threading.Event()
+        self._mail = threading.Condition()
+        self._frame: Frame | None = None
+        self._ended = False
+        self._finished = False
+        self._counters = CaptureCounters()
+        self._info: CameraInfo | None = None
+        self._last: Frame | None = None
+        self._seq_offset = 0
+        self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
+
+    @property
+    def info(self) -> CameraInfo | None:
+        """Of the last successful opening; None before the first."""
+        return self._info
+
+    @property
+    def finished(self) -> bool:
+        """The recording ended and its last frame was taken."""
+        with self._mail:
+            return self._finished and self._frame is None
+
+    def counters(self) -> CaptureCounters:
+        return self._counters
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The newest frame, each at most once; None when none came in time or none will come any more."""
+        with self._mail:
+            self._mail.wait_for(lambda: self._frame is not None or self._ended, timeout_s)
+            frame, self._frame = self._frame, None
+            self._mail.notify_all()
+            return frame
+
+    def stop(self, timeout_s: float = 2.0) -> bool:
+        """End the thread, which closes the camera; False when it did not end in time (stuck in the driver)."""
+        self._stopping.set()
+        with self._mail:
+            self._mail.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._capture()
+        except Exception as exc:
+            self._count(last_error=str(exc) or type(exc).__name__)
+            self._on_crash(exc)
+        finally:
+            self._camera.close()
+            self._count(connected=False)
+            with self._mail:
+                self._ended = True
+                self._mail.notify_all()
+
+    def _capture(self) -> None:
+        """Open, read until the camera is lost, wait a little longer each time, open again."""
+        wait_s = self._cfg.reopen_min_s
+        while not self._stopping.is_set():
+            frames_before = self._counters.frames
+            try:
+                self._stream(self._open())
+                return
+            except CameraError as exc:
+                self._lost(exc)
+            self._camera.close()
+            if self._counters.frames > frames_before:
+                wait_s = self._cfg.reopen_min_s
+            self._stopping.wait(wait_s)
+            wait_s = min(2.0 * wait_s, max(self._cfg.reopen_max_s, self._cfg.reopen_min_s))
+
+    def _open(self) -> CameraInfo:
+        info = self._camera.open()
+        first = self._info or info
+        if (info.width_px, info.height_px) != (first.width_px, first.height_px):
+            raise CameraError(
+                f"camera {info.name}: came back with {info.width_px}x{info.height_px}, "
+                f"expected {first.width_px}x{first.height_px} as before; plug the right camera in"
+            )
+        if info.camera_id and first.camera_id and info.camera_id != first.camera_id:
+            raise CameraError(
+                f"camera {info.name}: came back as {info.camera_id!r}, expected {first.camera_id!r}, which the "
+                "calibration is for; plug the right camera in, or restart with its own calibration"
+            )
+        self._count(connected=True, reopens=self._counters.reopens + (self._info is not None))
+        again = "again " if self._info is not None else ""
+        self._info = info
+        self._say("opened", f"{info.name} {again}gives {info.width_px}x{info.height_px} at {info.rate_hz:g} Hz")
+        for note in info.notes:
+            self._say("note", f"{info.name}: {note}")
+        return info
+
+    def _stream(self, info: CameraInfo) -> None:
+        """Until the recording ends or stop(); raises CameraError on loss."""
+        good_ns = self._clock()
+        first = True
+        bad_in_a_row = 0
+        while not self._stopping.is_set():
+            try:
+                frame = self._camera.read()
+                if frame is None:
+                    return self._finish(info)
+                self._check(frame, info)
+            except BadFrameError as exc:
+                bad_in_a_row += 1
+                self._bad(exc, bad_in_a_row)
+                if self._clock() - good_ns > self._cfg.read_timeout_s * 1e9:
+                    raise CameraError(f"no usable frame for {self._cfg.read_timeout_s:g} s: {exc}") from exc
+                continue
+            if first and self._last is not None and frame.seq + self._seq_offset <= self._last.seq:
+                self._seq_offset = self._last.seq + 1 - frame.seq
+            first, bad_in_a_row, good_ns = False, 0, self._clock()
+            self._deliver(replace(frame, seq=frame.seq + self._seq_offset), info.live)
+
+    def _check(self, frame: Frame, info: CameraInfo) -> None:
+        if frame.gray.shape != (info.height_px, info.width_px):
+            raise BadFrameError(
+                f"camera {info.name}: frame of {frame.gray.shape[1]}x{frame.gray.shape[0]}, "
+                f"expected {info.width_px}x{info.height_px}"
+            )
+        if self._last is not None and frame.stamp_ns <= self._last.stamp_ns:
+            self._count(bad_stamps=self._counters.bad_stamps + 1)
+            raise BadFrameError(
+                f"camera {info.name}: stamp {frame.stamp_ns} ns is not after the last one, {self._last.stamp_ns} ns"
+            )
+
+    def _deliver(self, frame: Frame, live: bool) -> None:
+        self._last = frame
+        with self._mail:
+            if not live:
+                self._mail.wait_for(lambda: self._frame is None or self._stopping.is_set())
+                if self._frame is not None:
+                    return
+            dropped = self._frame is not None
+            self._frame = frame
+            self._count(frames=self._counters.frames + 1, drops=self._counters.drops + dropped)
+            self._mail.notify_all()
+
+    def _finish(self, info: CameraInfo) -> None:
+        with self._mail:
+            self._finished = True
+        self._say("finished", f"{info.name}: end after {self._counters.frames} frames")
+
+    def _bad(self, exc: BadFrameError, in_a_row: int) -> None:
+        self._count(bad_frames=self._counters.bad_frames + 1, last_error=str(exc))
+        if in_a_row == 1:
+            self._say("bad_frame", str(exc))
+
+    def _lost(self, exc: CameraError) -> None:
+        """Say it once, and again only when the reason changes while the camera is away."""
+        news = self._counters.connected or str(exc) != self._counters.last_error
+        self._count(losses=self._counters.losses + self._counters.connected, connected=False, last_error=str(exc))
+        if news:
+            self._say("lost", f"{exc}; trying again every {self._cfg.reopen_max_s:g} s")
+
+    def _count(self, **changes: int | str | bool) -> None:
+        # Only the capture thread writes, and a reader gets one whole snapshot or the next.
+        self._counters = replace(self._counters, **changes)  # type: ignore[arg-type]
+
+    def _say(self, kind: Literal["opened", "note", "lost", "bad_frame", "finished"], text: str) -> None:
+        self._on_event(CaptureEvent(kind, text))
