@@ -151,6 +151,7 @@ class Observations:
         label: (K,) landmark index, or -1 for a feature that no landmark explains.
         heading_rad, heading_var_rad2: heading in the map from the lines' common direction and R33 of eq. 27; an
             infinite variance means that there is none.
+        common_var_m2: the part of var_m2 (mean of both axes) that all features of the frame share.
     """
 
     xy_base_m: Array
@@ -159,6 +160,7 @@ class Observations:
     label: Ints
     heading_rad: float = 0.0
     heading_var_rad2: float = float("inf")
+    common_var_m2: float = 0.0
 
     def __len__(self) -> int:
         return len(self.label)
@@ -181,7 +183,8 @@ class Landmarks:
 @dataclass(frozen=True, slots=True)
 class Depletion:
     """Health of the particle set: effective sample size, distinct ancestors since the last estimate, rms residual of
-    the curve fit (nan when no fit was made), and the mean normalised innovation squared with its degrees of freedom."""
+    the curve fit (nan when no fit was made), and the mean normalised innovation squared per degree of freedom (1 is
+    expected) with those degrees of freedom."""
 
     particles: int
     ess: float

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
+_REFRESH = 128
+"""Landmarks out of view whose summary is renewed per update, so that its cost does not grow with the map."""
 
 
 class ParticleMaps:
@@ -22,12 +24,15 @@ class ParticleMaps:
         self._particles = particles
         self._next_id = 0
         self._size = 0
+        self._turn = 0
         self.ids: Ints = np.empty(0, np.int64)
         self.kind: Ints = np.empty(0, np.int64)
         self.sightings: Ints = np.empty(0, np.int64)
         self._mean: Array = np.empty((0, 2, particles))
         self._cov: Array = np.empty((0, 3, particles))
         self._row: NDArray[np.int32] = np.empty((0, particles), np.int32)
+        self._xy: Array = np.empty((0, 2))
+        self._packed: Array = np.empty((0, 3))
 
     def __len__(self) -> int:
         return self._size
@@ -45,14 +50,19 @@ class ParticleMaps:
         self._mean[labels], self._cov[labels] = mean, cov
         self._row[labels] = np.arange(self._particles, dtype=np.int32)
 
-    def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, limit: int, ids: Ints | None = None) -> None:
-        """Append landmarks (M, 2, N), (M, 3, N); beyond `limit` each takes the place of the one seen least."""
+    def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, limit: int, ids: Ints | None = None) -> Ints:
+        """Append landmarks (M, 2, N), (M, 3, N) and return their labels (M,).
+
+        Beyond `limit` each takes the place of the one seen least.
+        """
+        labels = np.empty(len(kind), np.int64)
         for i in range(len(kind)):
-            label = self._free_slot(limit)
+            label = labels[i] = self._free_slot(limit)
             self.ids[label] = self._next_id if ids is None else ids[i]
             self._next_id = max(self._next_id, int(self.ids[label]) + 1)
             self.kind[label], self.sightings[label] = kind[i], sightings[i]
-            self.scatter(np.array([label]), mean[i], cov[i])
+            self.scatter(labels[i : i + 1], mean[i], cov[i])
+        return labels
 
     def _free_slot(self, limit: int) -> int:
         if self._size >= limit:
@@ -71,25 +81,33 @@ class ParticleMaps:
         self._mean = np.concatenate([self._mean, np.zeros((more, 2, n))])
         self._cov = np.concatenate([self._cov, np.zeros((more, 3, n))])
         self._row = np.concatenate([self._row, np.zeros((more, n), np.int32)])
+        self._xy = np.concatenate([self._xy, np.zeros((more, 2))])
+        self._packed = np.concatenate([self._packed, np.zeros((more, 3))])
 
     def resample(self, ancestors: Ints) -> None:
         """Particle i goes on with the map of particle ancestors[i]."""
         self._row[: self._size] = self._row[: self._size, ancestors]
 
-    def summary(self, weights: Array) -> Landmarks:
-        """Means over the particles; covariance = mean of theirs + spread of their means."""
-        size = self._size
-        mean, cov = self.gather(np.arange(size))
+    def refresh(self, weights: Array, labels: Ints) -> None:
+        """Renew the summary of the landmarks `labels`, and of the next few in turn, for changed weights."""
+        if not self._size:
+            return
+        turn = (self._turn + np.arange(min(_REFRESH, self._size))) % self._size
+        self._turn = int((self._turn + len(turn)) % self._size)
+        labels = np.union1d(labels, turn)
+        mean, cov = self.gather(labels)
         xy = mean @ weights
-        off = mean - xy[:, :, None]
-        packed = cov @ weights + np.stack(
-            [(off[:, 0] * off[:, 0]) @ weights, (off[:, 0] * off[:, 1]) @ weights, (off[:, 1] * off[:, 1]) @ weights],
-            axis=1,
-        )
+        x, y = mean[:, 0] - xy[:, :1], mean[:, 1] - xy[:, 1:]
+        self._xy[labels] = xy
+        self._packed[labels] = cov @ weights + np.stack([x * x, x * y, y * y], axis=1) @ weights
+
+    def summary(self) -> Landmarks:
+        """Means over the particles; covariance = mean of theirs + spread of their means, as of the last refresh."""
+        size = self._size
         return Landmarks(
             ids=self.ids[:size].copy(),
-            xy_map_m=frozen(xy),
-            cov_m2=frozen(unpacked(packed)),
+            xy_map_m=frozen(self._xy[:size].copy()),
+            cov_m2=frozen(unpacked(self._packed[:size])),
             kind=self.kind[:size].copy(),
             sightings=self.sightings[:size].copy(),
         )

@@ -74,6 +74,7 @@ def observe(
         label=_associate(seen_at, kind, pose[:2], landmarks, settings.association_gate_m),
         heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
         heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
+        common_var_m2=0.5 * float(np.trace(crossings.common_cov_m2)),
     )
 
 

@@ -21,6 +21,8 @@ OUTLIER_DENSITY_PER_RAD = 2.0 / np.pi
 ESS_FLOOR = 0.1
 """Share of the particles that one update must leave effective; the likelihood is tempered until it does."""
 CANDIDATE_EXPIRES_UPDATES = 20
+CANDIDATE_GATE = 25.0
+"""Squared normalised distance at which two sightings cannot be of one feature (5 sigma)."""
 DUPLICATE_SHARE = 0.25
 """No landmark is born nearer to one of its kind than this share of the association gate."""
 NIS_CAP = 50.0
@@ -50,7 +52,7 @@ class Pfcf:
         self._summary: Landmarks | None = None
         if landmarks is not None and len(landmarks):
             packed = landmarks.cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
-            self._maps.add(
+            labels = self._maps.add(
                 np.repeat(landmarks.xy_map_m[:, :, None], n, axis=2),
                 np.repeat(packed[:, :, None], n, axis=2),
                 landmarks.kind,
@@ -58,6 +60,7 @@ class Pfcf:
                 self._settings.max_landmarks,
                 landmarks.ids,
             )
+            self._maps.refresh(self._weights, labels)
 
     def predict(self, motion: Motion) -> None:
         if not (np.all(np.isfinite(motion.prev_from_curr)) and np.all(np.isfinite(motion.cov))):
@@ -75,12 +78,12 @@ class Pfcf:
         likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
         self._weights = self._tempered(likelihood + self._heading_log_likelihood(obs))
         self._estimate = mean_and_cov(self._poses, self._weights)  # before resampling, which only adds noise
+        self._maps.refresh(self._weights, obs.label[matched])
         self._summary = None
         unknown = np.concatenate([np.flatnonzero(obs.label < 0), matched[unexplained]])
         self._consider(obs, unknown, self._estimate[0])
         ess, ancestors, residual = effective_size(self._weights), len(self._weights), float("nan")
         if ess < self._settings.resample_ess_ratio * len(self._weights):
-            self.landmarks()  # while the weights that they belong to are there
             ancestors, residual = self._resample()
         self._depletion = Depletion(len(self._weights), ess, ancestors, residual, nis, dof)
 
@@ -92,13 +95,15 @@ class Pfcf:
 
     def landmarks(self) -> Landmarks:
         if self._summary is None:
-            self._summary = self._maps.summary(self._weights)
+            self._summary = self._maps.summary()
         return self._summary
 
     def particles(self) -> tuple[Array, Array]:
         return self._poses.copy(), self._weights.copy()
 
-    def _weigh_and_map(self, obs: Observations, matched: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_], float, int]:
+    def _weigh_and_map(
+        self, obs: Observations, matched: NDArray[np.intp]
+    ) -> tuple[Array, NDArray[np.bool_], float, int]:
         """Log-likelihood (N,) of the matched observations, which of them the outlier term explains, and their NIS.
 
         The landmarks of each particle are updated on the way, where they explain what was seen.
@@ -119,8 +124,10 @@ class Pfcf:
         self._maps.scatter(labels, np.where(take, new_mean, mean), np.where(take, new_cov, cov))
         explained = wins @ self._weights > 0.5
         self._maps.sightings[labels[explained]] += 1
-        shared = len(matched) ** (self._settings.feature_independence - 1.0)
-        return shared * np.sum(np.logaddexp(inlier, outlier), axis=0), ~explained, nis, 2 * len(matched)
+        variance = 0.5 * float(np.mean((innovation_cov[:, 0] + innovation_cov[:, 2]) @ self._weights))
+        count = independent(len(matched), self._settings.feature_independence, obs.common_var_m2 / variance)
+        log_likelihood = count / len(matched) * np.sum(np.logaddexp(inlier, outlier), axis=0)
+        return log_likelihood, ~explained, nis, 2 * len(matched)
 
     def _in_map(self, obs: Observations, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Observations as each particle places them: (K, 2, N) m and their noise (K, 3, N) packed."""
@@ -174,6 +181,8 @@ class Pfcf:
         cov = _turned(obs.var_m2[unknown], float(pose[2]))
         gate = self._settings.association_gate_m
         seen, which = mutual_nearest(xy, kind, self._candidates.xy, self._candidates.kind, gate)
+        off = mahalanobis(xy[seen] - self._candidates.xy[which], cov[seen] + self._candidates.cov[which])
+        seen, which = seen[off <= CANDIDATE_GATE], which[off <= CANDIDATE_GATE]
         first = np.setdiff1d(np.arange(len(kind)), seen)
         self._candidates.merge(which, xy[seen], cov[seen])
         self._candidates.append(xy[first], cov[first], kind[first])
@@ -195,15 +204,16 @@ class Pfcf:
         candidates, n = self._candidates, len(self._weights)
         seen, _ = self._in_map(obs, which_obs)
         correction = candidates.xy[which] - transform(pose, obs.xy_base_m[which_obs])
-        self._maps.add(
+        labels = self._maps.add(
             seen + correction[:, :, None],
             np.repeat(candidates.cov[which][:, :, None], n, axis=2),
             candidates.kind[which],
             candidates.count[which],
             self._settings.max_landmarks,
         )
-        candidates.remove(which)
+        self._maps.refresh(self._weights, labels)
         self._summary = None
+        candidates.remove(which)
 
     def _resample(self) -> tuple[int, float]:
         """Draw equally weighted particles; returns the number of distinct ancestors and the fit's residual."""
@@ -215,13 +225,25 @@ class Pfcf:
             poses = self._poses[ancestors]
         else:
             poses, residual = drawn
-            scale = np.maximum(np.sqrt(np.diagonal(mean_and_cov(self._poses, np.full(len(poses), 1 / len(poses)))[1])), 1e-9)
+            scale = np.maximum(
+                np.sqrt(np.diagonal(mean_and_cov(self._poses, np.full(len(poses), 1 / len(poses)))[1])), 1e-9
+            )
             ancestors = curve_fit.nearest(poses, self._poses, scale)
         self._poses = poses + self._rng.standard_normal(poses.shape) * REGULARISATION
         self._poses[:, 2] = wrap_array(self._poses[:, 2])
         self._weights = np.full(len(poses), 1.0 / len(poses))
         self._maps.resample(ancestors)
         return len(np.unique(ancestors)), residual
+
+
+def independent(features: int, power: float, correlation: float) -> float:
+    """How many independent features K features of one frame are worth.
+
+    K crossings are made of far fewer lines, so they count as K^power; of those a share `correlation` of the variance
+    is common to all, which leaves n / (1 + (n - 1) correlation) (Kish's design effect).
+    """
+    n = float(features**power)
+    return n / (1.0 + max(n - 1.0, 0.0) * min(max(correlation, 0.0), 1.0))
 
 
 def gaussian_log(innovation: Array, cov: Array) -> Array:
@@ -253,5 +275,11 @@ def _usable(obs: Observations, landmarks: int) -> Observations:
     repeated[first] = False
     label[repeated] = -1
     return Observations(
-        obs.xy_base_m[good], obs.var_m2[good], obs.kind[good], label, obs.heading_rad, obs.heading_var_rad2
+        obs.xy_base_m[good],
+        obs.var_m2[good],
+        obs.kind[good],
+        label,
+        obs.heading_rad,
+        obs.heading_var_rad2,
+        obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
     )
