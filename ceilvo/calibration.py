@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +44,7 @@ class Calibration:
         camera_id: what identifies the camera ("" = not recorded).
         created: ISO 8601 date of commissioning.
         tile_m: side of the ceiling's tiles, None when unknown or not periodic.
+        meta: how good the values are and how they were found (sigma, residuals, notes); kept, never used.
     """
 
     camera: CameraModel
@@ -50,6 +53,7 @@ class Calibration:
     camera_id: str = ""
     created: str = ""
     tile_m: float | None = None
+    meta: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def _pose(self) -> tuple[Array, Array]:

@@ -1,0 +1,61 @@
+# make run [SECONDS=20] · make test · make help. Everything is installed into .venv, nothing outside this folder.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+FOLDERS := daemon drivers calib sim bench
+
+.PHONY: help run test check config dist test-robot clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make run [SECONDS=n]   a simulated robot localises itself; ends by itself after n seconds if given"
+	@echo "make test              every check and every test that needs no special rights"
+	@echo "make check             format, lint and types only"
+	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
+	@echo "make dist              wheel and source archive in dist/"
+	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
+	@echo "make clean             remove build/, dist/ and caches; .venv stays"
+
+run: $(VENV)/.installed
+	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS))
+
+test: check
+	$(BIN)/python -m pytest
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	@rm -rf build/site && mkdir -p build/site && cp -r ceilvo build/site/ && cp -r $(FOLDERS) build/site/ceilvo/
+	MYPYPATH=build/site $(BIN)/mypy -p ceilvo
+
+config: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.config_file > config.yaml.new && mv config.yaml.new config.yaml
+
+dist: $(VENV)/.installed-dev
+	$(BIN)/python -m build --outdir dist .
+
+test-robot:
+	bash tests/robot/run.sh
+
+clean:
+	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+$(BIN)/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { \
+	  echo "make: $(PYTHON) is $$($(PYTHON) --version 2>&1 || echo missing), expected Python 3.10 or newer;" \
+	    "install one and run: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "make: $(PYTHON) cannot make virtual environments; run: apt install python3-venv" >&2; exit 1; }
+	@echo "making $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip
+	@echo "installing ceilvo into $(VENV) (first time: about a minute)"
+	@$(PIP) -e . -c constraints.txt
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	@echo "installing what the checks need into $(VENV)"
+	@$(PIP) -e '.[dev]' -c constraints.txt
+	@touch $@

@@ -1,0 +1,18 @@
+"""What all tests share: one thread for OpenCV and hypothesis with fixed examples, so that a failure repeats."""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+from hypothesis import settings
+
+settings.register_profile("fixed", derandomize=True, deadline=None, print_blob=True, max_examples=60)
+settings.register_profile("explore", deadline=None, print_blob=True, max_examples=1000)
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "fixed")
+settings.load_profile(PROFILE)
+cv2.setNumThreads(1)
+
+
+def pytest_report_header() -> str:
+    return f"hypothesis: profile {PROFILE} (HYPOTHESIS_PROFILE=explore draws new examples); OpenCV {cv2.__version__}"

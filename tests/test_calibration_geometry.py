@@ -1,0 +1,97 @@
+"""Eqs. 5-7 against rays that are intersected with the ceiling directly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
+from ceilvo.camera import CameraModel
+from ceilvo.errors import CalibrationError
+
+NOISE = NoiseCurves((0.003, 0.0, 0.002), (0.003, 0.0, 0.002), 0.002, 0.0, 2.5)
+LENSES = (
+    CameraModel("pinhole", 640, 480, 410.3, 409.1, 322.7, 236.4, (-0.15, 0.03, 6e-4, -4e-4, -0.002)),
+    CameraModel("fisheye", 640, 480, 205.2, 204.6, 322.7, 236.4, (-0.02, 0.004, -0.002, 0.0003)),
+)
+tilt = st.floats(np.radians(-22.0), np.radians(22.0))
+offset = st.floats(-0.5, 0.5)
+mountings = st.tuples(
+    st.sampled_from(LENSES), st.floats(-np.pi, np.pi), tilt, tilt, offset, offset, st.floats(0.5, 10.0)
+)
+
+
+def calibration(
+    lens: CameraModel, yaw: float, roll: float, pitch: float, x: float, y: float, height: float, scale: float = 1.0
+) -> Calibration:
+    m = projection_matrix(lens, mount_rotation(yaw, roll, pitch), (x, y), height)
+    return Calibration(lens, scale * m, NOISE)
+
+
+@given(mountings, st.sampled_from([1.0, 2.5, -0.3]))
+def test_the_mounting_comes_back_out_of_the_projection(m: tuple, scale: float) -> None:
+    """M is only known up to scale and sign."""
+    c = calibration(*m, scale=scale)
+    _, yaw, roll, pitch, x, y, height = m
+    np.testing.assert_allclose(c.camera_from_base, mount_rotation(yaw, roll, pitch), atol=1e-9)
+    np.testing.assert_allclose(c.mount_xy_m, [x, y], atol=1e-8)
+    assert abs(c.ceiling_height_m - height) < 1e-8
+
+
+@given(mountings)
+def test_mount_rotation_is_a_rotation(m: tuple) -> None:
+    r = mount_rotation(*m[1:4])
+    np.testing.assert_allclose(r @ r.T, np.eye(3), atol=1e-12)
+    assert abs(np.linalg.det(r) - 1.0) < 1e-12
+
+
+def test_mount_rotation_by_hand() -> None:
+    """A camera turned 90 deg to the left has its x axis along base y."""
+    base_from_camera = mount_rotation(np.pi / 2).T
+    np.testing.assert_allclose(base_from_camera @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(base_from_camera @ [0, 0, 1], [0, 0, 1], atol=1e-12)
+    rolled = mount_rotation(0.0, roll_rad=np.pi / 6).T
+    np.testing.assert_allclose(rolled @ [0, 0, 1], [0, -0.5, np.sqrt(0.75)], atol=1e-12)
+    pitched = mount_rotation(0.0, pitch_rad=np.pi / 6).T
+    np.testing.assert_allclose(pitched @ [0, 0, 1], [0.5, 0, np.sqrt(0.75)], atol=1e-12)
+
+
+@given(mountings, st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), min_size=1, max_size=10).map(np.array))
+def test_eq_5_is_what_a_pinhole_does(m: tuple, xy: np.ndarray) -> None:
+    """Ceiling points in base, seen from the camera's position along the camera's axes."""
+    c = calibration(*m)
+    lens, yaw, roll, pitch, x, y, height = m
+    from_camera = np.column_stack([xy - [x, y], np.full(len(xy), height)])
+    rays = from_camera @ mount_rotation(yaw, roll, pitch).T
+    ahead = rays[:, 2] > 0.1 * height
+    expected = rays[:, :2] / rays[:, 2:] * [lens.fx_px, lens.fy_px] + [lens.cx_px, lens.cy_px]
+    h = np.column_stack([xy, np.zeros(len(xy)), np.ones(len(xy))]) @ c.projection.T
+    np.testing.assert_allclose((h[:, :2] / h[:, 2:])[ahead], expected[ahead], atol=1e-6)
+
+
+@given(mountings, st.lists(st.tuples(st.floats(0, 639), st.floats(0, 479)), min_size=1, max_size=10).map(np.array))
+def test_a_raw_pixel_lands_where_its_ray_meets_the_ceiling(m: tuple, uv: np.ndarray) -> None:
+    """Lens, level view and m^-1 of eq. 7 together, against ray-plane intersection."""
+    c = calibration(*m)
+    lens, yaw, roll, pitch, x, y, height = m
+    rays = lens.rays(uv) @ mount_rotation(yaw, roll, pitch)  # in base
+    low = rays[:, 2] > 0.2
+    expected = rays[low, :2] / rays[low, 2:] * height + [x, y]
+    level = c.level_view.from_raw(uv[low])
+    h = np.column_stack([level, np.ones(len(level))]) @ c.ceiling_from_level.T  # eq. 7
+    np.testing.assert_allclose(h[:, :2] / h[:, 2:], expected, atol=1e-7 * height)
+
+
+@given(mountings)
+def test_eq_6_and_eq_7_are_inverse(m: tuple) -> None:
+    c = calibration(*m)
+    np.testing.assert_allclose(c.level_from_ceiling @ c.ceiling_from_level, np.eye(3), atol=1e-9)
+
+
+def test_a_degenerate_projection_is_refused_with_what_to_do() -> None:
+    m = np.zeros((3, 4))
+    m[:, 0] = 1.0
+    with pytest.raises(CalibrationError, match=r"projection: determinant.*expected non-zero.*again"):
+        _ = Calibration(LENSES[0], m, NOISE).ceiling_height_m
