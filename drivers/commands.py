@@ -54,15 +54,21 @@ _POSE_RANGES: Mapping[str, tuple[float, float]] = {
 }
 
 
-def parse_command(command: str, payload: bytes) -> Command:
+def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Command:
     """The request in a command's payload; an empty payload is an empty object.
 
+    Args:
+        exact: whether the request named this one key, without wildcards.
+
     Raises:
-        BusError: unknown command, too large, not JSON, unknown or missing field, wrong type, out of range, not finite.
+        BusError: asked of many keys at once, unknown command, too large, not JSON, unknown or missing field, wrong
+            type, out of range, not finite.
     """
     where = f"command {command}"
     if command not in COMMANDS:
         raise BusError(f"command {wire.short(command)} is unknown, expected one of {', '.join(COMMANDS)}")
+    if not exact:
+        raise BusError(f"{where}: asked with a wildcard, expected the robot's full key; commands go to one robot")
     if len(payload) > MAX_COMMAND_BYTES:
         raise BusError(f"{where}: payload of {len(payload)} bytes, expected at most {MAX_COMMAND_BYTES}; send less")
     fields = wire.load_object(payload, where) if payload.strip() else {}

@@ -61,13 +61,12 @@ def robot_key(prefix: str, robot: str) -> str:
     Raises:
         BusError: zenoh.prefix or robot.name cannot be part of a key.
     """
-    for name, value in [("zenoh.prefix", prefix), ("robot.name", robot)]:
-        parts = value.split("/") if name == "zenoh.prefix" else [value]
-        bad = any(not p or p.startswith("@") or not p.isprintable() or set(p) & set("/*$#?") for p in parts)
-        if bad or "\x7f" in value:
+    for name, value in (("zenoh.prefix", prefix), ("robot.name", robot)):
+        bad = not value.isprintable() or not value or value.startswith("@") or set(value) & set("/*$#? ")
+        if bad:
             raise BusError(
-                f"{name}: {value!r} cannot be part of a Zenoh key, expected a name without / * $ # ?, not empty and "
-                "not starting with @ (the prefix may be several names joined by /)"
+                f"{name}: found {short(value)}, expected one segment of a Zenoh key: not empty, none of / * $ # ? or "
+                "blanks, no @ in front; try letters, digits, - and _"
             )
     return f"{prefix}/{robot}"
 
