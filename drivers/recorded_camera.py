@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.drivers.ports import CameraInfo
-from ceilvo.errors import FileFormatError
+from ceilvo.errors import CameraError, FileFormatError
 from ceilvo.files import write_atomic
 from ceilvo.types import Frame
 
@@ -82,7 +82,7 @@ class _Recording:
 
     def _next(self) -> Shot | None:
         if self._shots is None:
-            raise FileFormatError(f"{self.path}: recording is not open")
+            raise CameraError(f"{self.path}: recording is not open")
         first, self._first = self._first, None
         return first if first is not None else next(self._shots, None)
 
