@@ -91,8 +91,8 @@ class WheelTrack:
             samples = np.array(self._samples, dtype=np.int64)
             offset_ns = min(self._offsets_ns)
         origin_ns = int(samples[0, 0])
-        t: Array = 1e-9 * (samples[:, 0] - origin_ns)
-        path: Array = np.column_stack(
+        t = np.asarray(1e-9 * (samples[:, 0] - origin_ns), dtype=np.float64)
+        path = np.column_stack(
             (samples[:, 1:3] * LENGTH_UNIT_M, np.unwrap(samples[:, 3].astype(np.float64) * ANGLE_UNIT_RAD))
         )
         t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in (stamp0_ns, stamp1_ns))
