@@ -57,6 +57,7 @@ class CalibrationFile:
 
 @dataclass(frozen=True)
 class Features:
+    smoothing_px: int = key(3, "Gaussian window before edge detection, odd; 5 for jagged or binary images", low=3, high=9)
     canny_sigmas: float = key(
         4.0, "upper Canny threshold in standard deviations of the image gradient", low=1.0, high=20.0
     )
@@ -172,6 +173,7 @@ class Zenoh:
     config_file: str = key("", "a Zenoh configuration file (JSON5) passed through whole: TLS, access control")
     health_period_s: float = key(1.0, "period of the health message", low=0.1, high=60.0)
     landmarks_period_s: float = key(1.0, "shortest period of the landmarks message", low=0.1, high=60.0)
+    particles_period_s: float = key(0.2, "shortest period of the particles message", low=0.02, high=60.0)
     image_period_s: float = key(0.5, "shortest period of the image message", low=0.05, high=60.0)
 
 

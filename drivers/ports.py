@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 from ceilvo.drivers.base_protocol import BaseStatus, PoseTelegram
+from ceilvo.drivers.wire import Topic
 from ceilvo.types import Frame
 
 
@@ -70,6 +72,32 @@ class Base(Protocol):
 
     def close(self) -> None:
         """Idempotent, never raises."""
+
+
+class Publisher(Protocol):
+    """The bus: what the daemon says, and the requests it answers. Every method may be called from any thread."""
+
+    def open(self) -> None:
+        """Bounded time; a router or peer that is absent is waited for in the background.
+
+        Raises BusError when the bus cannot be used as configured.
+        """
+
+    def put(self, topic: Topic, payload: bytes) -> None:
+        """Send now, without waiting for anybody; what cannot be sent is dropped and counted. Never raises."""
+
+    def wanted(self, topic: Topic) -> bool:
+        """Whether somebody subscribes; costs microseconds."""
+
+    def offer(self, topic: Topic, make: Callable[[], bytes]) -> None:
+        """For messages that cost work: `make` runs later, in the bus's own thread, and only if somebody subscribes and
+        the topic's period has passed. It must only read what does not change any more. Newest offer wins."""
+
+    def counters(self) -> Mapping[str, int]:
+        """Snapshot, the same names every time."""
+
+    def close(self) -> None:
+        """Bounded time, idempotent, never raises."""
 
 
 class Clock(Protocol):
