@@ -34,7 +34,7 @@ def _unit(at: Array, x: Array) -> Array:
 
 
 def redraw(poses: Array, weights: Array, degree: int, rng: np.random.Generator) -> tuple[Array, float] | None:
-    """As many poses drawn anew from the fitted curves, and the rms residual of eq. 22; None when a curve is unusable.
+    """As many poses drawn anew from the fitted curves, and the rms residual of eq. 22; None when there is no curve.
 
     Per axis the curve S* over the scaled coordinate u estimates likelihood against position; times the cloud's own
     Gaussian it is the posterior's density. Poses (N, 3) must have carried equal weights before the likelihood.
@@ -42,13 +42,15 @@ def redraw(poses: Array, weights: Array, degree: int, rng: np.random.Generator) 
     centre = _centre(poses)
     offset = np.column_stack([poses[:, :2] - centre[:2], wrap_array(poses[:, 2] - centre[2])])
     scale = np.std(offset, axis=0)
+    f = len(poses) * weights
+    if not np.all(np.isfinite(f)) or not np.any(scale > _FLAT):
+        return None
     drawn = np.tile(centre, (len(poses), 1))
     residuals = []
     for axis in range(3):
         if not scale[axis] > _FLAT:
             continue  # nothing to fit: every particle stands on the centre
         u = offset[:, axis] / scale[axis]
-        f = len(poses) * weights
         a = fit(u, f, degree)
         new = _draw(a, u, rng)
         if new is None:
@@ -56,7 +58,7 @@ def redraw(poses: Array, weights: Array, degree: int, rng: np.random.Generator) 
         residuals.append(evaluate(a, u, u) - f)  # eq. 22
         drawn[:, axis] += scale[axis] * new
     drawn[:, 2] = wrap_array(drawn[:, 2])
-    return drawn, float(np.sqrt(np.mean(np.square(residuals)))) if residuals else 0.0
+    return drawn, float(np.sqrt(np.mean(np.square(residuals))))
 
 
 def _centre(poses: Array) -> Array:

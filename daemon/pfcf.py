@@ -27,6 +27,7 @@ DUPLICATE_SHARE = 0.25
 """No landmark is born nearer to one of its kind than this share of the association gate."""
 NIS_CAP = 50.0
 """Largest normalised innovation of one observation in the mean: a few false matches are not a lost robot."""
+VAR_FLOOR_M2 = 1e-12
 REGULARISATION = (2e-5, 2e-5, 1e-5)
 """m, m, rad: noise after resampling, so that no cloud ever collapses to a point."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -276,7 +277,7 @@ def _usable(obs: Observations, landmarks: int) -> Observations:
     label[repeated] = -1
     return Observations(
         obs.xy_base_m[good],
-        obs.var_m2[good],
+        np.maximum(obs.var_m2[good], VAR_FLOOR_M2),
         obs.kind[good],
         label,
         obs.heading_rad,
