@@ -57,7 +57,9 @@ class CalibrationFile:
 
 @dataclass(frozen=True)
 class Features:
-    smoothing_px: int = key(3, "Gaussian window before edge detection, odd; 5 for jagged or binary images", low=3, high=9)
+    smoothing_px: int = key(
+        3, "Gaussian window before edge detection, odd; 5 for jagged or binary images", low=3, high=9
+    )
     canny_sigmas: float = key(
         4.0, "upper Canny threshold in standard deviations of the image gradient", low=1.0, high=20.0
     )

@@ -119,6 +119,8 @@ class Motion:
         inliers: correspondences used.
         rms_m: residual of eq. 16.
         failure: None, or why there is no motion (prev_from_curr is then a prediction).
+        restarted: odometry goes on from this frame without having tied it to the last good one, so what was
+            predicted in between is final. Otherwise the next good motion replaces the predictions before it.
     """
 
     prev_from_curr: Array
@@ -126,6 +128,7 @@ class Motion:
     inliers: int
     rms_m: float
     failure: str | None = None
+    restarted: bool = False
 
     @property
     def ok(self) -> bool:

@@ -42,7 +42,8 @@ class EdgeDetector:
 
     def __call__(self, gray: NDArray[np.uint8]) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size."""
-        smooth = cv2.GaussianBlur(gray, (3, 3), 0)
+        size = self._config.smoothing_px
+        smooth = cv2.GaussianBlur(gray, (size, size), 0)
         dx = cv2.Sobel(smooth, cv2.CV_16S, 1, 0, ksize=3)
         dy = cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3)
         noise = _MEDIAN_TO_SIGMA * float(np.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE])))

@@ -18,7 +18,9 @@ from ceilvo.types import LineKind, Lines
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_GATES_PX = (6.0, 3.0, 1.5, 0.8)
+_GATES_PX = (6.0, 3.0, 2.0)
+_LAST_GATE_PX = (0.8, 2.0)
+_LAST_GATE_SIGMAS = 3.0
 _DIRECTION_BINS = 90
 _SAME_LINE_PX = 3.0
 _CORRELATED_POINTS = 3.0
@@ -61,6 +63,8 @@ def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
     for gate_px in _GATES_PX:
         fit.assign(gate_px)
         fit.solve()
+    fit.assign(fit.last_gate_px())
+    fit.solve()
     return _join_grooves(fit, config)
 
 
@@ -156,6 +160,14 @@ class _Fit:
             nearest = ids[np.searchsorted(edges, rho[points])]
             near = np.abs(rho[points] - self.offset[nearest]) < gate_px
             self.line[points[near]] = nearest[near]
+
+    def last_gate_px(self) -> float:
+        """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
+        used = self.line >= 0
+        rho, _ = self._along()
+        spread = np.abs(rho[used] - self.offset[self.line[used]])
+        sigma = 1.4826 * float(np.median(spread)) if len(spread) else 0.0
+        return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
     def solve(self) -> None:
         """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line."""

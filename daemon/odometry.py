@@ -7,6 +7,8 @@ grows with the gap, so one bad frame costs nothing but covariance.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,7 @@ from ceilvo.types import Crossings, Motion, WheelMotion
 Array = NDArray[np.float64]
 
 _MAX_MISSES = 8
+_TWIST_FADES_S = 1.0
 
 
 class VisualOdometry:
@@ -55,16 +58,17 @@ class VisualOdometry:
             missing: why there are no crossings, for the failure.
 
         Returns:
-            A Motion; where it failed, prev_from_curr is the prediction and cov says how little that is worth.
+            A Motion; where it failed, prev_from_curr is the prediction and cov says how little that is worth. A
+            good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
-        predicted = wheels.prev_from_curr if wheels is not None else self._twist * dt_s
+        predicted = wheels.prev_from_curr if wheels is not None else self._coasting_twist() * dt_s
         if crossings is None:
             return self._coast(predicted, dt_s, wheels, missing)
         if len(crossings) < self._config.min_inliers:
             return self._coast(predicted, dt_s, wheels, f"only {len(crossings)} crossings")
         if self._reference is None:
             self._refer_to(crossings)
-            return Motion(np.zeros(3), self._floor(), len(crossings), 0.0, "first frame")
+            return Motion(np.zeros(3), self._floor(), len(crossings), 0.0, "first frame", restarted=True)
         fit, failure = self._register(crossings, se2.compose(self._ref_from_prev, predicted), dt_s)
         if fit is None:
             return self._miss(crossings, self._coast(predicted, dt_s, wheels, failure))
@@ -121,9 +125,14 @@ class VisualOdometry:
     def _miss(self, crossings: Crossings, motion: Motion) -> Motion:
         """After several frames that do not fit the reference, go on from here; covariance tells what that costs."""
         self._misses += 1
-        if self._misses >= _MAX_MISSES:
-            self._refer_to(crossings)
-        return motion
+        if self._misses < _MAX_MISSES:
+            return motion
+        self._refer_to(crossings)
+        return replace(motion, restarted=True)
+
+    def _coasting_twist(self) -> Array:
+        """The last twist, fading with the gap: a robot that is told its pose is bad will stop."""
+        return self._twist * np.exp(-self._since_ref_s / _TWIST_FADES_S)
 
     def _coast(self, predicted: Array, dt_s: float, wheels: WheelMotion | None, reason: str) -> Motion:
         start_s = self._since_ref_s

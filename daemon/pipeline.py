@@ -7,7 +7,7 @@ run, a replay and a test do the same.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,7 @@ Lap = Callable[[str], None]
 """Called with a stage's name when it has ended; the caller owns the clock."""
 
 _NS = 1e-9
+_NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -88,7 +89,7 @@ class Pipeline:
         return self._fuse(stamp_ns, dt_s, motion, None, no_lap)
 
     def _fuse(self, stamp_ns: int, dt_s: float, motion: Motion, crossings: Crossings | None, lap: Lap) -> Estimate:
-        self._filter.predict(motion)
+        self._predict(motion)
         self._odom = se2.compose(self._odom, motion.prev_from_curr)
         observations = self._observe(stamp_ns, motion, crossings)
         if observations is not None:
@@ -96,11 +97,29 @@ class Pipeline:
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
 
+    def _predict(self, motion: Motion) -> None:
+        """Move the particles by what is final; predictions of a gap wait, for the next good motion replaces them."""
+        moved = se2.compose(self._gap.prev_from_curr, motion.prev_from_curr)
+        cov = motion.cov
+        if not motion.ok:
+            cov = se2.compose_cov(self._gap.prev_from_curr, self._gap.cov, motion.prev_from_curr, motion.cov)
+        if motion.ok or motion.restarted:
+            self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov))
+            self._gap = _NO_GAP
+        else:
+            self._gap = replace(motion, prev_from_curr=moved, cov=cov)
+
+    def _pose(self) -> tuple[Array, Array, Depletion]:
+        """The filter's pose, carried over the gap since the last good frame."""
+        pose, cov, depletion = self._filter.estimate()
+        gap = self._gap
+        return se2.compose(pose, gap.prev_from_curr), se2.compose_cov(pose, cov, gap.prev_from_curr, gap.cov), depletion
+
     def _observe(self, stamp_ns: int, motion: Motion, crossings: Crossings | None) -> Observations | None:
         """Observations of landmarks, when enough was travelled since the last ones that they are news."""
         self._travel_m += float(np.hypot(*motion.prev_from_curr[:2]))
         self._turn_rad += abs(float(motion.prev_from_curr[2]))
-        if crossings is None or not len(crossings):
+        if crossings is None or not len(crossings) or self._gap is not _NO_GAP:
             return None
         cfg = self._config.filter
         due = (
@@ -134,7 +153,7 @@ class Pipeline:
         crossings: Crossings | None,
         observations: Observations | None,
     ) -> Estimate:
-        pose, cov, depletion = self._filter.estimate()
+        pose, cov, depletion = self._pose()
         if motion.ok and dt_s > 0:
             self._twist = motion.prev_from_curr / dt_s
         seen = 0 if crossings is None else len(crossings)
@@ -211,6 +230,7 @@ class Pipeline:
 
     def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None) -> None:
         self._filter.reset(pose, cov, landmarks)
+        self._gap = _NO_GAP
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns: int | None = None
 
