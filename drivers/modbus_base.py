@@ -6,6 +6,7 @@ import logging
 import os
 import struct
 import termios
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -54,6 +55,7 @@ class ModbusBase:
         self._config = config
         self._client: ModbusSerialClient | None = None
         self._received = b""
+        self._late_until_s = 0.0
         # pymodbus logs every timeout at ERROR; each of them is raised from here as a BaseLinkError already.
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
@@ -114,11 +116,21 @@ class ModbusBase:
         client = self._client
         if client is None:
             raise BaseLinkError(f"base port {self._config.port}: is not open; open it before exchanging telegrams")
-        self._received = b""
         with self._failures():
+            self._let_late_answer_pass(client)
+            self._received = b""
             answer = send(client)
         self._check(answer, function)
         return answer
+
+    def _let_late_answer_pass(self, client: ModbusSerialClient) -> None:
+        """RTU answers carry no number: one that comes too late would be taken for the answer to the next request."""
+        if time.monotonic() < self._late_until_s:
+            client.recv(None)
+        self._late_until_s = 0.0
+
+    def _expect_late_answer(self) -> None:
+        self._late_until_s = time.monotonic() + self._config.timeout_s
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
@@ -129,6 +141,7 @@ class ModbusBase:
             self.close()
             raise BaseLinkError(f"base port {self._config.port}: lost ({e}); check the adapter and its cable") from e
         except (ModbusException, ValueError, LookupError, struct.error) as e:
+            self._expect_late_answer()
             raise BaseLinkError(self._no_answer()) from e
 
     def _check(self, answer: ModbusPDU, function: int) -> None:
@@ -141,6 +154,7 @@ class ModbusBase:
                 f"base at {c.port}: unit {c.unit_id} answers FC{function:02d} with exception {code} ({what}{hint})"
             )
         if answer.function_code != function:
+            self._expect_late_answer()
             raise BaseLinkError(
                 f"base at {c.port}: answer to FC{answer.function_code:02d}, expected FC{function:02d};"
                 f" a late answer, raise base.timeout_s ({c.timeout_s} s)"
