@@ -152,18 +152,17 @@ class Ceiling:
             a[win] *= (1.0 - 0.05 * inside - 0.10 * rim).astype(np.float32)
 
     def _grooves(self, a: Array32) -> None:
-        """Dark joints with a bright bevel on either side; coverage is exact per texel."""
+        """Dark joints with a bright bevel on either side."""
         half, lip = 0.5 * self.spec.groove_m, self.spec.lip_m
-        dark, bevel = [], []
+        dark, both = [], []
         for axis in (0, 1):
             at = self.layout.grooves[axis]
-            dark.append(self._profile(axis, at - half, at + half))
-            bevel.append(self._profile(axis, at - half - lip, at + half + lip))
-        for cover, value in ((bevel, LIP), (dark, GROOVE)):
-            keep = np.outer(1.0 - cover[1], 1.0 - cover[0]).astype(np.float32)
-            a -= np.float32(value)
-            a *= keep
-            a += np.float32(value)
+            dark.append(1.0 - self._profile(axis, at - half, at + half))
+            both.append(1.0 - self._profile(axis, at - half - lip, at + half + lip))
+        tile = np.outer(both[1], both[0]).astype(np.float32)
+        bare = np.outer(dark[1], dark[0]).astype(np.float32)  # all but the joints
+        a *= tile
+        a += np.float32(LIP) * (bare - tile) + np.float32(GROOVE) * (1.0 - bare)
 
     def _panel(self, a: Array32, p: Panel) -> None:
         if not p.recessed:
@@ -195,20 +194,23 @@ class Ceiling:
         a[win] += cover * (np.float32(value) - a[win])
 
     def _cover(self, rect: Rect) -> tuple[tuple[slice, slice], Array32]:
-        """Window of texels that a rectangle touches and the exact share of each that it covers."""
+        """Window of texels that a rectangle touches and how much of it each gets."""
         sx, cx = self._interval(0, rect[0], rect[2])
         sy, cy = self._interval(1, rect[1], rect[3])
         return (sy, sx), np.outer(cy, cx).astype(np.float32)
 
     def _interval(self, axis: int, lo: float, hi: float) -> tuple[slice, Array]:
+        """Texels along an axis that an interval reaches, and how much of it each gets: weighted with the tent of the
+        linear interpolation that the picture will be read with, so that mass and centre are kept exactly."""
         n, origin = self.spec.texel_m, self.layout.extent[axis]
-        a, b = (lo - origin) / n, (hi - origin) / n
-        first, last = max(int(np.floor(a)), 0), min(int(np.ceil(b)), self._size[axis])
-        i = np.arange(first, max(last, first))
-        return slice(first, max(last, first)), np.clip(np.minimum(i + 1, b) - np.maximum(i, a), 0.0, 1.0)
+        a, b = (lo - origin) / n - 0.5, (hi - origin) / n - 0.5
+        first = max(int(np.floor(a)), 0)
+        last = max(min(int(np.ceil(b)) + 1, self._size[axis]), first)
+        i = np.arange(first, last)
+        return slice(first, last), _tent_integral(b - i) - _tent_integral(a - i)
 
     def _profile(self, axis: int, lo: Array, hi: Array) -> Array:
-        """Share of each texel along an axis that disjoint intervals cover."""
+        """How much each texel along an axis gets of disjoint intervals."""
         out = np.zeros(self._size[axis])
         for a, b in zip(lo, hi, strict=True):
             where, cover = self._interval(axis, float(a), float(b))
@@ -221,3 +223,9 @@ class Ceiling:
         sy, _ = self._interval(1, rect[1], rect[3])
         x, y = self._centres()
         return (sy, sx), (x[sx][None, :], y[sy][:, None])
+
+
+def _tent_integral(t: Array) -> Array:
+    """Integral of max(0, 1 - |t|) from minus infinity."""
+    c = np.clip(t, -1.0, 1.0)
+    return np.asarray(0.5 + c - 0.5 * c * np.abs(c))

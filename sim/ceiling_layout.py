@@ -288,7 +288,7 @@ def _lamps(
                 out.append(Panel("lamp", _tiles(spec, grooves, i, j, 2, 1), 0))
                 continue
             x, y = float(grooves[0][i]) + spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
-            w, h = spec.tile_m, 0.25 * spec.tile_m
+            w, h = 0.95 * spec.tile_m, 0.25 * spec.tile_m
             out.append(Panel("lamp", (x - w, y - h, x + w, y + h), 0, recessed=False))
     return out
 
