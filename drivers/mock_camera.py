@@ -84,6 +84,7 @@ class MockCamera:
     """Camera of drivers.ports that follows a script.
 
     Args:
+        failed_opens: openings that fail before the first that does not.
         wait: called with the seconds before each frame and while silent; time.sleep gives real time.
         clock: where stamps come from; None counts frame periods from the first, so that runs repeat exactly.
         picture: (height_px, width_px) uint8 of a frame number; default a grey field with a bright square that moves.
@@ -98,6 +99,7 @@ class MockCamera:
         rate_hz: float = 30.0,
         live: bool = True,
         camera_id: str = "mock",
+        failed_opens: int = 0,
         wait: Callable[[float], object] = time.sleep,
         clock: Clock | None = None,
         picture: Callable[[int, int, int], NDArray[np.uint8]] | None = None,
@@ -108,7 +110,7 @@ class MockCamera:
         self._rate_hz, self._live, self._camera_id = rate_hz, live, camera_id
         self._wait, self._clock, self._picture = wait, clock, picture or moving_square
         self._steps = self._play()
-        self._failed_opens = 0
+        self._failed_opens = failed_opens
         self._open = False
         self._seq = 0
         self._stamp_ns = 0

@@ -1,8 +1,8 @@
 """A V4L2 device that is not there, as cv2.VideoCapture shows it, with its faults: for V4l2Camera without hardware.
 
-What it imitates was seen on the kernel's vivid driver with OpenCV 5.0: set() of a format that the device lacks says True
-and the device goes on with another one; frames of GREY are (H, W), of YUYV (H, W, 2), of MJPG (1, bytes); OpenCV 4.11
-gives one row of bytes for all of them; a vanished device makes waiting raise cv2.error.
+What it imitates was seen on the kernel's vivid driver with OpenCV 5.0: set() of a format that the device lacks says
+True and the device goes on with another one; frames of GREY are (H, W), of YUYV (H, W, 2), of MJPG (1, bytes), where
+OpenCV 4.11 gives one row of bytes for all of them; a vanished device makes waiting raise cv2.error.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class MockV4l2Device:
     formats: tuple[str, ...] = ("BGR3", "YUYV", "GREY", "MJPG")
     sizes: tuple[tuple[int, int], ...] = ((64, 48),)
     rate_hz: float = 30.0
+    tells_rate: bool = True
     controls: dict[int, float] = field(
         default_factory=lambda: {cv2.CAP_PROP_AUTO_EXPOSURE: 3, cv2.CAP_PROP_EXPOSURE: 157, cv2.CAP_PROP_GAIN: 16}
     )
@@ -124,7 +125,7 @@ class MockCapture:
             cv2.CAP_PROP_FOURCC: float(int.from_bytes(self._format.encode(), "little")),
             cv2.CAP_PROP_FRAME_WIDTH: float(self._size[0]),
             cv2.CAP_PROP_FRAME_HEIGHT: float(self._size[1]),
-            cv2.CAP_PROP_FPS: d.rate_hz,
+            cv2.CAP_PROP_FPS: d.rate_hz if d.tells_rate else _WITHOUT_SUPPORT,
             cv2.CAP_PROP_POS_MSEC: d.stamp_msec(d.clock_ns) if d.frames else 0.0,
         }
         return known.get(prop, d.controls.get(prop, _WITHOUT_SUPPORT))
