@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -154,8 +155,8 @@ def _base(base: Base) -> Iterator[Conflict]:
     if not budget.fits:
         yield Conflict(
             ("base.rate_hz", "base.baud", "base.turnaround_ms", "base.function", "base.parity"),
-            f"found {base.rate_hz:g}, expected at most {budget.max_rate_hz:.3g} at base.baud {base.baud}: "
-            f"{budget.arithmetic}; lower the rate or raise the baud",
+            f"found {base.rate_hz:g}, expected at most {math.floor(100 * budget.max_rate_hz) / 100:g} "
+            f"at base.baud {base.baud}: {budget.arithmetic}; lower the rate or raise the baud",
         )
     if not budget.timeout_fits:
         yield Conflict(

@@ -14,7 +14,7 @@ import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, TypeGuard, get_args, get_type_hints
 
 import yaml
 
@@ -162,13 +162,13 @@ class _Reader:
     def read(self, root: yaml.Node | None) -> None:
         if root is None:
             return
-        if not isinstance(root, yaml.MappingNode):
+        if not _is_mapping(root):
             self._problem(root, "", f"found {_found(root)}, expected sections such as 'camera:' with keys below them")
             return
         for name, at, node in self._pairs(root, ""):
             if name not in _TYPES:
                 self._problem(at, name, f"found an unknown section, expected {_known_section(name)}")
-            elif isinstance(node, yaml.MappingNode):
+            elif _is_mapping(node):
                 for key, at_key, value in self._pairs(node, name):
                     self._take(name, key, value, f"{self._source}:{yaml_nodes.line_of(at_key)}")
             elif not (isinstance(node, yaml.ScalarNode) and node.value == "" and not node.style):
@@ -213,7 +213,6 @@ class _Reader:
         kind = get_type_hints(_TYPES[section])[key]
         try:
             self._values[section][key] = _checked(node, kind, schema[key])
-            self._bad.discard(full)
         except _Wrong as e:
             self._bad.add(full)
             self._problems.append(f"{where}: {full}: {e}")
@@ -229,6 +228,7 @@ class _Reader:
             if name in out:
                 full = f"{section}.{name}" if section else name
                 other = yaml_nodes.line_of(out[name][1])
+                self._bad.add(full)
                 self._problem(k, full, f"found it twice, expected it once; remove it here or on line {other}")
                 continue
             out[name] = (name, k, v)
@@ -236,6 +236,10 @@ class _Reader:
 
     def _problem(self, node: yaml.Node, name: str, text: str) -> None:
         self._problems.append(f"{self._source}:{yaml_nodes.line_of(node)}: {name}{': ' if name else ''}{text}")
+
+
+def _is_mapping(node: yaml.Node) -> TypeGuard[yaml.MappingNode]:
+    return isinstance(node, yaml.MappingNode) and not yaml_nodes.odd_tag(node)
 
 
 class _Wrong(Exception):
@@ -283,7 +287,7 @@ def _checked_text(value: str, field: dataclasses.Field[Any], expected: str) -> s
 
 
 def _checked_list(node: yaml.Node, field: dataclasses.Field[Any], expected: str) -> tuple[str, ...]:
-    if not isinstance(node, yaml.SequenceNode):
+    if not isinstance(node, yaml.SequenceNode) or yaml_nodes.odd_tag(node):
         text = node.value if isinstance(node, yaml.ScalarNode) else ""
         hint = f"write [{_quoted(text)}]" if text else "write [] for none"
         raise _Wrong(f"found {_found(node)}, expected {expected}; {hint}")
@@ -309,6 +313,8 @@ def _expected(base: Any, meta: Mapping[str, Any]) -> str:
 
 
 def _found(node: yaml.Node) -> str:
+    if yaml_nodes.odd_tag(node):
+        return f"a value with the tag {yaml_nodes.odd_tag(node)}"
     if isinstance(node, yaml.MappingNode):
         return "keys and values"
     if isinstance(node, yaml.SequenceNode):

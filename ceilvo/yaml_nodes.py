@@ -32,8 +32,9 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):  # a few aliases of aliases would unfold without bound
-            raise yaml.MarkedYAMLError(problem="an alias *name", problem_mark=self.peek_event().start_mark)
-        return super().compose_node(parent, index)  # type: ignore[no-any-return]
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem="an alias *name", problem_mark=event.start_mark)
+        return super().compose_node(parent, index)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -119,6 +120,12 @@ def line_of(node: yaml.Node) -> int:
     return int(node.start_mark.line) + 1
 
 
+def odd_tag(node: yaml.Node) -> str:
+    """The tag of a list or mapping that is more than that, else nothing."""
+    usual = _TAG + ("map" if isinstance(node, yaml.MappingNode) else "seq")
+    return "" if isinstance(node, yaml.ScalarNode) or node.tag == usual else node.tag.replace(_TAG, "!!")
+
+
 def scalar(node: yaml.ScalarNode) -> bool | int | float | str | Tagged | None:
     """The value of a scalar node."""
     kind = node.tag.removeprefix(_TAG)
@@ -149,6 +156,8 @@ def plain(node: yaml.Node | None, _depth: int = 0) -> Any:
         return None
     if _depth > 20:
         raise YamlProblem(line_of(node), "found nesting deeper than 20 levels, expected less")
+    if odd_tag(node):
+        raise YamlProblem(line_of(node), f"found a value with the tag {odd_tag(node)}, expected a plain value")
     if isinstance(node, yaml.MappingNode):
         out: dict[str, Any] = {}
         for k, v in node.value:

@@ -220,6 +220,7 @@ NOT_A_CALIBRATION = [
     (b"a: 1\na: 2\n", r":2: found key 'a' twice"),
     (b"1: 2\n", r":1: found key 1, expected text"),
     (b"a: !!python/name:os.system x\n", r":1: found a value with the tag !!python/name:os\.system"),
+    (b"a: !!set {x}\n", r":1: found a value with the tag !!set"),
     (b"a: &x [1]\nb: *x\n", r":2: found text that is not YAML \(an alias"),
     (b"a: " + b"[" * 30 + b"]" * 30, r":1: found nesting deeper than 20 levels"),
     (b"[" * 200_000, r"found nesting that is too deep"),
