@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -225,7 +226,7 @@ class Ceiling:
         return (sy, sx), (x[sx][None, :], y[sy][:, None])
 
 
-def _tent_integral(t: Array) -> Array:
+def _tent_integral(t: NDArray[np.floating[Any]]) -> Array:
     """Integral of max(0, 1 - |t|) from minus infinity."""
     c = np.clip(t, -1.0, 1.0)
     return np.asarray(0.5 + c - 0.5 * c * np.abs(c))
