@@ -1,0 +1,125 @@
+#!/bin/bash
+# Inside the virtual robot, as root: install, start without a camera, drive, kill, stop, uninstall.
+# Facts go to /mnt/out/facts.txt for judge.py; nothing is judged here.
+# shellcheck disable=SC2317
+set -uo pipefail
+out=/mnt/out
+feed=/run/feed
+# shellcheck source=/dev/null
+. ./robot.env
+
+now() { date +%s%N; }
+note() { printf '%s=%s\n' "$1" "$2" >>$out/facts.txt; }
+step() { printf '[%6.1f] %s\n' "$(cut -d' ' -f1 /proc/uptime)" "$*"; }
+show() { systemctl show -P "$1" ceilvod; }
+
+# wait_for SECONDS COMMAND...: until it succeeds.
+wait_for() {
+  local until=$(($(now) + $1 * 1000000000))
+  shift
+  until "$@"; do
+    [ "$(now)" -lt "$until" ] || { step "gave up waiting for: $*"; return 1; }
+    sleep 0.05
+  done
+}
+poses() { grep -c '/pose"' "$out/samples.jsonl" 2>/dev/null || true; }
+is_tracking() { grep -q '/pose".*"state": "TRACKING"' "$out/samples.jsonl" 2>/dev/null; }
+has_more_poses_than() { [ "$(poses)" -gt "$1" ]; }
+is_another_life() { [ "$(show ActiveState)" = active ] && [ "$(show MainPID)" != "$1" ]; }
+has_status() { show StatusText | grep -qi "$1"; }
+
+install_service() {
+  local t0
+  t0=$(now)
+  bash kit/systemd/install.sh --wheel kit/ceilvo-*.whl --wheels wheels || return 1
+  note install_ms $((($(now) - t0) / 1000000))
+  note verify "$(systemd-analyze verify --man=no /etc/systemd/system/ceilvod.service 2>&1 | tr '\n' ' ')"
+  note exposure "$(systemd-analyze security --no-pager ceilvod.service | sed -n 's/.*exposure level.*: \([0-9.]*\) .*/\1/p')"
+  cp config.yaml calibration.yaml /etc/ceilvo/
+  ceilvod check-config /etc/ceilvo/config.yaml
+  note check_config_status $?
+}
+
+start_without_camera() {
+  local t0
+  t0=$(now)
+  systemctl start ceilvod
+  note start_status $?
+  note start_ms $((($(now) - t0) / 1000000))
+  wait_for 5 has_status camera
+  note status_without_camera "$(show StatusText)"
+}
+
+plug_camera_in() {
+  mkdir -p "$feed"
+  modprobe v4l2loopback devices=1 video_nr=0 exclusive_caps=1 card_label=CeilingCam max_buffers=4 || return 1
+  udevadm settle
+  /opt/ceilvo/bin/python feeder.py /dev/video0 frames.gray "$WIDTH" "$HEIGHT" "$RATE" YUYV "$feed" &
+  feeder=$!
+  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$KEY" "$out/samples.jsonl" &
+  listener=$!
+}
+
+drive() {
+  wait_for 20 is_tracking || return 1
+  note cpu_before_ns "$(show CPUUsageNSec)"
+  note go_ns "$(now)"
+  touch "$feed/go"
+  wait_for 90 test -e "$feed/played" || return 1
+  sleep 0.3
+  note played_ns "$(now)"
+  note cpu_after_ns "$(show CPUUsageNSec)"
+  note memory_bytes "$(show MemoryCurrent)"
+  note status_tracking "$(show StatusText)"
+  note restarts_before "$(show NRestarts)"
+}
+
+kill_hard() {
+  local pid n t0
+  pid=$(show MainPID)
+  n=$(poses)
+  t0=$(now)
+  note kill_ns "$t0"
+  kill -9 "$pid"
+  wait_for 15 is_another_life "$pid" || return 1
+  note kill_ready_ms $((($(now) - t0) / 1000000))
+  # What was under way when the old life ended has arrived by now.
+  n=$(poses)
+  wait_for 15 has_more_poses_than $((n + 15)) || return 1
+}
+
+stop() {
+  local t0
+  t0=$(now)
+  note stop_ns "$t0"
+  systemctl stop ceilvod
+  note stop_ms $((($(now) - t0) / 1000000))
+  note stop_code "$(show ExecMainCode)"
+  note stop_status "$(show ExecMainStatus)"
+  note stop_result "$(show Result)"
+}
+
+uninstall() {
+  bash /opt/ceilvo/share/ceilvo/install.sh uninstall || return 1
+  note leftovers "$(find / -xdev -path /mnt -prune -o -iname '*ceilvo*' -print | sort | tr '\n' ' ')"
+  note user_left "$(grep -c ceilvo /etc/passwd)"
+}
+
+rc=0
+rm -f $out/facts.txt "$out/samples.jsonl"
+for phase in install_service start_without_camera plug_camera_in drive kill_hard stop; do
+  step "$phase"
+  $phase || { step "$phase failed"; rc=1; note failed_phase $phase; break; }
+done
+kill "${feeder:-}" "${listener:-}" 2>/dev/null
+[ -f "$feed/feed.csv" ] && cp $feed/feed.csv $out/
+journalctl -u ceilvod --no-pager -o short-monotonic >$out/service.txt
+if [ $rc = 0 ]; then
+  step uninstall
+  uninstall || { rc=1; note failed_phase uninstall; }
+else
+  systemctl --no-pager --full status ceilvod
+  tail -20 $out/service.txt
+fi
+step "end"
+exit $rc

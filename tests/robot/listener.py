@@ -1,0 +1,48 @@
+"""Writes down everything that the robot publishes, with the time of its arrival. Knows Zenoh, not ceilvo.
+
+listener.py ENDPOINT KEY FILE: a JSON line for each sample: key, recv_ns (CLOCK_MONOTONIC), recv_unix_ns, body.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+from queue import SimpleQueue
+
+import zenoh
+
+
+def main() -> None:
+    endpoint, key, path = sys.argv[1:]
+    config = zenoh.Config()
+    for name, value in {
+        "mode": "peer",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 1.5},
+        "listen/endpoints": [],
+        "scouting/multicast/enabled": False,
+    }.items():
+        config.insert_json5(name, json.dumps(value))
+    samples: SimpleQueue[tuple[int, int, str, bytes]] = SimpleQueue()
+
+    def take(sample: zenoh.Sample) -> None:
+        samples.put((time.monotonic_ns(), time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
+
+    session = zenoh.open(config)
+    subscriber = session.declare_subscriber(key, take)
+    with Path(path).open("w", buffering=1) as log:
+        while threading.main_thread().is_alive():
+            recv_ns, recv_unix_ns, name, payload = samples.get()
+            line = {"key": name, "recv_ns": recv_ns, "recv_unix_ns": recv_unix_ns, "body": json.loads(payload)}
+            log.write(json.dumps(line) + "\n")
+    subscriber.undeclare()
+    session.close()
+
+
+if __name__ == "__main__":
+    main()

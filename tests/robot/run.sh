@@ -1,0 +1,79 @@
+#!/bin/bash
+# make test-robot: the installed service on a virtual robot, from /dev/video0 to Zenoh and Modbus, against the truth.
+# Results: build/robot/summary.json and, in build/robot/out, everything that was sent, logged and measured.
+set -euo pipefail
+here=$(dirname "$(realpath "$0")")
+repo=$(realpath "$here/../..")
+work=$repo/build/robot
+share=$work/share
+export CACHE=${CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/robot_vm}
+export OUT=$work/out
+DRIVE_S=${DRIVE_S:-40}
+
+skip() { echo "SKIP: $*"; exit 0; }
+step() { printf '[robot %4ds] %s\n' $SECONDS "$*"; }
+
+[ "$(uname -sm)" = "Linux x86_64" ] || skip "the virtual robot needs Linux on x86-64, this is $(uname -sm)"
+[ "$(id -u)" = 0 ] || skip "the virtual robot needs root to make its image"
+command -v apt-get >/dev/null || skip "the virtual robot needs apt to make its image"
+grep -q '^ID=debian' /etc/os-release || skip "the virtual robot is built from Debian's packages, this is another system"
+command -v gcc >/dev/null || skip "the virtual robot needs a C compiler for its kernel: apt install gcc"
+
+cd "$repo"
+python=$repo/.venv/bin/python
+step "virtual environment"
+make -s .venv/.installed
+
+step "image and kernel (cached in $CACHE)"
+mkdir -p "$work"
+bash "$here/vm.sh" build
+
+step "wheel and its dependencies"
+rm -rf "$share" "$OUT" "$work/src"
+mkdir -p "$share/kit" "$OUT" "$work/src"
+# A copy, because setuptools would pack what an earlier build left in build/.
+for f in pyproject.toml README.md LICENSE ceilvo daemon drivers calib sim bench; do
+  if [ -e "$f" ]; then cp -r "$f" "$work/src/"; fi
+done
+pip=("$python" -m pip --quiet --disable-pip-version-check)
+"${pip[@]}" wheel --no-deps --wheel-dir "$share/kit" "$work/src"
+cp -r systemd constraints.txt "$share/kit/"
+mkdir -p "$share/kit/docs"
+if [ -f docs/service.md ]; then cp docs/service.md "$share/kit/docs/"; fi
+guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
+key=$({ sed -n '/^dependencies/,/^]/p' pyproject.toml; cat constraints.txt; echo "$guest_python"; } | sha256sum | cut -c1-16)
+wheels=$CACHE/wheels
+if [ "$(cat "$wheels/key" 2>/dev/null)" != "$key" ]; then
+  rm -rf "$wheels"
+  "${pip[@]}" download --only-binary=:all: --python-version "${guest_python#python}" --dest "$wheels" \
+    --constraint constraints.txt "$share"/kit/*.whl
+  rm -f "$wheels"/ceilvo-*
+  echo "$key" >"$wheels/key"
+fi
+cp -rl "$wheels" "$share/wheels" 2>/dev/null || cp -r "$wheels" "$share/wheels"
+
+step "recording of $DRIVE_S s at 15 fps"
+rm -rf "$work/recording"
+"$python" -m ceilvo.sim.record "$work/recording" --seconds "$DRIVE_S" --fps 15
+"$python" "$here/prepare.py" "$work/recording" "$share"
+cp "$here"/{guest.sh,feeder.py,listener.py} "$share/"
+
+step "simulated base"
+"$python" -m ceilvo.sim.base --baud 115200 --log "$OUT/telegrams.jsonl" --port-link "$OUT/base" >"$OUT/base.txt" 2>&1 &
+base=$!
+trap 'kill $base 2>/dev/null || true' EXIT
+for _ in $(seq 100); do [ -s "$OUT/base.txt" ] && break; sleep 0.05; done
+[ -L "$OUT/base" ] || { cat "$OUT/base.txt" >&2; exit 1; }
+
+step "boot"
+status=0
+TTY=$(readlink "$OUT/base") TIMEOUT=240 bash "$here/vm.sh" run "$share" || status=$?
+cat "$OUT/log.txt" 2>/dev/null || tail -20 "$OUT/console.txt" || true
+kill $base
+wait $base || true
+trap - EXIT
+
+step "results"
+"$python" "$here/judge.py" "$OUT" "$share" "$work/summary.json" || status=1
+step "done"
+exit $status
