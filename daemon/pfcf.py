@@ -27,7 +27,8 @@ DUPLICATE_SHARE = 0.25
 """No landmark is born nearer to one of its kind than this share of the association gate."""
 NIS_CAP = 50.0
 """Largest normalised innovation of one observation in the mean: a few false matches are not a lost robot."""
-VAR_FLOOR_M2 = 1e-12
+VAR_FLOOR = 1e-12
+"""m^2 or rad^2: smaller variances are not believed."""
 REGULARISATION = (2e-5, 2e-5, 1e-5)
 """m, m, rad: noise after resampling, so that no cloud ever collapses to a point."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -150,8 +151,8 @@ class Pfcf:
         return float(np.mean(np.minimum(mahalanobis(mean, cov), NIS_CAP))) / 2.0
 
     def _heading_log_likelihood(self, obs: Observations) -> Array:
-        var = obs.heading_var_rad2
-        if not (np.isfinite(var) and var > 0.0 and np.isfinite(obs.heading_rad)):
+        var = max(obs.heading_var_rad2, VAR_FLOOR) if obs.heading_var_rad2 > 0.0 else np.inf
+        if not (np.isfinite(var) and np.isfinite(obs.heading_rad)):
             return np.zeros(len(self._weights))
         off = wrap_array(self._poses[:, 2] - obs.heading_rad)
         floor = self._settings.outlier_floor
@@ -277,7 +278,7 @@ def _usable(obs: Observations, landmarks: int) -> Observations:
     label[repeated] = -1
     return Observations(
         obs.xy_base_m[good],
-        np.maximum(obs.var_m2[good], VAR_FLOOR_M2),
+        np.maximum(obs.var_m2[good], VAR_FLOOR),
         obs.kind[good],
         label,
         obs.heading_rad,
