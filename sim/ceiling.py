@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.sim.ceiling_layout import CeilingSpec, Layout, Panel, Spot, TrueLines, make_layout
+from ceilvo.sim.ceiling_layout import CeilingSpec, Layout, Panel, Rect, Spot, TrueLines, make_layout
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
-Rect = tuple[float, float, float, float]
 
-TILE, GROOVE, LIP, RIM, SLOT, PANEL = 0.76, 0.16, 0.84, 0.90, 0.20, 0.84
+TILE, GROOVE, LIP, RIM, SLOT, PANEL, GAP = 0.76, 0.16, 0.84, 0.90, 0.20, 0.84, 0.35
 LAMP_RADIANCE = 4.5  # a white surface under the room's light is 1
 HALO = 0.22  # extra light on the tiles next to a lamp
 
@@ -43,6 +42,10 @@ class Ceiling:
         """(N, 2) crossings in map and (N,) CrossingKind: grooves that meet, corners of lamps and vents."""
         xy, kind = self.layout.crossings()
         return se2.transform(self._map_from_ceiling, xy), kind
+
+    def true_intersections(self, reach_m: float = 0.07) -> Array:
+        """(N, 2) in map: all places where two true lines meet or, prolonged by reach_m, would; for precision."""
+        return se2.transform(self._map_from_ceiling, self.layout.intersections(reach_m))
 
     def true_lines(self) -> TrueLines:
         """Every groove, lamp edge and slat edge, with end points in map."""
@@ -168,7 +171,8 @@ class Ceiling:
     def _panel(self, a: Array32, p: Panel) -> None:
         if not p.recessed:
             x0, y0, x1, y1 = p.rect
-            self._fill(a, (x0 - 0.007, y0 - 0.007, x1 + 0.007, y1 + 0.007), 0.45)  # its shadow line
+            g = p.GAP_M
+            self._fill(a, (x0 - g, y0 - g, x1 + g, y1 + g), GAP)
         self._fill(a, p.rect, RIM)
         self._fill(a, p.inner, PANEL)
         for slot in p.steps():

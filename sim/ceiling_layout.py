@@ -17,6 +17,7 @@ from ceilvo.types import LineKind
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Rect = tuple[float, float, float, float]
 PanelKind = Literal["lamp", "vent", "diffuser"]
 SpotKind = Literal["sprinkler", "detector", "speaker"]
 SPOTS: tuple[tuple[SpotKind, float], ...] = (("sprinkler", 0.038), ("detector", 0.055), ("speaker", 0.105))
@@ -85,20 +86,21 @@ class Panel:
     """
 
     kind: PanelKind
-    rect: tuple[float, float, float, float]
+    rect: Rect
     axis: int
     recessed: bool = True
 
     RIM_M = 0.030
+    GAP_M = 0.007
     SLAT_M = 0.050
 
     @property
-    def inner(self) -> tuple[float, float, float, float]:
+    def inner(self) -> Rect:
         """Luminous field or opening, inside the rim."""
         x0, y0, x1, y1 = self.rect
         return (x0 + self.RIM_M, y0 + self.RIM_M, x1 - self.RIM_M, y1 - self.RIM_M)
 
-    def steps(self) -> list[tuple[float, float, float, float]]:
+    def steps(self) -> list[Rect]:
         """Dark rectangles in a vent's opening: slots between slats, or nothing for a lamp and a diffuser."""
         if self.kind != "vent":
             return []
@@ -111,7 +113,7 @@ class Panel:
             return [(a, y0, b, y1) for a, b in slots]
         return [(x0, a, x1, b) for a, b in slots]
 
-    def rings(self) -> list[tuple[float, float, float, float]]:
+    def rings(self) -> list[Rect]:
         """Nested rectangles of a diffuser, outermost first, alternately dark and bright."""
         if self.kind != "diffuser":
             return []
@@ -119,6 +121,17 @@ class Panel:
         half = 0.5 * min(x1 - x0, y1 - y0)
         insets = [d for i in range(20) for d in (0.075 * i, 0.075 * i + 0.028) if d < half - 0.03]
         return [(x0 + d, y0 + d, x1 - d, y1 - d) for d in insets]
+
+    def joints(self) -> list[Rect]:
+        """Rectangles along the middles of what is narrow and dark: gap, slots, rings."""
+        out = [] if self.recessed else [_grown(self.rect, 0.5 * self.GAP_M)]
+        rings = self.rings()
+        for outer, inner in zip(rings[0::2], rings[1::2], strict=False):
+            out.append(_grown(outer, 0.5 * (outer[0] - inner[0])))
+        for x0, y0, x1, y1 in self.steps():
+            x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+            out.append((x, y0, x, y1) if self.axis == 1 else (x0, y, x1, y))
+        return out
 
     def hides(self, x: float, y: float) -> bool:
         """Whether a groove at this point lies behind the panel."""
@@ -137,7 +150,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class TrueLines:
-    """Straight lines that can be seen.
+    """Straight lines that can be seen. A dark slot is listed three times: two edges, and a groove along its middle.
 
     Attributes:
         segments: (L, 2, 2) end points in map.
@@ -155,7 +168,7 @@ class Layout:
     """Everything on one ceiling: extent (x0, y0, x1, y1), groove positions per axis, what hangs, stains (x, y, r)."""
 
     spec: CeilingSpec
-    extent: tuple[float, float, float, float]
+    extent: Rect
     grooves: tuple[Array, Array]
     panels: tuple[Panel, ...]
     spots: tuple[Spot, ...]
@@ -190,6 +203,8 @@ class Layout:
         for p in self.panels:
             if p.kind == "lamp":
                 found += _outline(p.inner, LineKind.RISING)
+            for at in p.joints():
+                found += _outline(at, LineKind.GROOVE)
             for slot in p.steps():
                 found += _outline(slot, LineKind.FALLING)
             for i, ring in enumerate(p.rings()):
@@ -201,6 +216,16 @@ class Layout:
         x = np.where(axes[:, None] == 0, across, ends)
         y = np.where(axes[:, None] == 0, ends, across)
         return TrueLines(np.stack([x, y], axis=-1), axes, a[:, 4].astype(np.int64))
+
+    def intersections(self, reach_m: float) -> Array:
+        """(N, 2) where lines of both axes meet, or would within reach_m of an end."""
+        t = self.lines()
+        x_lines, y_lines = t.segments[t.axis == 0], t.segments[t.axis == 1]
+        x, y = x_lines[:, 0, 0], y_lines[:, 0, 1]
+        on_x = (y >= x_lines[:, :1, 1] - reach_m) & (y <= x_lines[:, 1:, 1] + reach_m)
+        on_y = (x[:, None] >= y_lines[:, 0, 0] - reach_m) & (x[:, None] <= y_lines[:, 1, 0] + reach_m)
+        i, j = np.nonzero(on_x & on_y)
+        return np.column_stack([x[i], y[j]])
 
     def _hidden(self, x: float, y: float) -> bool:
         return any(p.hides(x, y) for p in self.panels)
@@ -217,11 +242,18 @@ class Layout:
         return [*out, (lo, hi)] if hi > lo else out
 
 
-def _outline(rect: tuple[float, float, float, float], first: LineKind) -> list[tuple[int, float, float, float, int]]:
-    """Four edges of a rectangle whose inside is brighter (first RISING) or darker (first FALLING) than its outside."""
+def _grown(rect: Rect, by: float) -> Rect:
+    return (rect[0] - by, rect[1] - by, rect[2] + by, rect[3] + by)
+
+
+def _outline(rect: Rect, first: LineKind) -> list[tuple[int, float, float, float, int]]:
+    """Edges of a rectangle whose inside is brighter (first RISING) or darker (first FALLING), or that is drawn with a
+    dark line (GROOVE); one line for a rectangle without width."""
     x0, y0, x1, y1 = rect
     k = int(first)
-    return [(0, x0, y0, y1, k), (0, x1, y0, y1, -k), (1, y0, x0, x1, k), (1, y1, x0, x1, -k)]
+    along_y = [(0, x0, y0, y1, k), (0, x1, y0, y1, -k)][: 1 + (x1 > x0)]
+    along_x = [(1, y0, x0, x1, k), (1, y1, x0, x1, -k)][: 1 + (y1 > y0)]
+    return along_y * (y1 > y0) + along_x * (x1 > x0)
 
 
 def make_layout(spec: CeilingSpec, rng: np.random.Generator) -> Layout:
@@ -255,9 +287,7 @@ def _grooves(spec: CeilingSpec, axis: int, lo: float, hi: float) -> Array:
     return np.asarray(spec.grid_offset_m[axis] + spec.tile_m * (first + np.arange(n)))
 
 
-def _tiles(
-    spec: CeilingSpec, grooves: tuple[Array, Array], i: int, j: int, wide: int, high: int
-) -> tuple[float, float, float, float]:
+def _tiles(spec: CeilingSpec, grooves: tuple[Array, Array], i: int, j: int, wide: int, high: int) -> Rect:
     """Rectangle between the grooves around a block of tiles."""
     g = 0.5 * spec.groove_m
     x0, y0 = float(grooves[0][i]), float(grooves[1][j])

@@ -11,7 +11,9 @@ from ceilvo.sim.ceiling import GROOVE, TILE, Ceiling
 from ceilvo.sim.ceiling_layout import CeilingSpec, CrossingKind
 from ceilvo.types import LineKind
 
-BARE = CeilingSpec(room_m=2.0, margin_m=0.5, texture=0.0, tile_spread=0.0, lamp_every=(0, 0), vents=0, spots=0, stains=0)
+BARE = CeilingSpec(
+    room_m=2.0, margin_m=0.5, texture=0.0, tile_spread=0.0, lamp_every=(0, 0), vents=0, spots=0, stains=0
+)
 FULL = CeilingSpec(room_m=4.0, margin_m=1.0, texture=0.0, stains=0)
 
 
@@ -70,7 +72,9 @@ def test_listed_grooves_are_dark_and_what_is_not_listed_is_hidden(seed: int) -> 
         share = np.linspace(0.0, 1.0, n + 2)[1:-1]
         inside = np.column_stack([xa + share * (xb - xa), ya + share * (yb - ya)])
         assert sample(c, c.albedo, inside).max() < 0.45
-    listed = np.hypot(*(grooves[:, 1] - grooves[:, 0]).T).sum()
+    joints = grooves[[g[0, 0] in c.layout.grooves[0] or g[0, 1] in c.layout.grooves[1] for g in grooves]]
+    assert len(grooves) - len(joints) > 20, "gaps, slots and rings"
+    listed = np.hypot(*(joints[:, 1] - joints[:, 0]).T).sum()
     everything = sum(len(g) for g in c.layout.grooves) * (FULL.room_m + 2 * FULL.margin_m)
     hidden = sum(0.592 if p.recessed else 0.3 for p in c.layout.lamps)  # the one groove behind each lamp
     assert abs(everything - listed - hidden) < 1e-6
@@ -144,3 +148,20 @@ def test_a_seed_is_a_ceiling() -> None:
 def test_impossible_ceilings_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):
         CeilingSpec(**bad)
+
+
+def test_intersections_hold_every_crossing_and_more(full: Ceiling) -> None:
+    xy, _ = full.true_crossings()
+    near = full.true_intersections(reach_m=0.01)
+    distance = np.hypot(*(xy[:, None] - near[None]).transpose(2, 0, 1)).min(axis=1)
+    vent = next(p for p in full.layout.panels if p.kind == "vent")  # its slots' corners, not the opening's
+    assert (distance < 1e-9).sum() >= len(xy) - 4 * sum(p.kind == "vent" for p in full.layout.panels)
+    slot = vent.steps()[0]
+    assert np.hypot(*(near - np.array(slot[:2])).T).min() < 1e-9
+    assert len(full.true_intersections(reach_m=0.1)) > len(near)
+
+
+def test_bare_intersections_are_the_crossings() -> None:
+    c = Ceiling(BARE)
+    order = lambda a: a[np.lexsort(a.T.round(6))]  # noqa: E731
+    np.testing.assert_allclose(order(c.true_intersections(0.05)), order(c.true_crossings()[0]), atol=1e-9)
