@@ -264,6 +264,47 @@ def test_wheel_odometry_is_collected(base: Watched, link: BaseLink) -> None:
     assert np.abs(motion.prev_from_curr[1:]).max() == 0.0
 
 
+class _Delayed(MockBase):
+    """The status is sampled, then takes the time that its bytes need on the line."""
+
+    def __init__(self, clock: FakeClock, delay_s: float, model: BaseModel) -> None:
+        super().__init__(model)
+        self._delay_ns = round(1e9 * delay_s)
+        self._time = clock
+
+    def exchange(self, telegram: PoseTelegram) -> BaseStatus:
+        status = super().exchange(telegram)
+        self._time.now_ns += self._delay_ns
+        return status
+
+
+def test_wheel_odometry_is_dated_to_when_the_base_sampled_it() -> None:
+    clock = FakeClock()
+    start_s = 1e-9 * clock.now_ns
+    model = BaseModel(clock, lambda t: (0.5 * (t - start_s) ** 2, 0.0, 0.0))
+    slow = config.Base(port="mock", baud=1200, rate_hz=200.0)
+    link = BaseLink(slow, _Delayed(clock, 25 * 11 / 1200, model), clock=clock)
+    link.start()
+    assert model.wait_received(12)
+    assert link.stop()
+    t0_ns, t1_ns = (model.telegrams[i].recv_ns for i in (2, 10))
+    motion = link.wheels.between(t0_ns, t1_ns)
+    assert motion is not None
+    expected_m = 0.5 * ((1e-9 * t1_ns - start_s) ** 2 - (1e-9 * t0_ns - start_s) ** 2)
+    assert abs(motion.prev_from_curr[0] - expected_m) < 2e-3
+
+
+def test_the_rate_is_kept_when_estimates_come_faster(base: Watched) -> None:
+    link = BaseLink(config.Base(port="mock", rate_hz=0.1), base, clock=FakeClock())
+    link.start()
+    assert base.model.wait_received(1)
+    for seq in range(5):
+        link.submit(estimate(seq))
+    assert not base.model.wait_received(2, timeout_s=0.1)
+    assert link.stop(), "stop does not wait for the period"
+    assert [t.state for t in received(base)] == [State.INIT, State.STOPPED]
+
+
 def test_wheels_can_be_left_alone() -> None:
     model = BaseModel()
     link = BaseLink(config.Base(port="mock", rate_hz=200.0, use_wheels=False), MockBase(model))
