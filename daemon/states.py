@@ -177,7 +177,7 @@ class StateMachine:
         """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
         cfg, state = self._cfg, self._state
         if e.relocalising:
-            return State.RELOCALISING, "relocalising", "searching: the pose is a hypothesis until landmarks confirm it"
+            return State.RELOCALISING, "relocalising", self._search_reason()
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:
             return State.LOST, lost, self._causes[lost]
@@ -195,6 +195,10 @@ class StateMachine:
         if cause:
             return State.DEGRADED, cause, self._causes[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
+
+    def _search_reason(self) -> str:
+        why = self._reason if self._cause == "reset" else "searching"
+        return f"{why}: a hypothesis until landmarks confirm it"
 
     def _without_vision(self, e: Evidence) -> tuple[State, str, str]:
         out_s = (e.stamp_ns - (self._vision_ns or 0)) / 1e9

@@ -196,6 +196,14 @@ def test_reset_is_reported_once_with_its_reason() -> None:
     assert verdicts[0].quality == 0.0
 
 
+def test_a_search_after_a_reset_says_why() -> None:
+    machine = StateMachine(CONFIG)
+    machine.reset("stored pose")
+    verdict = machine.step(SEARCH)
+    assert (verdict.state, verdict.changed) == (State.RELOCALISING, True)
+    assert verdict.reason == "stored pose: a hypothesis until landmarks confirm it"
+
+
 def test_quality_is_half_at_each_threshold_alone() -> None:
     """The documented formula, worked by hand for a frame with every other score known."""
     config = States(dead_reckoning_s=0.0)
