@@ -40,6 +40,7 @@ Lap = Callable[[str], None]
 
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
+_CONFIRMING = 5
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -94,6 +95,7 @@ class Pipeline:
         observations = self._observe(stamp_ns, motion, crossings)
         if observations is not None:
             self._filter.update(observations)
+            self._confirmed = self._confirmed or self._agree(observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
 
@@ -124,6 +126,7 @@ class Pipeline:
         cfg = self._config.filter
         due = (
             self._updated_ns is None
+            or not self._confirmed
             or self._travel_m >= cfg.update_travel_m
             or self._turn_rad >= np.radians(cfg.update_turn_deg)
             or (stamp_ns - self._updated_ns) * _NS >= cfg.update_period_s
@@ -145,6 +148,13 @@ class Pipeline:
             self._map_axis_rad,
         )
 
+    def _agree(self, observations: Observations) -> bool:
+        """Whether a hypothesis is confirmed: most features are where the map has one of their kind, and fit."""
+        _, _, depletion = self._filter.estimate()
+        matched = int(np.count_nonzero(observations.label >= 0))
+        enough = matched >= max(_CONFIRMING, len(observations) // 2)
+        return enough and depletion.nis <= self._config.states.nis_high
+
     def _conclude(
         self,
         stamp_ns: int,
@@ -157,7 +167,9 @@ class Pipeline:
         if motion.ok and dt_s > 0:
             self._twist = motion.prev_from_curr / dt_s
         seen = 0 if crossings is None else len(crossings)
-        verdict = self._states.step(_evidence(stamp_ns, motion, seen, cov, depletion, observations))
+        verdict = self._states.step(
+            _evidence(stamp_ns, motion, seen, cov, depletion, observations, not self._confirmed)
+        )
         self._seq += 1
         return Estimate(
             seq=self._seq,
@@ -215,22 +227,23 @@ class Pipeline:
         self._twist = np.zeros(3)
         self._view: View | None = None
         self._map_axis_rad: float | None = None
-        self._start_at(start, np.diag(_START_SIGMA**2), None)
+        self._start_at(start, np.diag(_START_SIGMA**2), None, confirmed=True)
 
     def assume(self, pose: Array, cov: Array, why: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
-        self._start_at(pose, cov, self._filter.landmarks())
+        self._start_at(pose, cov, self._filter.landmarks(), confirmed=not len(self._filter.landmarks()))
         self._states.reset(why)
 
     def know_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Array, cov: Array) -> None:
         """Start on a map of an earlier run; the pose is a hypothesis that landmarks must confirm."""
         self._map_axis_rad = map_axis_rad
-        self._start_at(pose, cov, landmarks)
+        self._start_at(pose, cov, landmarks, confirmed=False)
         self._states.reset("stored map and pose, to be confirmed")
 
-    def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None) -> None:
+    def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
         self._filter.reset(pose, cov, landmarks)
         self._gap = _NO_GAP
+        self._confirmed = confirmed
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns: int | None = None
 
@@ -242,6 +255,7 @@ def _evidence(
     cov: Array,
     depletion: Depletion,
     observations: Observations | None,
+    relocalising: bool,
 ) -> Evidence:
     return Evidence(
         stamp_ns=stamp_ns,
@@ -255,4 +269,5 @@ def _evidence(
         nis_dof=depletion.nis_dof if observations is not None else 0,
         ess_ratio=depletion.ess / max(depletion.particles, 1),
         landmarks_matched=0 if observations is None else int(np.count_nonzero(observations.label >= 0)),
+        relocalising=relocalising,
     )

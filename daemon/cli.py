@@ -1,0 +1,234 @@
+"""The ceilvod command."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ceilvo import __version__
+from ceilvo.calibration import Calibration
+from ceilvo.calibration_file import read_calibration
+from ceilvo.config import Config
+from ceilvo.config_check import cross_check
+from ceilvo.config_file import calibration_path, load_config
+from ceilvo.config_file import replace as replace_keys
+from ceilvo.daemon import app
+from ceilvo.daemon.replay import Outputs
+from ceilvo.errors import CeilvoError
+
+log = logging.getLogger("ceilvo")
+
+if TYPE_CHECKING:
+    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
+
+DEFAULT_CONFIG = Path("/etc/ceilvo/config.yaml")
+DEFAULT_SUMMARY = Path("build/run-summary.json")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Returns the exit code: 0 fine, 78 wrong configuration or calibration, 1 anything else, 2 wrong arguments."""
+    options = _parser().parse_args(arguments)
+    _log_to_stderr("info")
+    try:
+        return int(options.do(options))
+    except CeilvoError as e:
+        for line in getattr(e, "problems", None) or [str(e)]:
+            print(f"ceilvod: {line}", file=sys.stderr)
+        return e.exit_code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ceilvod",
+        description="Localisation of indoor robots that look at the ceiling.",
+        epilog="example: ceilvod run --simulate --seconds 20",
+    )
+    parser.add_argument("--version", action="version", version=f"ceilvod {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_run(commands)
+    _add_replay(commands)
+    _add_watch(commands)
+    _add_check(commands)
+    return parser
+
+
+def _command(commands: Commands, name: str, text: str, example: str) -> argparse.ArgumentParser:
+    return commands.add_parser(
+        name, help=text, description=text[0].upper() + text[1:] + ".", epilog=f"example: {example}"
+    )
+
+
+def _config_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", type=Path, metavar="FILE", help=f"configuration (default: {DEFAULT_CONFIG})")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one key; may be repeated"
+    )
+
+
+def _add_run(commands: Commands) -> None:
+    p = _command(commands, "run", "run the daemon", "ceilvod run --config config.yaml")
+    _config_options(p)
+    p.add_argument("--simulate", action="store_true", help="a rendered ceiling and a simulated robot; no hardware")
+    p.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds of frames, with a summary")
+    p.add_argument("--summary", type=Path, metavar="FILE", help=f"figures as JSON (simulating: {DEFAULT_SUMMARY})")
+    p.add_argument("--seed", type=int, default=1, metavar="N", help="which simulated world (default: 1)")
+    p.set_defaults(do=_run)
+
+
+def _add_replay(commands: Commands) -> None:
+    p = _command(
+        commands,
+        "replay",
+        "run a recording through the pipeline, as fast as it goes",
+        "ceilvod replay recording/ --calibration calibration.yaml --tum poses.tum --reference truth.tum",
+    )
+    p.add_argument("source", type=Path, metavar="SOURCE", help="image folder (frames.csv) or video file")
+    _config_options(p)
+    p.add_argument("--calibration", type=Path, metavar="FILE", help="default: SOURCE/calibration.yaml or the config's")
+    p.add_argument("--tum", type=Path, metavar="FILE", help="write the trajectory as 't x y z qx qy qz qw'")
+    p.add_argument("--jsonl", type=Path, metavar="FILE", help="write every estimate as a JSON line")
+    p.add_argument("--pictures", type=Path, metavar="DIR", help="draw what was seen, and the particles")
+    p.add_argument("--picture-every", type=_count, default=10, metavar="N", help="a picture of every Nth frame (10)")
+    p.add_argument("--reference", type=Path, metavar="FILE", help="TUM trajectory to compare with")
+    p.add_argument("--align", choices=("none", "first", "se2"), default="none", help="before comparing (none)")
+    p.set_defaults(do=_replay)
+
+
+def _add_watch(commands: Commands) -> None:
+    p = _command(commands, "watch", "print what a Zenoh subscriber gets", "ceilvod watch --robot robot1")
+    _config_options(p)
+    p.add_argument("--robot", default="*", metavar="NAME", help="one robot (default: every one)")
+    p.add_argument("--json", action="store_true", help="every message as it came, one line each")
+    p.add_argument("--count", type=_count, metavar="N", help="end after N poses")
+    p.set_defaults(do=_watch)
+
+
+def _add_check(commands: Commands) -> None:
+    p = _command(
+        commands,
+        "check-config",
+        "check a configuration without starting",
+        "ceilvod check-config /etc/ceilvo/config.yaml",
+    )
+    p.add_argument("file", type=Path, metavar="FILE")
+    p.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one key; may be repeated"
+    )
+    p.set_defaults(do=_check)
+
+
+# -- what they do
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.simulate:
+        return _run_simulated(options)
+    path = options.config or DEFAULT_CONFIG
+    config = load_config(path, options.set)
+    calibration = _checked(config, read_calibration(calibration_path(config, path)), path)
+    _log_to_stderr(config.service.log_level)
+    plan = app.plan_real(config, calibration, seconds=options.seconds, summary_file=options.summary)
+    return app.run(plan)
+
+
+def _run_simulated(options: argparse.Namespace) -> int:
+    config = _config(options)
+    cross_check(config, None, "config")
+    terminal = sys.stdout.isatty()
+    _log_to_stderr("error" if terminal else config.service.log_level)
+    how = {"seconds": options.seconds, "summary_file": options.summary or DEFAULT_SUMMARY, "screen": True}
+    with app.simulation(config, options.seed, **how) as plan:
+        return app.run(plan)
+
+
+def _replay(options: argparse.Namespace) -> int:
+    config = _config(options)
+    calibration = read_calibration(_calibration_file(options, config))
+    outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)
+    return app.replay_recording(options.source, config, calibration, outputs, options.reference, options.align)
+
+
+def _watch(options: argparse.Namespace) -> int:
+    config = _config(options)
+    return app.watch_robots(config, options.robot, options.json, options.count, threading.Event())
+
+
+def _check(options: argparse.Namespace) -> int:
+    config = load_config(options.file, options.set)
+    file = calibration_path(config, options.file)
+    if file.exists():
+        _checked(config, read_calibration(file), options.file)
+        print(f"{options.file}: good, and {file} fits it")
+    else:
+        for note in cross_check(config, None, str(options.file)):
+            print(f"{options.file}: note: {note}")
+        print(f"{options.file}: good; {file} is not there yet, 'calib' writes it")
+    return 0
+
+
+def _config(options: argparse.Namespace) -> Config:
+    """The file that was named, else the defaults: simulations, replays and watching need none."""
+    if options.config is not None:
+        return load_config(options.config, options.set)
+    return replace_keys(Config(), options.set)
+
+
+def _checked(config: Config, calibration: Calibration, path: Path) -> Calibration:
+    for note in cross_check(config, calibration, str(path)):
+        log.info("%s: note: %s", path, note)
+    return calibration
+
+
+def _calibration_file(options: argparse.Namespace, config: Config) -> Path:
+    if options.calibration is not None:
+        return Path(options.calibration)
+    beside = (
+        options.source / "calibration.yaml" if options.source.is_dir() else options.source.parent / "calibration.yaml"
+    )
+    if beside.exists() or options.config is None:
+        return Path(beside)
+    return calibration_path(config, options.config)
+
+
+def _log_to_stderr(level: str) -> None:
+    """Plain lines; under systemd with the priority that journald understands."""
+    handler = logging.StreamHandler(sys.stderr)
+    under_systemd = "JOURNAL_STREAM" in os.environ
+    handler.setFormatter(_Priority() if under_systemd else logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
+    logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+class _Priority(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        priority = 3 if record.levelno >= logging.ERROR else 4 if record.levelno >= logging.WARNING else 6
+        return "\n".join(f"<{priority}>{line}" for line in super().format(record).splitlines())
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text}: expected seconds above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected at least 1")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())
