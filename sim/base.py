@@ -190,14 +190,16 @@ class SimBase:
                 buffer = b""
 
     def _receive(self) -> bytes:
+        """b"" when there is nothing after all, or, after a pause, when the other end of a given tty is gone."""
         try:
-            return os.read(self._fd, 1024)
+            data = os.read(self._fd, 1024)
         except BlockingIOError:
             return b""
         except OSError:
-            # The other end of a given tty is gone; look again later instead of spinning.
+            data = b""
+        if not data:
             self._stopping.wait(_INCOMPLETE_S)
-            return b""
+        return data
 
     def _handle(self, request: bytes, since_s: float) -> None:
         self.wire.append(("<", request))

@@ -150,6 +150,15 @@ def test_input_left_over_is_not_taken_for_an_answer() -> None:
     os.close(slave)
 
 
+def test_on_an_existing_serial_device_that_is_then_lost() -> None:
+    master, slave = _pty()
+    with SimBase(baud=115200, turnaround_s=0.0, port=os.ttyname(slave)) as sim:
+        os.close(slave)
+        assert len(ask(master, rtu.with_crc(struct.pack(">BBHH", 1, 4, 1100, 10)), size=25)) == 25
+        assert sim.port.startswith("/dev/pts/")
+        os.close(master)
+
+
 @pytest.mark.parametrize("cut", [1, 2, 7, 10, 11, 50])
 def test_a_request_in_two_pieces(sim: SimBase, raw: int, cut: int) -> None:
     request = rtu.with_crc(struct.pack(">BBHHHHB", 1, 23, 1100, 10, 1000, 19, 38) + POSE_BYTES)
