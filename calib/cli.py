@@ -66,7 +66,7 @@ def _simulate(args: argparse.Namespace) -> int:
 def describe(calibration: Calibration) -> str:
     """The figures that a person can check with a tape measure and a spirit level."""
     camera, noise = calibration.camera, calibration.noise
-    yaw, roll, pitch = np.degrees(mount_angles(calibration))
+    yaw, roll, pitch = np.round(np.degrees(mount_angles(calibration)), 2) + 0.0  # + 0.0: no -0.00
     field = 2.0 * np.degrees(np.arccos(np.clip(_corner_cosine(calibration), -1.0, 1.0)))
     x, y = calibration.mount_xy_m
     rows = (

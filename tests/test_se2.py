@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -74,6 +75,20 @@ def test_a_quarter_turn_by_hand() -> None:
     """Standing at (1, 2) facing +y, one metre ahead is (1, 3) and half a metre to the left is (0.5, 2)."""
     map_from_base = np.array([1.0, 2.0, np.pi / 2])
     np.testing.assert_allclose(se2.transform(map_from_base, np.array([[1.0, 0], [0, 0.5]])), [[1, 3], [0.5, 2]])
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "prev_from_curr"),
+    [([1.0, 0.0], [0.9, 0.0], [0.1, 0.0, 0.0]), ([1.0, 0.0], [0.0, -1.0], [0.0, 0.0, np.pi / 2])],
+    ids=["forward", "left turn"],
+)
+def test_the_sign_of_motion_by_hand(before: list[float], now: list[float], prev_from_curr: list[float]) -> None:
+    """docs/coordinates.md: driving forward moves the scene backward; prev_from_curr is the robot's motion."""
+    motion = np.array(prev_from_curr)
+    np.testing.assert_allclose(se2.transform(motion, np.array([now])), [before], atol=1e-12)
+    np.testing.assert_allclose(se2.compose(np.zeros(3), motion), motion, atol=1e-12)
+    scene = se2.inverse(motion)  # R, T of eq. 8
+    np.testing.assert_allclose(se2.transform(scene, np.array([before])), [now], atol=1e-12)
 
 
 @given(pose, pose)
