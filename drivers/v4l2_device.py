@@ -14,6 +14,8 @@ import cv2
 
 from ceilvo.errors import CameraError
 
+_LOG_LEVEL_ERROR = 2
+
 
 class Capture(Protocol):
     """The part of cv2.VideoCapture that is used."""
@@ -80,6 +82,8 @@ class LinuxDevice:
     def open(self, node: str, timeout_s: float) -> Capture:
         # Whole seconds, and OpenCV looks at it once in the life of the process: the first camera decides.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(math.ceil(timeout_s)))
+        if "OPENCV_LOG_LEVEL" not in os.environ:
+            _only_errors_from_opencv()
         return cv2.VideoCapture(node, cv2.CAP_V4L2)
 
     def grab(self, capture: Capture, timeout_s: float) -> bool:
@@ -98,6 +102,12 @@ class LinuxDevice:
     def _usb_serial(self, entry: Path) -> str:
         device = (entry / "device").resolve()  # the USB interface; the serial number belongs to the device above it
         return _text(device.parent / "serial") or _text(device / "serial")
+
+
+def _only_errors_from_opencv() -> None:
+    """It warns at every attempt to reopen; our own errors say it once."""
+    set_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel  # OpenCV 4 and 5
+    set_level(_LOG_LEVEL_ERROR)
 
 
 def _text(path: Path) -> str:

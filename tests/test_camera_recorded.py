@@ -158,7 +158,7 @@ def test_plain_images_come_in_order_of_name_at_the_nominal_rate(tmp_path: Path) 
 
 
 def test_nothing_to_read(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="neither frames.csv nor"):
+    with pytest.raises(FileFormatError, match=r"neither frames.csv nor"):
         FolderCamera(tmp_path).open()
     with pytest.raises(FileFormatError, match="no such folder"):
         FolderCamera(tmp_path / "absent").open()
