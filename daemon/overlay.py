@@ -55,11 +55,8 @@ def draw_overlay(
     Returns:
         (scale H, scale W, 3) BGR.
     """
-    image = cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
-    image = np.asarray(image * 0.7, np.uint8)
-    if scale != 1:
-        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST), np.uint8)
-    canvas = _Canvas(image, scale)
+    image = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) * 0.7, np.uint8)
+    canvas = _Canvas(np.repeat(np.repeat(image, scale, axis=0), scale, axis=1), scale)
     if lines is not None:
         for k in range(len(lines.axis)):
             thickness = 2 if lines.kind[k] == LineKind.GROOVE else 1
@@ -323,7 +320,7 @@ def side_by_side(left: Image, right: Image, captions: Mapping[str, str] | None =
     height = left.shape[0]
     width = round(right.shape[1] * height / right.shape[0])
     resized = cv2.resize(right, (width, height), interpolation=cv2.INTER_AREA) if height != right.shape[0] else right
-    image = np.ascontiguousarray(np.hstack([left, resized]))
+    image = np.asarray(np.hstack([left, resized]), np.uint8)
     canvas = _Canvas(image)
     for name, x in (("left", 6), ("right", left.shape[1] + 6)):
         if captions and name in captions:

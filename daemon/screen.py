@@ -178,9 +178,8 @@ def render(s: Snapshot, unicode: bool = True) -> Text:
         out.append_text(right[k])
     out.append("\n" + signs["box"][4] * (WIDTH - 1), style="dim")
     events = [_clip(e, WIDTH - 1) for e in s.events[-_EVENTS:]]
-    for line in [*events, *[""] * (_EVENTS - len(events))]:
-        out.append("\n")
-        out.append(line, style="dim")
+    for event in [*events, *[""] * (_EVENTS - len(events))]:
+        out.append(f"\n{event}", style="dim")
     out.append("\n")
     out.append("Ctrl-C stops", style="dim")
     if not unicode:
@@ -273,7 +272,7 @@ def plot(s: Snapshot, width: int, rows: int, signs: Mapping[str, str] = _UNICODE
         put(s.truth, signs["truth"])
     if np.all(np.isfinite(s.pose)):
         put(s.pose, arrows[round(float(s.pose[2]) / (0.25 * math.pi)) % 8])
-    a, b, c, d, h, v = signs["box"]
+    a, b, c, d, h, v = tuple(signs["box"])
     return [a + h * (width - 2) + b, *[v + "".join(r) + v for r in canvas], c + h * (width - 2) + d]
 
 
