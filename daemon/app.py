@@ -540,7 +540,7 @@ class _Simulation:
             baud=cfg.base.baud,
             parity=cfg.base.parity,
             unit_id=cfg.base.unit_id,
-            odometry=lambda t_s: world.wheel_odometry_at(world.seconds(round(1e9 * t_s))),
+            odometry=lambda t_s: tuple(world.wheel_odometry_at(world.seconds(round(1e9 * t_s)))),
         )
         self._ending.enter_context(base)
         x, y, theta = world.initial_pose

@@ -29,11 +29,13 @@ _SIGMA_FLOOR_PX = 0.02
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Edge points whose gradient is along one axis, with its polarity; uv (P, 2), axis (P,), rising (P,)."""
+    """Edge points whose gradient is along one axis, with one polarity: x, y (P,) px."""
 
-    uv: Array
-    axis: Ints
-    rising: NDArray[np.bool_]
+    x: Array
+    y: Array
+
+    def along(self, angle: float) -> Array:
+        return np.asarray(np.cos(angle) * self.x + np.sin(angle) * self.y)
 
 
 def dominant_direction(phi_rad: Array) -> float | None:
@@ -55,11 +57,11 @@ def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
     psi = dominant_direction(edges.phi_rad)
     if psi is None:
         return None
-    group = _split(edges, psi, np.radians(config.direction_gate_deg))
-    psi, starts = _hough(group, psi, config)
+    groups = _split(edges, psi, np.radians(config.direction_gate_deg))
+    psi, starts = _hough(groups, psi, config)
     if sum(len(s) for s in starts) < 2:
         return None
-    fit = _Fit(group, psi, starts, focal_px, config)
+    fit = _Fit(groups, psi, starts, focal_px, config)
     for gate_px in _GATES_PX:
         fit.assign(gate_px)
         fit.solve()
@@ -68,32 +70,32 @@ def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
     return _join_grooves(fit, config)
 
 
-def _split(edges: Edges, psi: float, gate_rad: float) -> _Group:
+def _split(edges: Edges, psi: float, gate_rad: float) -> list[_Group]:
+    """Four groups: axis 0 falling, axis 0 rising, axis 1 falling, axis 1 rising along the normal."""
     off = edges.phi_rad - psi
     quarter = np.rint(off / (0.5 * np.pi)).astype(np.int64)
-    keep = np.abs(off - quarter * (0.5 * np.pi)) < gate_rad
-    quarter = quarter[keep] % 4
-    return _Group(edges.uv_px[keep], quarter % 2, quarter < 2)
+    quarter = np.where(np.abs(off - quarter * (0.5 * np.pi)) < gate_rad, quarter % 4, -1)
+    members = (edges.uv_px[quarter == q] for q in (2, 0, 3, 1))
+    return [_Group(np.ascontiguousarray(uv[:, 0]), np.ascontiguousarray(uv[:, 1])) for uv in members]
 
 
-def _hough(group: _Group, psi: float, config: Features) -> tuple[float, list[Array]]:
-    """The direction with the sharpest votes and, for each of the four (axis, polarity) groups, line offsets."""
-    members = [group.uv[(group.axis == axis) & (group.rising == rising)] for axis in (0, 1) for rising in (False, True)]
+def _hough(groups: list[_Group], psi: float, config: Features) -> tuple[float, list[Array]]:
+    """The direction with the sharpest votes and, for each group, line offsets."""
     reach = np.radians(config.hough_angle_deg)
     best, best_score, best_votes = psi, -1.0, [np.zeros((0, 2))] * 4
     for angle in psi + np.linspace(-reach, reach, 5):
-        votes = [_votes(uv, angle + 0.5 * np.pi * (g // 2), config.hough_bin_px) for g, uv in enumerate(members)]
+        votes = [_votes(g.along(angle + 0.5 * np.pi * (k // 2)), config.hough_bin_px) for k, g in enumerate(groups)]
         score = sum(float(np.sum(v[:, 1] ** 2)) for v in votes)
         if score > best_score:
             best, best_score, best_votes = float(angle), score, votes
     return best, [_peaks(v, config) for v in best_votes]
 
 
-def _votes(uv: Array, angle: float, bin_px: float) -> Array:
+def _votes(rho: Array, bin_px: float) -> Array:
     """(B, 2) offset and votes of every bin between the first and the last used one."""
-    if len(uv) == 0:
+    if len(rho) == 0:
         return np.zeros((0, 2))
-    cell = np.floor((uv[:, 0] * np.cos(angle) + uv[:, 1] * np.sin(angle)) / bin_px).astype(np.int64)
+    cell = np.floor(rho / bin_px).astype(np.int64)
     first = int(cell.min())
     count = np.bincount(cell - first)
     return np.column_stack([(np.arange(len(count)) + first + 0.5) * bin_px, count])
@@ -113,94 +115,116 @@ def _peaks(votes: Array, config: Features) -> Array:
 
 
 class _Fit:
-    """Joint least squares: n(psi) . p(tilt) = offset of the point's line."""
+    """Joint least squares: n(psi) . p(tilt) = offset of the point's line.
 
-    def __init__(self, group: _Group, psi: float, starts: list[Array], focal_px: float, config: Features) -> None:
+    Points stand group after group. `line` is a point's line, or the number of lines for "none".
+    """
+
+    def __init__(
+        self, groups: list[_Group], psi: float, starts: list[Array], focal_px: float, config: Features
+    ) -> None:
         self.psi = psi
         self.tilt = np.zeros(2)
-        self._group, self._focal, self._config = group, focal_px, config
+        self._focal, self._config = focal_px, config
+        self._seen_x = np.concatenate([g.x for g in groups]) / focal_px
+        self._seen_y = np.concatenate([g.y for g in groups]) / focal_px
+        self._ends = np.cumsum([0, *(len(g.x) for g in groups)])
         self.offset = np.concatenate(starts)
         self.line_group = np.repeat(np.arange(4), [len(s) for s in starts])
+        self.support = np.zeros(len(self.offset), np.int64)
         self.covariance = np.eye(3)
         self.noise_px = 1.0
-        self.support = np.zeros(len(self.offset), np.int64)
-        self._rotate()
+        self._place()
 
     @property
     def axis(self) -> Ints:
         return np.asarray(self.line_group // 2, np.int64)
 
-    def _rotate(self) -> None:
-        """Points as a level robot would see them; tilt is the robot's, so seen rays are turned back by it."""
-        a, b = self.tilt
-        x, y = self._group.uv[:, 0] / self._focal, self._group.uv[:, 1] / self._focal
-        rx, ry, rz = x + b, y - a, 1.0 + a * y - b * x
-        self.uv = np.column_stack([rx / rz, ry / rz]) * self._focal
+    @property
+    def uv(self) -> Array:
+        """(P, 2) px of all points as a level robot would see them."""
+        return np.column_stack([self._x, self._y]) * self._focal
 
-    def _along(self) -> tuple[Array, Array]:
-        """Coordinates of all points along their group's normal and along its derivative by psi."""
+    def _place(self) -> None:
+        """Turn the seen rays back by the robot's tilt; rho is along a point's normal, tangent along its line."""
+        a, b = self.tilt
+        x, y = self._seen_x, self._seen_y
+        scale = 1.0 / (1.0 + a * y - b * x)
+        self._x, self._y = (x + b) * scale, (y - a) * scale
         c, s = np.cos(self.psi), np.sin(self.psi)
-        p0 = self.uv[:, 0] * c + self.uv[:, 1] * s
-        p1 = -self.uv[:, 0] * s + self.uv[:, 1] * c
-        first = self._group.axis == 0
-        return np.where(first, p0, p1), np.where(first, p1, -p0)
+        along_0, along_1 = c * self._x + s * self._y, c * self._y - s * self._x
+        half = self._ends[2]
+        self.rho = np.concatenate([along_0[:half], along_1[half:]])
+        self._tangent = np.concatenate([along_1[:half], -along_0[half:]])
 
     def assign(self, gate_px: float) -> None:
-        """Give every point the nearest line of its axis and polarity within the gate."""
-        rho, _ = self._along()
-        self.line = np.full(len(rho), -1, np.int64)
-        group_of_point = 2 * self._group.axis + self._group.rising
+        """Give every point the nearest line of its axis and polarity within the gate; drop points of no line."""
+        none = len(self.offset)
+        line = np.full(len(self.rho), none, np.int64)
+        rho_px = self.rho * self._focal
         for g in range(4):
             ids = np.flatnonzero(self.line_group == g)
-            points = np.flatnonzero(group_of_point == g)
-            if len(ids) == 0 or len(points) == 0:
+            if len(ids) == 0:
                 continue
             ids = ids[np.argsort(self.offset[ids], kind="stable")]
-            edges = 0.5 * (self.offset[ids][1:] + self.offset[ids][:-1])
-            nearest = ids[np.searchsorted(edges, rho[points])]
-            near = np.abs(rho[points] - self.offset[nearest]) < gate_px
-            self.line[points[near]] = nearest[near]
+            middle = 0.5 * (self.offset[ids][1:] + self.offset[ids][:-1])
+            mine = slice(self._ends[g], self._ends[g + 1])
+            nearest = ids[np.searchsorted(middle, rho_px[mine])]
+            near = np.abs(rho_px[mine] - self.offset[nearest]) < gate_px
+            line[mine] = np.where(near, nearest, none)
+        self._keep(line < none, line)
+
+    def _keep(self, keep: NDArray[np.bool_], line: Ints) -> None:
+        counts = [int(np.count_nonzero(keep[self._ends[g] : self._ends[g + 1]])) for g in range(4)]
+        self._ends = np.cumsum([0, *counts])
+        self.line = line[keep]
+        self._seen_x, self._seen_y = self._seen_x[keep], self._seen_y[keep]
+        self._x, self._y, self.rho, self._tangent = (v[keep] for v in (self._x, self._y, self.rho, self._tangent))
 
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
-        used = self.line >= 0
-        rho, _ = self._along()
-        spread = np.abs(rho[used] - self.offset[self.line[used]])
+        spread = np.abs(self.rho * self._focal - self.offset[self.line])
         sigma = 1.4826 * float(np.median(spread)) if len(spread) else 0.0
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
     def solve(self) -> None:
         """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line."""
-        used = np.flatnonzero(self.line >= 0)
-        line = self.line[used]
         n = len(self.offset)
-        self.support = np.bincount(line, minlength=n)
+        self.support = np.bincount(self.line, minlength=n)
         count = np.maximum(self.support, 1)
-        rho, tangent = self._along()
-        columns = np.column_stack([rho[used], tangent[used], self._tilt_columns(used)])
-        means = np.column_stack([np.bincount(line, columns[:, k], n) / count for k in range(4)])
-        centred = columns - means[line]
-        r, jac = centred[:, 0], centred[:, 1:]
+        rows = np.stack([self.rho, self._tangent, *self._tilt_rows()])
+        means = np.stack([np.bincount(self.line, row, n) / count for row in rows])
+        centred = (rows - means[:, self.line]) * self._focal
+        r, jac = centred[0], centred[1:]
         self.noise_px = max(float(np.sqrt(np.mean(r * r))) if len(r) else 1.0, _SIGMA_FLOOR_PX)
         weight = 1.0 / (self.noise_px**2 * _CORRELATED_POINTS)
         prior = np.radians(self._config.tilt_prior_deg if self._config.estimate_tilt else 1e-6)
-        info = weight * jac.T @ jac + np.diag([1e-3, prior**-2, prior**-2])
-        gradient = weight * jac.T @ r + np.array([0.0, *(self.tilt / prior**2)])
-        self.covariance = np.asarray(np.linalg.inv(info))
-        step = -self.covariance @ gradient
+        turn = self._tilt_from_axes()
+        prior_info = np.zeros((3, 3))
+        prior_info[0, 0], prior_info[1, 1], prior_info[2, 2] = 1e-3, prior**-2, prior**-2
+        info = weight * jac @ jac.T + prior_info
+        gradient = weight * jac @ r + np.array([0.0, *(turn.T @ self.tilt / prior**2)])
+        covariance = np.asarray(np.linalg.inv(info))
+        step = -covariance @ gradient
+        to_base = np.eye(3)
+        to_base[1:, 1:] = turn
+        self.covariance = to_base @ covariance @ to_base.T
         self.psi += float(step[0])
-        self.tilt = self.tilt + step[1:]
-        self._rotate()
-        rho, _ = self._along()
-        self.offset = np.where(self.support > 0, np.bincount(line, rho[used], n) / count, self.offset)
+        self.tilt = self.tilt + turn @ step[1:]
+        self._place()
+        mean_rho = np.bincount(self.line, self.rho, n) / count
+        self.offset = np.where(self.support > 0, mean_rho * self._focal, self.offset)
 
-    def _tilt_columns(self, used: NDArray[np.intp]) -> Array:
-        x, y = self.uv[used, 0] / self._focal, self.uv[used, 1] / self._focal
-        angle = self.psi + 0.5 * np.pi * self._group.axis[used]
-        nx, ny = np.cos(angle), np.sin(angle)
-        roll = -nx * x * y - ny * (1.0 + y * y)
-        pitch = nx * (1.0 + x * x) + ny * x * y
-        return self._focal * np.column_stack([roll, pitch])
+    def _tilt_from_axes(self) -> Array:
+        """(2, 2): tilt about base x and y from tilt about the two line normals."""
+        c, s = np.cos(self.psi), np.sin(self.psi)
+        return np.array([[c, -s], [s, c]])
+
+    def _tilt_rows(self) -> tuple[Array, Array]:
+        """d rho / d tilt about the normal of axis 0 and of axis 1; a ray r seen by a tilted robot moves by -w x r."""
+        rho, tangent, half = self.rho, self._tangent, self._ends[2]
+        across, own = rho * tangent, 1.0 + rho * rho
+        return np.concatenate([-across[:half], -own[half:]]), np.concatenate([own[:half], -across[half:]])
 
 
 def _join_grooves(fit: _Fit, config: Features) -> Lines | None:
@@ -223,7 +247,7 @@ def _join_grooves(fit: _Fit, config: Features) -> Lines | None:
     sigma = fit.noise_px * np.sqrt(_CORRELATED_POINTS / support) + _SIGMA_FLOOR_PX
     joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
     joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
-    point_line = np.where(fit.line >= 0, new_of_old[np.maximum(fit.line, 0)], -1)
+    point_line = new_of_old[fit.line]
     used = point_line >= 0
     psi, turned = _fold_turns(fit.psi)
     lines = Lines(

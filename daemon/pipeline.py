@@ -65,6 +65,14 @@ class Pipeline:
         self._config = config
         self._edges = EdgeDetector(calibration, config.features)
         self._filter: PoseFilter = Pfcf(config.filter, rng)
+        self._seq = 0
+        self._stamp_ns: int | None = None
+        self._updated_ns: int | None = None
+        self._map_axis_rad: float | None = None
+        self._view: View | None = None
+        self._gap = _NO_GAP
+        self._travel_m = self._turn_rad = 0.0
+        self._confirmed = True
         self.reset()
 
     # -- the method
@@ -101,10 +109,11 @@ class Pipeline:
 
     def _predict(self, motion: Motion) -> None:
         """Move the particles by what is final; predictions of a gap wait, for the next good motion replaces them."""
-        moved = se2.compose(self._gap.prev_from_curr, motion.prev_from_curr)
+        gap = self._gap
+        moved = se2.compose(gap.prev_from_curr, motion.prev_from_curr)
         cov = motion.cov
         if not motion.ok:
-            cov = se2.compose_cov(self._gap.prev_from_curr, self._gap.cov, motion.prev_from_curr, motion.cov)
+            cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
         if motion.ok or motion.restarted:
             self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov))
             self._gap = _NO_GAP
@@ -221,12 +230,9 @@ class Pipeline:
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
         self._odometry = VisualOdometry(self._config.odometry)
         self._states = StateMachine(self._config.states)
-        self._seq = getattr(self, "_seq", 0)
-        self._stamp_ns: int | None = getattr(self, "_stamp_ns", None)
         self._odom = np.zeros(3)
         self._twist = np.zeros(3)
-        self._view: View | None = None
-        self._map_axis_rad: float | None = None
+        self._map_axis_rad = None
         self._start_at(start, np.diag(_START_SIGMA**2), None, confirmed=True)
 
     def assume(self, pose: Array, cov: Array, why: str) -> None:
@@ -245,7 +251,7 @@ class Pipeline:
         self._gap = _NO_GAP
         self._confirmed = confirmed
         self._travel_m = self._turn_rad = 0.0
-        self._updated_ns: int | None = None
+        self._updated_ns = None
 
 
 def _evidence(
