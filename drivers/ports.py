@@ -84,7 +84,7 @@ class Publisher(Protocol):
         """
 
     def put(self, topic: Topic, payload: bytes) -> None:
-        """Send now, without waiting for anybody; what cannot be sent is dropped and counted. Never raises."""
+        """Send now, without waiting for an answer; what cannot be sent is dropped and counted. Never raises."""
 
     def wanted(self, topic: Topic) -> bool:
         """Whether somebody subscribes; costs microseconds."""

@@ -128,13 +128,15 @@ class _Printer:
     def message(self, key: str, payload: bytes | None) -> None:
         robot, _, topic = key.rpartition("/")
         robot = robot.rpartition("/")[2]
+        is_pose = topic == "pose"
         try:
             line = self._alive(robot, topic) if payload is None else self._line(robot, topic, payload)
         except BusError as e:
-            line = f"{robot} {e}"
+            line, is_pose = f"{robot} {e}", False
         if line is not None:
             self._out.write(_printable(line) + "\n")
             self._out.flush()
+            self.poses += is_pose
 
     def _alive(self, robot: str, word: str) -> str:
         if self._options.raw:
@@ -158,7 +160,6 @@ class _Printer:
             self._state[robot] = pose.state
             if not self._due((robot, "pose"), 1.0 / self._options.rate_hz) and not changed:
                 return None
-        self.poses += 1
         return json.dumps(fields, separators=(",", ":")) if self._options.raw else pose_line(pose)
 
     def _health(self, robot: str, fields: Mapping[str, Any]) -> str | None:

@@ -187,9 +187,9 @@ def encode_calibration(robot: str, calibration: Calibration) -> bytes:
             "projection": c.projection.ravel(),
             "noise": asdict(c.noise),
             "tile_m": c.tile_m,
-            "mount_x_m": c.mount_xy_m[0],
-            "mount_y_m": c.mount_xy_m[1],
-            "ceiling_height_m": c.ceiling_height_m,
+            "mount_x_m": _rounded(c.mount_xy_m[0]),
+            "mount_y_m": _rounded(c.mount_xy_m[1]),
+            "ceiling_height_m": _rounded(c.ceiling_height_m),
             "meta": c.meta,
         },
     )
@@ -217,6 +217,11 @@ def _message(name: str, robot: str, fields: Mapping[str, object]) -> bytes:
 
 def _pose_fields(pose: NDArray[np.float64]) -> dict[str, object]:
     return {"x_m": pose[0], "y_m": pose[1], "theta_rad": pose[2]}
+
+
+def _rounded(value_m: float) -> float:
+    """To a nanometre and without -0: derived by an SVD, whose last bits differ from computer to computer."""
+    return round(float(value_m), 9) + 0.0
 
 
 def _stamp_fields(stamp: Stamp) -> dict[str, object]:

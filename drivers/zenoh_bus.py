@@ -28,8 +28,6 @@ _PRIORITY = {
     Topic.PARTICLES: zenoh.Priority.DATA_LOW,
     Topic.IMAGE: zenoh.Priority.DATA_LOW,
 }
-_EXPRESS = (Topic.POSE, Topic.ODOM)
-"""Sent at once instead of waiting for company in a batch."""
 
 
 @dataclass
@@ -83,7 +81,7 @@ class ZenohBus:
         self._worker.start()
 
     def put(self, topic: Topic, payload: bytes) -> None:
-        """See ports.Publisher. Waits at most Zenoh's wait_before_drop, 1 ms, and only for a subscriber that hangs."""
+        """See ports.Publisher. A subscriber that hangs loses samples and costs up to 1 ms a put."""
         publisher = self._publishers.get(topic)
         if publisher is None or self._closed:
             self._count("unsent")
@@ -151,13 +149,14 @@ class ZenohBus:
         log.info("on Zenoh as %s", self._stem)
 
     def _publisher(self, session: zenoh.Session, topic: Topic) -> zenoh.Publisher:
+        # Not "express": each sample would take one of the few batches of the queue, and a busy computer then loses
+        # samples. Batching costs no latency, because a batch leaves as soon as the link is free.
         json_or_jpeg = zenoh.Encoding.IMAGE_JPEG if topic is Topic.IMAGE else zenoh.Encoding.APPLICATION_JSON
         return session.declare_publisher(
             f"{self._stem}/{topic.value}",
             encoding=json_or_jpeg,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=_PRIORITY.get(topic, zenoh.Priority.DATA),
-            express=topic in _EXPRESS,
         )
 
     def _responder(self, name: str) -> Callable[[zenoh.Query], None]:

@@ -98,6 +98,9 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         "connect/exit_on_failure": client,
         "connect/retry": {"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2},
         "open/return_conditions/connect_scouted": client,
+        # What the queue to a subscriber cannot take within this is dropped for that subscriber. With 0 a put would not
+        # wait at all, but healthy subscribers lose images.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 1000,
         "scouting/multicast/enabled": config.multicast,
         "scouting/multicast/interface": "lo",
         "scouting/gossip/enabled": True,
