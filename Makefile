@@ -43,7 +43,7 @@ clean:
 
 $(BIN)/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { \
-	  echo "make: $(PYTHON) is $$($(PYTHON) --version 2>&1 || echo missing), expected Python 3.10 or newer;" \
+	  echo "make: $(PYTHON) is $$($(PYTHON) --version 2>/dev/null || echo missing), expected Python 3.10 or newer;" \
 	    "install one and run: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo "make: $(PYTHON) cannot make virtual environments; run: apt install python3-venv" >&2; exit 1; }
