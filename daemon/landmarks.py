@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
-_REFRESH = 128
+_REFRESH = 64
 """Landmarks out of view whose summary is renewed per update, so that its cost does not grow with the map."""
 
 

@@ -21,7 +21,7 @@ FRAMES_PER_STEP = 5
 FRAME_SIGMA = np.array([3e-4, 3e-4, 1e-4])
 
 
-def lap(step_m, side_m=4.0, corner_m=0.5):
+def lap(step_m, side_m=4.2, corner_m=0.5):
     """(S, 3) increments of one lap around a square with rounded corners."""
     straight, arc = round((side_m - 2 * corner_m) / step_m), round(corner_m * np.pi / 2 / step_m)
     turn = np.pi / 2 / arc
@@ -31,7 +31,7 @@ def lap(step_m, side_m=4.0, corner_m=0.5):
 
 def ceiling(rng):
     """Crossings of tiles of 0.6 m and some lamps' corners, with kinds that repeat."""
-    g = np.arange(-1.3, 5.2, 0.6)
+    g = np.arange(-1.3, 5.6, 0.6)
     tiles = np.stack(np.meshgrid(g, g), axis=-1).reshape(-1, 2) + rng.normal(0, 0.02, (len(g) ** 2, 2))
     lamps = tiles[rng.random(len(tiles)) < 0.3] + [0.25, 0.15]
     points = np.concatenate([tiles, lamps])
@@ -109,7 +109,7 @@ def test_accurate_odometry_gets_better_not_worse(method, outliers, heading, luck
         f"NIS {nis.mean():.2f}"
     )
     assert rms(end) < 0.010
-    assert rms(end) < rms(alone) + 0.004
+    assert rms(end) < rms(alone) + 0.005  # 16 seeds: 2.7 mm where odometry is perfect; the bias is 2.8 mm
     assert luck < 1.0 or rms(end) < 0.7 * rms(alone)
     assert 0.7 < nis.mean() < 2.0
 
@@ -117,7 +117,7 @@ def test_accurate_odometry_gets_better_not_worse(method, outliers, heading, luck
 def coarse(seed):
     """The paper's regime: 16 features, 225 steps a lap, sigma(r) = 0.04 + 0.045 r^2, slip and outliers."""
     rng = np.random.default_rng(seed)
-    g = np.linspace(-0.3, 4.3, 4)
+    g = np.linspace(-0.3, 4.5, 4)
     points = np.stack(np.meshgrid(g, g), axis=-1).reshape(-1, 2) + rng.uniform(-0.3, 0.3, (16, 2))
     truth, slipping, out = START, 0, []
     for step in lap(0.07):
