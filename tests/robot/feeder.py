@@ -55,7 +55,7 @@ def main() -> None:
                 data = yuyv.tobytes()
             # A late frame moves all that follow: a camera does not deliver in bursts.
             due_ns = max(due_ns + period_ns, time.monotonic_ns())
-            time.sleep((due_ns - time.monotonic_ns()) / 1e9 if due_ns > time.monotonic_ns() else 0.0)
+            time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
             before_ns = time.monotonic_ns()
             os.write(fd, data)
             log.write(f"{index},{before_ns},{time.monotonic_ns()}\n")

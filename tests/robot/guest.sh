@@ -52,11 +52,11 @@ start_without_camera() {
 
 plug_camera_in() {
   mkdir -p "$feed"
-  modprobe v4l2loopback devices=1 video_nr=0 exclusive_caps=1 card_label=CeilingCam max_buffers=4 || return 1
+  modprobe v4l2loopback devices=1 video_nr=0 exclusive_caps=1 card_label="$CAMERA" max_buffers=4 || return 1
   udevadm settle
   /opt/ceilvo/bin/python feeder.py /dev/video0 frames.gray "$WIDTH" "$HEIGHT" "$RATE" YUYV "$feed" &
   feeder=$!
-  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$KEY" "$out/samples.jsonl" &
+  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$out/samples.jsonl" "$STEM"/{pose,health,event} &
   listener=$!
 }
 

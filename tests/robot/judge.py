@@ -154,7 +154,8 @@ def unpublished(run: Run) -> tuple[list[dict[str, Any]], int]:
     """Telegrams that no pose sample explains, and how many could be judged.
 
     Sequence numbers start again with the process, so a pose counts within a second only. What the base got before
-    the subscriber was connected to that process is not judged, nor is the last word (STOPPED).
+    the subscriber was connected to that process is not judged, nor is what a process says before its first estimate
+    (INIT) or as its last word (STOPPED).
     """
     seen: dict[int, list[dict[str, Any]]] = {}
     for s in run.poses:
@@ -163,7 +164,8 @@ def unpublished(run: Run) -> tuple[list[dict[str, Any]], int]:
     wrong, judged = [], 0
     for t in run.telegrams:
         at = t["recv_unix_ns"]
-        if t["state"] == "STOPPED" or not any(a - 1e8 <= at <= b + 1e9 for a, b in lives):
+        silent = t["state"] == "INIT" and not (t["x_m"] or t["y_m"] or t["theta_rad"])
+        if silent or t["state"] == "STOPPED" or not any(a <= at <= b + 2e8 for a, b in lives):
             continue
         same = [s for s in seen.get(t["sequence"], []) if abs(s["recv_unix_ns"] - at) < 1e9]
         judged += 1

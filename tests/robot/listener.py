@@ -1,6 +1,6 @@
-"""Writes down everything that the robot publishes, with the time of its arrival. Knows Zenoh, not ceilvo.
+"""Writes down what the robot publishes, with the time of its arrival. Knows Zenoh and JSON, not ceilvo.
 
-listener.py ENDPOINT KEY FILE: a JSON line for each sample: key, recv_ns (CLOCK_MONOTONIC), recv_unix_ns, body.
+listener.py ENDPOINT FILE KEY...: a JSON line for each sample: key, recv_ns (CLOCK_MONOTONIC), recv_unix_ns, body.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import zenoh
 
 
 def main() -> None:
-    endpoint, key, path = sys.argv[1:]
+    endpoint, path, *keys = sys.argv[1:]
     config = zenoh.Config()
     for name, value in {
         "mode": "peer",
@@ -34,13 +34,14 @@ def main() -> None:
         samples.put((time.monotonic_ns(), time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
 
     session = zenoh.open(config)
-    subscriber = session.declare_subscriber(key, take)
+    subscribers = [session.declare_subscriber(key, take) for key in keys]
     with Path(path).open("w", buffering=1) as log:
         while threading.main_thread().is_alive():
             recv_ns, recv_unix_ns, name, payload = samples.get()
             line = {"key": name, "recv_ns": recv_ns, "recv_unix_ns": recv_unix_ns, "body": json.loads(payload)}
             log.write(json.dumps(line) + "\n")
-    subscriber.undeclare()
+    for subscriber in subscribers:
+        subscriber.undeclare()
     session.close()
 
 

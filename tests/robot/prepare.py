@@ -57,12 +57,20 @@ def main() -> None:
             "initial_pose_y_m": round(y, 4),
             "initial_pose_theta_deg": round(math.degrees(theta), 3),
         },
-        # The simulated base does not know where the recorded robot drove.
-        "base": {"port": "/dev/ttyS1", "baud": BAUD, "use_wheels": False},
+        # The serial lines of User-Mode-Linux know no parity; the simulated base does not know the recorded path.
+        "base": {"port": "/dev/ttyS1", "baud": BAUD, "parity": "N", "use_wheels": False},
         "zenoh": {"listen": [ENDPOINT], "multicast": False},
     }
+    camera_id = yaml.safe_load((recording / "calibration.yaml").read_text())["camera"]["id"]
     (share / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
-    env = {"WIDTH": width, "HEIGHT": height, "RATE": RATE_HZ, "ENDPOINT": ENDPOINT, "KEY": f"ceilvo/{ROBOT}/**"}
+    env = {
+        "CAMERA": camera_id,
+        "WIDTH": width,
+        "HEIGHT": height,
+        "RATE": RATE_HZ,
+        "ENDPOINT": ENDPOINT,
+        "STEM": f"ceilvo/{ROBOT}",
+    }
     (share / "robot.env").write_text("".join(f"{k}='{v}'\n" for k, v in env.items()))
 
 

@@ -46,7 +46,7 @@ wheels=$CACHE/wheels
 if [ "$(cat "$wheels/key" 2>/dev/null)" != "$key" ]; then
   rm -rf "$wheels"
   "${pip[@]}" download --only-binary=:all: --python-version "${guest_python#python}" --dest "$wheels" \
-    --constraint constraints.txt "$share"/kit/*.whl
+    --constraint constraints.txt "$share"/kit/*.whl 2>"$work/download.log" || { cat "$work/download.log" >&2; exit 1; }
   rm -f "$wheels"/ceilvo-*
   echo "$key" >"$wheels/key"
 fi
@@ -54,12 +54,12 @@ cp -rl "$wheels" "$share/wheels" 2>/dev/null || cp -r "$wheels" "$share/wheels"
 
 step "recording of $DRIVE_S s at 15 fps"
 rm -rf "$work/recording"
-"$python" -m ceilvo.sim.record "$work/recording" --seconds "$DRIVE_S" --fps 15
+"$python" -m ceilvo.sim.record "$work/recording" --seconds "$DRIVE_S" --fps 15 2>/dev/null
 "$python" "$here/prepare.py" "$work/recording" "$share"
 cp "$here"/{guest.sh,feeder.py,listener.py} "$share/"
 
 step "simulated base"
-"$python" -m ceilvo.sim.base --baud 115200 --log "$OUT/telegrams.jsonl" --port-link "$OUT/base" >"$OUT/base.txt" 2>&1 &
+"$python" -m ceilvo.sim.base --baud 115200 --parity N --log "$OUT/telegrams.jsonl" --port-link "$OUT/base" >"$OUT/base.txt" 2>&1 &
 base=$!
 trap 'kill $base 2>/dev/null || true' EXIT
 for _ in $(seq 100); do [ -s "$OUT/base.txt" ] && break; sleep 0.05; done
