@@ -421,6 +421,8 @@ class Daemon:
         return {"did": "pose taken as a hypothesis; TRACKING once landmarks confirm it"}
 
     def _relocalise(self, c: commands.Relocalise) -> Result:
+        if not len(self._estimator.map()[0]):
+            raise CeilvoError("no map to find the pose in: drive first, or restore map.json and restart")
         sigma = self._estimator.search()
         return {
             "did": f"searching within {sigma[0]:.1f} m and {np.degrees(sigma[2]):.0f} deg (1 sigma) of the last pose"

@@ -20,7 +20,7 @@ from ceilvo.config_file import calibration_path, load_config
 from ceilvo.config_file import replace as replace_keys
 from ceilvo.daemon import app
 from ceilvo.daemon.replay import Outputs
-from ceilvo.errors import CeilvoError
+from ceilvo.errors import CeilvoError, FileFormatError
 
 log = logging.getLogger("ceilvo")
 
@@ -153,6 +153,8 @@ def _run_simulated(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    if not options.source.exists():
+        raise FileFormatError(f"{options.source}: no such folder or video file")
     config = _config(options)
     calibration = read_calibration(_calibration_file(options, config))
     outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)

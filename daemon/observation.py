@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
+from ceilvo.daemon.matching import mutual_nearest
 from ceilvo.kinds import quarter_turns, turn_kind
 from ceilvo.se2 import transform, wrap
 from ceilvo.types import Array, Crossings, Ints, Landmarks, Observations, frozen
@@ -87,17 +87,3 @@ def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmark
     seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.kind[near], gate_m)
     label[seen] = near[which]
     return label
-
-
-def mutual_nearest(
-    a_xy_m: Array, a_kind: Ints, b_xy_m: Array, b_kind: Ints, gate_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices into a and b of pairs of equal kind, each the other's nearest, no further apart than gate_m."""
-    if not len(a_kind) or not len(b_kind):
-        return np.empty(0, np.intp), np.empty(0, np.intp)
-    apart = np.hypot(a_xy_m[:, None, 0] - b_xy_m[None, :, 0], a_xy_m[:, None, 1] - b_xy_m[None, :, 1])
-    apart[a_kind[:, None] != b_kind[None, :]] = np.inf
-    nearest_b = np.argmin(apart, axis=1)
-    rows = np.arange(len(a_kind))
-    mutual = (np.argmin(apart, axis=0)[nearest_b] == rows) & (apart[rows, nearest_b] <= gate_m)
-    return np.flatnonzero(mutual), nearest_b[mutual]

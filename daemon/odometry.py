@@ -132,7 +132,7 @@ class VisualOdometry:
 
     def _coasting_twist(self) -> Array:
         """The last twist, fading with the gap: a robot that is told its pose is bad will stop."""
-        return self._twist * np.exp(-self._since_ref_s / _TWIST_FADES_S)
+        return np.asarray(self._twist * np.exp(-self._since_ref_s / _TWIST_FADES_S))
 
     def _coast(self, predicted: Array, dt_s: float, wheels: WheelMotion | None, reason: str) -> Motion:
         start_s = self._since_ref_s

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ceilvo.config import Filter
 from ceilvo.daemon import curve_fit
 from ceilvo.daemon.landmarks import Candidates, ParticleMaps, fused
-from ceilvo.daemon.observation import mutual_nearest
+from ceilvo.daemon.matching import mutual_nearest
 from ceilvo.daemon.particles import effective_size, mean_and_cov, moved, normalised, spread
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import rotation, transform, wrap_array

@@ -73,6 +73,8 @@ class Pipeline:
         self._gap = _NO_GAP
         self._travel_m = self._turn_rad = 0.0
         self._confirmed = True
+        self._odom = np.zeros(3)
+        self._states = StateMachine(config.states)
         self.reset()
 
     # -- the method
@@ -102,7 +104,8 @@ class Pipeline:
         self._odom = se2.compose(self._odom, motion.prev_from_curr)
         observations = self._observe(stamp_ns, motion, crossings)
         if observations is not None:
-            self._filter.update(observations)
+            # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
+            self._filter.update(observations if self._confirmed else _explained(observations))
             self._confirmed = self._confirmed or self._agree(observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
@@ -229,7 +232,7 @@ class Pipeline:
         cfg = self._config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
         self._odometry = VisualOdometry(self._config.odometry)
-        self._states = StateMachine(self._config.states)
+        self._states.reset("started")
         self._odom = np.zeros(3)
         self._twist = np.zeros(3)
         self._map_axis_rad = None
@@ -252,6 +255,11 @@ class Pipeline:
         self._confirmed = confirmed
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns = None
+
+
+def _explained(observations: Observations) -> Observations:
+    o, known = observations, observations.label >= 0
+    return replace(o, xy_base_m=o.xy_base_m[known], var_m2=o.var_m2[known], kind=o.kind[known], label=o.label[known])
 
 
 def _evidence(

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration
-from ceilvo.daemon.overlay import draw_overlay, draw_particles_panel
+from ceilvo.daemon.overlay import draw_overlay, draw_particles_panel, previous_pixels, side_by_side
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.trajectory import JsonlWriter, TumWriter
 from ceilvo.errors import FileFormatError
@@ -73,14 +73,16 @@ def picture(pipeline: Pipeline, calibration: Calibration, estimate: Estimate, pa
     view = pipeline.view
     if view is None:
         return
-    frame = draw_overlay(view.frame.gray, view.lines, view.crossings, calibration.level_view)
+    before = None if view.crossings is None else previous_pixels(view.crossings, estimate.motion, calibration)
+    frame = draw_overlay(view.frame.gray, view.lines, view.crossings, calibration.level_view, before, scale=2)
     particles, weights = pipeline.particles()
     m = pipeline.landmarks()
     panel = draw_particles_panel(
         particles, weights, m.xy_map_m, m.cov_m2, estimate.pose, path[:, :2], size_px=frame.shape[0]
     )
     file.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(file), np.hstack([frame, panel])):
+    captions = {"left": "lines and crossings", "right": "particles, landmarks, path"}
+    if not cv2.imwrite(str(file), side_by_side(frame, panel, captions)):
         raise FileFormatError(f"{file}: cannot be written; check the folder and the disk")
 
 
