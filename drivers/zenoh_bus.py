@@ -99,7 +99,7 @@ class ZenohBus:
         publisher = self._publishers.get(topic)
         if publisher is None or self._closed:
             return False
-        status: Any = publisher.matching_status  # declared bool in zenoh's stubs, but it is a MatchingStatus
+        status: Any = publisher.matching_status  # Zenoh >= 1.5; a MatchingStatus, though the stubs say bool
         return bool(status.matching)
 
     def offer(self, topic: Topic, make: Callable[[], bytes]) -> None:

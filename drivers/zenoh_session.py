@@ -25,6 +25,7 @@ _RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 4.0
 _IP_PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws")
 _OTHER_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
 _ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<address>[^?#\s]+)(?P<rest>[?#]\S*)?")
+_LOOPBACK = re.compile(r"[a-z]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):")
 _HOST_PORT = re.compile(r"(?P<host>\[[0-9a-fA-F:.%\w]+\]|[^:\s]+):(?P<port>\d{1,5})")
 
 
@@ -103,8 +104,13 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 1000,
         "scouting/multicast/enabled": config.multicast,
         "scouting/multicast/interface": "lo",
-        "scouting/gossip/enabled": True,
+        # A stranger found by multicast may be on the network, and gossip would make us connect to its peers there.
+        "scouting/gossip/enabled": not (config.multicast and _loopback_only([*listen, *connect])),
     }
+
+
+def _loopback_only(ends: list[str]) -> bool:
+    return all(_LOOPBACK.match(e) or e.startswith(("unixsock-stream/", "unixpipe/")) for e in ends)
 
 
 def _from_settings(settings: dict[str, Any]) -> zenoh.Config:

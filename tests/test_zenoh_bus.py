@@ -560,6 +560,15 @@ def test_defaults_stay_on_this_computer() -> None:
     assert json.loads(c.get_json("listen/endpoints")) == ["tcp/127.0.0.1:0"]
     assert json.loads(c.get_json("scouting/multicast/interface")) == "lo"
     assert json.loads(c.get_json("connect/exit_on_failure")) is False
+    assert json.loads(c.get_json("scouting/gossip/enabled")) is False
+
+
+@pytest.mark.parametrize(
+    "changes", [{"multicast": False}, {"connect": ("tcp/10.0.0.1:7447",)}, {"listen": ("tcp/[::]:7447",)}]
+)
+def test_gossip_where_the_configuration_leaves_the_computer_or_names_its_peers(changes: dict[str, Any]) -> None:
+    c = session_config(replace(config.Zenoh(), **changes))
+    assert json.loads(c.get_json("scouting/gossip/enabled")) is True
 
 
 def test_a_zenoh_file_is_passed_through_whole(tmp_path: Path) -> None:
