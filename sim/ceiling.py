@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-TILE, GROOVE, LIP, RIM, SLOT, PANEL, GAP = 0.76, 0.16, 0.84, 0.90, 0.20, 0.84, 0.35
+TILE, GROOVE, RIM, SLOT, PANEL, GAP = 0.76, 0.16, 0.90, 0.20, 0.84, 0.35
 LAMP_RADIANCE = 4.5  # a white surface under the room's light is 1
 HALO = 0.22  # extra light on the tiles next to a lamp
 
@@ -103,7 +103,8 @@ class Ceiling:
         a = self._tiles(rng)
         self._stain(a, rng)
         a *= self._mineral(rng)
-        self._grooves(a)
+        if self.spec.joints:
+            self._grooves(a)
         for p in self.layout.panels:
             self._panel(a, p)
         for s in self.layout.spots:
@@ -156,7 +157,7 @@ class Ceiling:
             a[win] *= (1.0 - 0.05 * inside - 0.10 * rim).astype(np.float32)
 
     def _grooves(self, a: Array32) -> None:
-        """Dark joints with a bright bevel on either side."""
+        """Joints with a bevel on either side."""
         half, lip = 0.5 * self.spec.groove_m, self.spec.lip_m
         dark, both = [], []
         for axis in (0, 1):
@@ -166,7 +167,7 @@ class Ceiling:
         tile = np.outer(both[1], both[0]).astype(np.float32)
         bare = np.outer(dark[1], dark[0]).astype(np.float32)  # all but the joints
         a *= tile
-        a += np.float32(LIP) * (bare - tile) + np.float32(GROOVE) * (1.0 - bare)
+        a += np.float32(self.spec.lip_albedo) * (bare - tile) + np.float32(self.spec.groove_albedo) * (1.0 - bare)
 
     def _panel(self, a: Array32, p: Panel) -> None:
         if not p.recessed:

@@ -20,6 +20,7 @@ Ints = NDArray[np.int64]
 Rect = tuple[float, float, float, float]
 PanelKind = Literal["lamp", "vent", "diffuser"]
 SpotKind = Literal["sprinkler", "detector", "speaker"]
+WIDE_M = 0.015
 SPOTS: tuple[tuple[SpotKind, float], ...] = (("sprinkler", 0.038), ("detector", 0.055), ("speaker", 0.105))
 
 
@@ -43,6 +44,9 @@ class CeilingSpec:
         grid_offset_m: where a groove of each axis lies, from the map's origin.
         grid_yaw_rad: the grid against the map, turned about the room's centre.
         groove_m, lip_m: width of the dark joint, and of the bright bevel on either side of it.
+        groove_albedo, lip_albedo: how bright they are (a tile is 0.76). A wide bright joint is a T-bar, one of nearly
+            the tile's brightness a faint groove.
+        joints: False is a bare plaster ceiling; what hangs on it stays where it was.
         texel_m: resolution of the picture.
         tile_spread: standard deviation of the tiles' brightness.
         texture: strength of the tiles' speckle and mottling; 0 is plain.
@@ -57,6 +61,9 @@ class CeilingSpec:
     grid_yaw_rad: float = 0.0
     groove_m: float = 0.008
     lip_m: float = 0.005
+    groove_albedo: float = 0.16
+    lip_albedo: float = 0.84
+    joints: bool = True
     texel_m: float = 0.003
     tile_spread: float = 0.025
     texture: float = 1.0
@@ -182,8 +189,8 @@ class Layout:
         """(N, 2) true crossings and (N,) CrossingKind."""
         xy: list[tuple[float, float]] = []
         kind: list[int] = []
-        for x in self.grooves[0]:
-            for y in self.grooves[1]:
+        for x in self._joints(0):
+            for y in self._joints(1):
                 if not self._hidden(x, y):
                     arms = ((x + 0.05, y), (x - 0.05, y), (x, y + 0.05), (x, y - 0.05))
                     xy.append((x, y))
@@ -198,8 +205,9 @@ class Layout:
         """All true lines, with segments in the ceiling's own frame."""
         found: list[tuple[int, float, float, float, int]] = []
         for axis in (0, 1):
-            for at in self.grooves[axis]:
-                found += [(axis, at, lo, hi, int(LineKind.GROOVE)) for lo, hi in self._visible(axis, at)]
+            for at in self._joints(axis):
+                for lo, hi in self._visible(axis, at):
+                    found += [(axis, at + d, lo, hi, kind) for d, kind in self._profile()]
         for p in self.panels:
             if p.kind == "lamp":
                 found += _outline(p.inner, LineKind.RISING)
@@ -226,6 +234,16 @@ class Layout:
         on_y = (x[:, None] >= y_lines[:, 0, 0] - reach_m) & (x[:, None] <= y_lines[:, 1, 0] + reach_m)
         i, j = np.nonzero(on_x & on_y)
         return np.column_stack([x[i], y[j]])
+
+    def _joints(self, axis: int) -> Array:
+        return self.grooves[axis] if self.spec.joints else np.zeros(0)
+
+    def _profile(self) -> list[tuple[float, int]]:
+        """Lines that a joint shows, with their distance from its middle: a wide one has two edges of its own."""
+        half, bright = 0.5 * self.spec.groove_m, self.spec.groove_albedo > self.spec.lip_albedo
+        edge = int(LineKind.RISING if bright else LineKind.FALLING)
+        edges = [(-half, edge), (half, -edge)] if self.spec.groove_m > WIDE_M else []
+        return [(0.0, int(LineKind.GROOVE)), *edges]
 
     def _hidden(self, x: float, y: float) -> bool:
         return any(p.hides(x, y) for p in self.panels)

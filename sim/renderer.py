@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.errors import ConfigError
 from ceilvo.sim.ceiling import Ceiling
+from ceilvo.sim.surroundings import Surface
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -31,6 +33,8 @@ class RenderSpec:
         daylight: share of the room's light that does not come from lamps.
         lit: which of the ceiling's lamps are on, None for all, () for none.
         flicker_hz, flicker_depth: of the lamps' light (mains frequency doubled; depth 0..1).
+        switch_groups, switch_period_s: lamps are wired in so many groups; in each period one group in turn is off, and
+            in every last one none. 0 groups never switch.
         vignetting: loss of light in the corner farthest from the principal point.
         psf_px: standard deviation of the lens' blur.
         read_noise: grey levels.
@@ -45,6 +49,8 @@ class RenderSpec:
     lit: tuple[int, ...] | None = None
     flicker_hz: float = 100.0
     flicker_depth: float = 0.0
+    switch_groups: int = 0
+    switch_period_s: float = 2.0
     vignetting: float = 0.35
     psf_px: float = 0.6
     read_noise: float = 1.2
@@ -60,6 +66,11 @@ class RenderSpec:
         for name in ("flicker_depth", "vignetting"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"render: {name} is {getattr(self, name)}, expected 0 to 1")
+        if self.switch_groups < 0 or not self.switch_period_s > 0:
+            raise ConfigError(
+                f"render: switch_groups is {self.switch_groups} and switch_period_s {self.switch_period_s}, expected 0 "
+                "or more groups and a period above 0"
+            )
         if self.sub_poses < 1:
             raise ConfigError(f"render: sub_poses is {self.sub_poses}, expected 1 or more")
 
@@ -68,11 +79,18 @@ class Renderer:
     """Draws frames. One thread at a time: it keeps scratch buffers."""
 
     def __init__(
-        self, calibration: Calibration, ceiling: Ceiling, spec: RenderSpec | None = None, seed: int = 1
+        self,
+        calibration: Calibration,
+        ceiling: Ceiling,
+        spec: RenderSpec | None = None,
+        seed: int = 1,
+        surfaces: tuple[Surface, ...] = (),
     ) -> None:
         self.spec = spec or RenderSpec()
-        self._cal, self._ceiling = calibration, ceiling
+        self._cal, self._ceiling, self._surfaces = calibration, ceiling, surfaces
         self._rays = _level_rays(calibration)
+        self._coarse_rays = np.ascontiguousarray(self._rays[::12, ::12])
+        self._groups = self._wiring()
         self._textures = self._light()
         h, w = self._rays.shape[:2]
         rng = np.random.default_rng([seed, 0x0153])
@@ -95,27 +113,72 @@ class Renderer:
         """
         poses = np.atleast_2d(np.asarray(pose, np.float64))
         tilts = np.broadcast_to(np.asarray(tilt_rad, np.float64), (len(poses), 2))
-        total = self._sum
+        total, lamps = self._sum, self.lamp_shares(t_s)
         for i in range(len(poses)):
             out = self._part if i else total
-            self._irradiance(poses[i], tilts[i], self._flicker(t_s), out)
+            self._irradiance(poses[i], tilts[i], lamps, out)
             if i:
                 cv2.add(total, out, dst=total)
         cv2.multiply(total, self._vignette, dst=total, scale=self.spec.gain / len(poses))
         return self._sense(total, rng)
 
-    def _irradiance(self, pose: Array, tilt: Array, lamps: float, out: Array32) -> None:
-        m = self._texel_from_ray(pose, tilt)
+    def lamp_shares(self, t_s: float) -> Array:
+        """(G,) light of each group of lamps in the exposure that starts at t_s, 1 = steady and on."""
+        n = self.spec.switch_groups
+        share = np.full(max(n, 1), self._flicker(t_s))
+        if n:
+            slot = int(t_s // self.spec.switch_period_s)
+            share[(slot + np.arange(n)) % (n + 1) == 0] = 0.0
+        return share
+
+    def occlusion(self, pose: ArrayLike, tilt_rad: ArrayLike = (0.0, 0.0)) -> Array32:
+        """(H, W) how much of each pixel's ceiling is hidden by something else, 0..1."""
+        clear = np.ones(self._rays.shape[:2], np.float32)
+        for _, alpha in self._in_front(np.asarray(pose, np.float64), np.asarray(tilt_rad, np.float64)):
+            clear *= 1.0 - alpha
+        return np.asarray(1.0 - clear, np.float32)
+
+    def _irradiance(self, pose: Array, tilt: Array, lamps: Array, out: Array32) -> None:
+        self._project(self._texel_from_ray(pose, tilt))
+        base, parts = self._textures
+        self._sample(base, out)
+        for part, share in zip(parts, lamps, strict=False):
+            if share > 0:
+                other = np.empty_like(out)
+                self._sample(part, other)
+                cv2.scaleAdd(other, float(share), out, dst=out)
+        if self._surfaces:
+            ambient = self._ambient(lamps)
+            for light, alpha in self._in_front(pose, tilt):
+                out *= 1.0 - alpha
+                cv2.scaleAdd(light, ambient, out, dst=out)
+
+    def _in_front(self, pose: Array, tilt: Array) -> Iterator[tuple[Array32, Array32]]:
+        """Radiance times alpha, and alpha, of every surface in view, far ones first."""
+        for s in self._surfaces:
+            m = _turned(s.texel_from_ray(pose, self._cal.mount_xy_m), tilt)
+            coarse = cv2.perspectiveTransform(self._coarse_rays, m)
+            h, w = s.picture.shape[:2]
+            if not np.any((coarse > -1).all(axis=2) & (coarse[..., 0] < w) & (coarse[..., 1] < h)):
+                continue
+            cv2.perspectiveTransform(self._rays, m, dst=self._at)
+            seen = cv2.remap(s.picture, self._at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+            light, alpha = cv2.split(seen)
+            yield np.asarray(light, np.float32), np.asarray(alpha, np.float32)
+
+    def _ambient(self, lamps: Array) -> float:
+        """Light on what is not the ceiling."""
+        day = self.spec.daylight
+        n = len(self._ceiling.layout.lamps)
+        on = n if self.spec.lit is None else len(self.spec.lit)
+        return float(day + (1.0 - day) * (on / n if n else 1.0) * np.mean(lamps))
+
+    def _project(self, m: Array) -> None:
+        """Where each pixel's ray meets a texture."""
         if np.array_equal(m[2], [0.0, 0.0, 1.0]):
             cv2.transform(self._rays, m[:2], dst=self._at)
         else:
             cv2.perspectiveTransform(self._rays, m, dst=self._at)
-        base, extra = self._textures
-        self._sample(base, out)
-        if extra is not None:
-            other = np.empty_like(out)
-            self._sample(extra, other)
-            cv2.scaleAdd(other, lamps, out, dst=out)
 
     def _sample(self, texture: Array32, out: Array32) -> None:
         cv2.remap(
@@ -136,19 +199,26 @@ class Renderer:
         c, s = np.cos(pose[2]), np.sin(pose[2])
         map_from_base = np.array([[c, -s, pose[0]], [s, c, pose[1]], [0.0, 0.0, 1.0]])
         m = self._ceiling.texel_from_map @ map_from_base @ ceiling_from_ray
-        if tilt.any():
-            m = m @ cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]
-        return np.asarray(m)
+        return _turned(m, tilt)
 
-    def _light(self) -> tuple[Array32, Array32 | None]:
-        """The picture as the lens blurs it; the lamps' part kept apart only when it flickers."""
+    def _wiring(self) -> list[tuple[int, ...]]:
+        """Lamps of each group that switches."""
+        n = self.spec.switch_groups
+        lit = range(len(self._ceiling.layout.lamps)) if self.spec.lit is None else self.spec.lit
+        return [tuple(i for i in lit if i % n == g) for g in range(n)]
+
+    def _light(self) -> tuple[Array32, list[Array32]]:
+        """The picture as the lens blurs it; the lamps' part kept apart only when it flickers or switches."""
         day, lamps = self._ceiling.radiance(self.spec.lit, self.spec.daylight)
         texel_px = self._ceiling.spec.texel_m * self._cal.level_view.focal_px / self._cal.ceiling_height_m
         sigma = self.spec.psf_px / texel_px
-        parts = [day, lamps] if self.spec.flicker_depth > 0 else [day + lamps]
+        if self._groups:
+            parts = [day, *(self._ceiling.radiance(g, self.spec.daylight)[1] for g in self._groups)]
+        else:
+            parts = [day, lamps] if self.spec.flicker_depth > 0 else [day + lamps]
         if sigma > 0:
             parts = [np.asarray(cv2.GaussianBlur(p, (0, 0), sigma), np.float32) for p in parts]
-        return parts[0], parts[1] if len(parts) > 1 else None
+        return parts[0], parts[1:]
 
     def _flicker(self, t_s: float) -> float:
         """Mean of the lamps' light over the exposure."""
@@ -170,6 +240,11 @@ class Renderer:
         cv2.sqrt(noise, dst=noise)
         cv2.multiply(noise, self._bank[i : i + h, j : j + w], dst=noise)
         return np.asarray(cv2.add(signal, noise, dtype=cv2.CV_8U), np.uint8)
+
+
+def _turned(m: Array, tilt: Array) -> Array:
+    """The homography for rays of a camera that the tilt has turned about its own centre."""
+    return np.asarray(m @ cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]) if tilt.any() else m
 
 
 def _level_rays(calibration: Calibration) -> Array32:

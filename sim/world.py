@@ -14,6 +14,7 @@ from ceilvo.sim.ceiling_layout import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltProfile, TiltSpec, WheelOdometry, WheelSpec
 from ceilvo.sim.renderer import Renderer, RenderSpec
 from ceilvo.sim.rig import simulated_calibration
+from ceilvo.sim.surroundings import SurroundingsSpec, make_surfaces
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
@@ -32,6 +33,7 @@ class WorldSpec:
     render: RenderSpec = field(default_factory=RenderSpec)
     wheels: WheelSpec = field(default_factory=WheelSpec)
     tilt: TiltSpec = field(default_factory=TiltSpec)
+    surroundings: SurroundingsSpec = field(default_factory=SurroundingsSpec)
 
 
 class World:
@@ -97,7 +99,10 @@ class World:
 
     @cached_property
     def renderer(self) -> Renderer:
-        return Renderer(self.calibration, self.ceiling, self.spec.render, self.spec.seed)
+        spec = self.spec
+        height = self.calibration.ceiling_height_m
+        surfaces = make_surfaces(spec.surroundings, spec.lap.room_m, height, spec.seed)
+        return Renderer(self.calibration, self.ceiling, spec.render, spec.seed, surfaces)
 
 
 def _reach_m(calibration: Calibration) -> float:

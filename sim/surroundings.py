@@ -1,0 +1,143 @@
+"""What a camera under a ceiling sees besides it: things that hang lower, a part of the robot itself, walls with doors.
+
+Each is a flat picture with transparency somewhere in space. Heights are metres above the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+_TEXEL_M = 0.004
+_BORDER = 8
+_WALL, _FRAME, _LEAF, _RAIL = 0.62, 0.22, 0.48, 0.30
+
+
+@dataclass(frozen=True)
+class Slab:
+    """A rectangular plate parallel to the ceiling, for example the underside of a duct or a cupboard.
+
+    Attributes:
+        xy_m: its centre, in map or in base.
+        size_m: along its own x and y.
+        yaw_rad: its x axis against that frame.
+        height_m: above the camera.
+        frame: "map" hangs in the room, "base" goes with the robot.
+    """
+
+    xy_m: tuple[float, float]
+    size_m: tuple[float, float]
+    yaw_rad: float = 0.0
+    height_m: float = 1.5
+    albedo: float = 0.42
+    frame: Literal["map", "base"] = "map"
+
+
+@dataclass(frozen=True)
+class SurroundingsSpec:
+    """Nothing by default. walls stand along the sides of the room, from below the camera up to the ceiling."""
+
+    slabs: tuple[Slab, ...] = ()
+    walls: bool = False
+    doors_per_wall: int = 2
+    door_top_m: float = 1.55
+    rail_m: float = 1.9
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A flat picture in space.
+
+    Attributes:
+        picture: (H, W, 2) radiance times alpha, and alpha; transparent at its border.
+        origin: (3,) x, y in its frame and height above the camera, of the middle of texel [0, 0].
+        u, v: (3,) unit vectors along columns and rows, perpendicular.
+        texel_m: spacing of the texels.
+        frame: as in Slab.
+    """
+
+    picture: Array32
+    origin: Array
+    u: Array
+    v: Array
+    texel_m: float
+    frame: Literal["map", "base"] = "map"
+
+    def texel_from_ray(self, frame_from_base: Array, mount_xy_m: Array) -> Array:
+        """(3, 3) homography from rays (x / z, y / z, 1) in level base to texels; the camera is at height 0."""
+        rot = np.eye(3)
+        x, y, theta = (0.0, 0.0, 0.0) if self.frame == "base" else frame_from_base
+        c, s = np.cos(theta), np.sin(theta)
+        rot[:2, :2] = [[c, -s], [s, c]]
+        camera = np.array([x, y, 0.0]) + rot @ np.array([*mount_xy_m, 0.0])
+        n = np.cross(self.u, self.v)
+        off = camera - self.origin
+        # off + s ray lies in the plane for s = -(n off) / (n ray)
+        rows = [(axis @ off) * n - (n @ off) * axis for axis in (self.u, self.v)]
+        return np.asarray(np.stack([rows[0] / self.texel_m, rows[1] / self.texel_m, n]) @ rot, np.float64)
+
+
+def make_surfaces(spec: SurroundingsSpec, room_m: float, ceiling_m: float, seed: int) -> tuple[Surface, ...]:
+    """Far ones first: walls, then slabs from high to low."""
+    rng = np.random.default_rng([seed, 0x5AAB])
+    walls = _walls(spec, room_m, ceiling_m, rng) if spec.walls else ()
+    slabs = sorted(spec.slabs, key=lambda s: -s.height_m)
+    return (*walls, *(_slab_surface(s, rng) for s in slabs))
+
+
+def _slab_surface(slab: Slab, rng: np.random.Generator) -> Surface:
+    w, h = (max(int(round(v / _TEXEL_M)), 4) for v in slab.size_m)
+    body = _mottled(slab.albedo, h, w, rng)
+    seam = max(int(0.03 / _TEXEL_M), 1)
+    cv2.rectangle(body, (seam, seam), (w - 1 - seam, h - 1 - seam), 0.6 * slab.albedo, 2)
+    c, s = np.cos(slab.yaw_rad), np.sin(slab.yaw_rad)
+    u, v = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+    middle = np.array([*slab.xy_m, slab.height_m])
+    corner = middle - 0.5 * ((w - 1) * u + (h - 1) * v) * _TEXEL_M
+    return _surface(body, corner, u, v, slab.frame)
+
+
+def _walls(spec: SurroundingsSpec, room_m: float, ceiling_m: float, rng: np.random.Generator) -> tuple[Surface, ...]:
+    """Four vertical pictures; columns run along the wall, rows from the camera's height up to the ceiling."""
+    up = np.array([0.0, 0.0, 1.0])
+    out = []
+    for k in range(4):
+        along = np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)][k])
+        start = np.array([(0.0, 0.0, 0.0), (room_m, 0.0, 0.0), (room_m, room_m, 0.0), (0.0, room_m, 0.0)][k])
+        body = _wall_picture(spec, room_m, ceiling_m, rng)
+        out.append(_surface(body, start + 0.5 * _TEXEL_M * (along + up), along, up, "map"))
+    return tuple(out)
+
+
+def _wall_picture(spec: SurroundingsSpec, room_m: float, ceiling_m: float, rng: np.random.Generator) -> Array32:
+    w, h = round(room_m / _TEXEL_M), round(ceiling_m / _TEXEL_M)
+    body = _mottled(_WALL, h, w, rng)
+    rail = round(spec.rail_m / _TEXEL_M)
+    body[rail : rail + round(0.03 / _TEXEL_M)] = _RAIL
+    top, frame = round(spec.door_top_m / _TEXEL_M), round(0.07 / _TEXEL_M)
+    for i in range(spec.doors_per_wall):
+        at = (i + 0.5 + rng.uniform(-0.15, 0.15)) * room_m / spec.doors_per_wall
+        a, b = round((at - 0.45) / _TEXEL_M), round((at + 0.45) / _TEXEL_M)
+        body[:top, max(a, 0) : b] = _FRAME
+        body[: top - frame, max(a + frame, 0) : b - frame] = _LEAF
+    return body
+
+
+def _mottled(albedo: float, h: int, w: int, rng: np.random.Generator) -> Array32:
+    coarse = rng.standard_normal((h // 20 + 2, w // 20 + 2), dtype=np.float32)
+    spread = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(albedo * (1.0 + 0.02 * spread), np.float32)
+
+
+def _surface(body: Array32, corner: Array, u: Array, v: Array, frame: Literal["map", "base"]) -> Surface:
+    picture = np.stack([body, np.ones_like(body)], axis=-1)
+    picture = np.pad(picture, ((_BORDER, _BORDER), (_BORDER, _BORDER), (0, 0)))
+    picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.float32)
+    return Surface(picture, corner - _BORDER * _TEXEL_M * (u + v), u, v, _TEXEL_M, frame)
