@@ -6,7 +6,6 @@ import argparse
 import logging
 import os
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +18,8 @@ from ceilvo.config_check import cross_check
 from ceilvo.config_file import calibration_path, load_config
 from ceilvo.config_file import replace as replace_keys
 from ceilvo.daemon import app
+from ceilvo.daemon.app_replay import replay_recording
+from ceilvo.daemon.app_watch import watch_robots
 from ceilvo.daemon.replay import Outputs
 from ceilvo.errors import CeilvoError, FileFormatError
 
@@ -138,17 +139,17 @@ def _run(options: argparse.Namespace) -> int:
     config = load_config(path, options.set)
     calibration = _checked(config, read_calibration(calibration_path(config, path)), path)
     _log_to_stderr(config.service.log_level)
-    plan = app.plan_real(config, calibration, seconds=options.seconds, summary_file=options.summary)
-    return app.run(plan)
+    return app.run(app.plan_real(config, calibration, options.seconds, options.summary))
 
 
 def _run_simulated(options: argparse.Namespace) -> int:
+    from ceilvo.daemon.app_simulation import simulation  # a robot has no need of it
+
     config = _config(options)
     cross_check(config, None, "config")
     terminal = sys.stdout.isatty()
     _log_to_stderr("error" if terminal else config.service.log_level)
-    how = {"seconds": options.seconds, "summary_file": options.summary or DEFAULT_SUMMARY, "screen": True}
-    with app.simulation(config, options.seed, **how) as plan:
+    with simulation(config, options.seed, options.seconds, options.summary or DEFAULT_SUMMARY, screen=True) as plan:
         return app.run(plan)
 
 
@@ -158,12 +159,11 @@ def _replay(options: argparse.Namespace) -> int:
     config = _config(options)
     calibration = read_calibration(_calibration_file(options, config))
     outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)
-    return app.replay_recording(options.source, config, calibration, outputs, options.reference, options.align)
+    return replay_recording(options.source, config, calibration, outputs, options.reference, options.align)
 
 
 def _watch(options: argparse.Namespace) -> int:
-    config = _config(options)
-    return app.watch_robots(config, options.robot, options.json, options.count, threading.Event())
+    return watch_robots(_config(options).zenoh, options.robot, options.json, options.count)
 
 
 def _check(options: argparse.Namespace) -> int:

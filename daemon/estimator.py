@@ -105,10 +105,10 @@ class Estimator:
             self._pipeline.assume(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for")
         return _SEARCH_SIGMA
 
-    def reset(self) -> None:
-        """Forget pose and map."""
+    def reset(self, keep_map: bool) -> None:
+        """Start again at the configured pose, with the map or without."""
         with self._lock:
-            self._pipeline.reset()
+            self._pipeline.reset(keep_map)
 
     def shown(self) -> Shown:
         with self._lock:

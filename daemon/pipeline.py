@@ -227,16 +227,18 @@ class Pipeline:
     def particles(self) -> tuple[Array, Array]:
         return self._filter.particles()
 
-    def reset(self) -> None:
-        """Forget pose and map; start at the configured initial pose."""
+    def reset(self, keep_map: bool = False) -> None:
+        """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without."""
         cfg = self._config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
+        known = self._filter.landmarks() if keep_map else None
+        if known is None or not len(known):
+            known, self._map_axis_rad = None, None
         self._odometry = VisualOdometry(self._config.odometry)
         self._states.reset("started")
         self._odom = np.zeros(3)
         self._twist = np.zeros(3)
-        self._map_axis_rad = None
-        self._start_at(start, np.diag(_START_SIGMA**2), None, confirmed=True)
+        self._start_at(start, np.diag(_START_SIGMA**2), known, confirmed=known is None)
 
     def assume(self, pose: Array, cov: Array, why: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""

@@ -1,0 +1,159 @@
+"""The figures of a running daemon: counters for health, a snapshot for the screen, a summary for the end."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ceilvo.daemon.estimator import Estimator
+from ceilvo.daemon.screen import BaseLink as ScreenBase
+from ceilvo.daemon.screen import Snapshot
+from ceilvo.daemon.summary import RunStatistics
+from ceilvo.drivers.base_link import BaseLink
+from ceilvo.drivers.capture import CaptureLoop
+from ceilvo.drivers.ports import Publisher
+from ceilvo.types import Array, Estimate, State
+
+_PATH_POINTS = 400
+_PATH_STEP_M = 0.05
+
+Truth = Callable[[int], Array]
+
+
+class Report:
+    """Reads everybody's counters; owns the statistics. Thread-safe."""
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        capture: CaptureLoop,
+        base: BaseLink | None,
+        bus: Publisher | None,
+        truth: Truth | None,
+        clock: Callable[[], int],
+        seed: int,
+    ) -> None:
+        self._estimator, self._capture, self._base, self._bus = estimator, capture, base, bus
+        self._truth, self._clock = truth, clock
+        self._started_ns = clock()
+        self._stats = RunStatistics(seed)
+        self._lock = threading.Lock()
+        self._path: deque[Array] = deque(maxlen=_PATH_POINTS)
+
+    @property
+    def uptime_s(self) -> float:
+        return 1e-9 * (self._clock() - self._started_ns)
+
+    def count(self, estimate: Estimate) -> None:
+        """Add one frame's estimate, just published."""
+        truth = None if self._truth is None else self._truth(estimate.stamp_ns)
+        published_ms = 1e-6 * (self._clock() - estimate.stamp_ns)
+        with self._lock:
+            self._stats.add(estimate, truth)
+            self._stats.add_latency("photon_to_published", published_ms)
+        if not self._path or np.hypot(*(estimate.pose - self._path[-1])[:2]) > _PATH_STEP_M:
+            self._path.append(estimate.pose)
+
+    def counters(self) -> dict[str, object]:
+        """Every counter of the process, by name, for the health message."""
+        capture, last = self._capture.counters(), self._estimator.last
+        with self._lock:
+            fps, latency = self._stats.fps, self._stats.latency()
+        out: dict[str, object] = {
+            "estimate_age_s": None if last is None else 1e-9 * (self._clock() - last.stamp_ns),
+            "fps": fps,
+            "frames": capture.frames,
+            "drops": capture.drops,
+            "bad_frames": capture.bad_frames,
+            "bad_stamps": capture.bad_stamps,
+            "late_frames": self._estimator.late,
+            "camera_connected": capture.connected,
+            "camera_losses": capture.losses,
+            "camera_reopens": capture.reopens,
+            "camera_error": capture.last_error,
+            "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
+        }
+        if self._base is not None:
+            link = self._base.snapshot()
+            out |= {
+                "base_up": link.up,
+                "base_link_age_s": link.link_age_s,
+                "base_reconnects": link.reconnects,
+                "base_error": link.last_error,
+                "telegrams_sent": link.telegrams_sent,
+                "telegrams_failed": link.telegrams_failed,
+            }
+        if self._bus is not None:
+            out["zenoh"] = dict(self._bus.counters())
+        return out
+
+    def status_line(self, state: State, camera_reason: str) -> str:
+        """One line for `systemctl status`."""
+        last = self._estimator.last
+        if not self._capture.counters().connected:
+            return f"{state.name}: {camera_reason}"
+        if last is None:
+            return f"{state.name}: waiting for the first frame"
+        x, y, theta = last.pose
+        return f"{state.name} x={x:.2f} m y={y:.2f} m heading={np.degrees(theta):.1f} deg: {last.reason}"
+
+    def snapshot(
+        self, title: str, waiting: str, room_m: tuple[float, float, float, float] | None, events: tuple[str, ...]
+    ) -> Snapshot:
+        """Everything the screen shows; `waiting` is the reason until there is an estimate."""
+        capture, landmarks = self._capture.counters(), self._estimator.map()[0]
+        link = None if self._base is None else self._base.snapshot()
+        with self._lock:
+            fps, latency = self._stats.fps, self._stats.latency()
+        shown = Snapshot(
+            title=title,
+            reason=waiting,
+            uptime_s=self.uptime_s,
+            fps=fps,
+            frames=capture.frames,
+            drops=capture.drops,
+            latency_ms=latency,
+            landmarks=len(landmarks),
+            landmarks_xy_m=landmarks.xy_map_m,
+            path_xy_m=np.array([p[:2] for p in tuple(self._path)]).reshape(-1, 2),
+            room_m=room_m,
+            base=None if link is None else ScreenBase(link.link_age_s, link.telegrams_sent, link.telegrams_failed),
+            zenoh_samples=None if self._bus is None else self._bus.counters()["samples"],
+            events=events,
+        )
+        last = self._estimator.last
+        return shown if last is None else self._with_estimate(shown, last)
+
+    def _with_estimate(self, shown: Snapshot, last: Estimate) -> Snapshot:
+        d = last.depletion
+        return replace(
+            shown,
+            state=last.state,
+            reason=last.reason,
+            quality=last.quality,
+            pose=last.pose,
+            sigma=np.sqrt(np.maximum(np.diag(last.cov), 0.0)),
+            truth=None if self._truth is None else self._truth(last.stamp_ns),
+            ess_ratio=d.ess / max(d.particles, 1),
+            unique_ancestors=d.unique_ancestors,
+            particles=d.particles,
+            nis=d.nis,
+            crossings=last.crossings,
+            inliers=last.motion.inliers,
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """The run's figures so far (build/run-summary.json)."""
+        link = None if self._base is None else self._base.snapshot()
+        with self._lock:
+            return self._stats.summary(
+                drops=self._capture.counters().drops,
+                telegrams_sent=0 if link is None else link.telegrams_sent,
+                telegrams_failed=0 if link is None else link.telegrams_failed,
+                zenoh_samples=0 if self._bus is None else self._bus.counters()["samples"],
+            )
