@@ -93,7 +93,7 @@ def make_surfaces(spec: SurroundingsSpec, room_m: float, ceiling_m: float, seed:
 
 
 def _slab_surface(slab: Slab, rng: np.random.Generator) -> Surface:
-    w, h = (max(int(round(v / _TEXEL_M)), 4) for v in slab.size_m)
+    w, h = (max(round(v / _TEXEL_M), 4) for v in slab.size_m)
     body = _mottled(slab.albedo, h, w, rng)
     seam = max(int(0.03 / _TEXEL_M), 1)
     cv2.rectangle(body, (seam, seam), (w - 1 - seam, h - 1 - seam), 0.6 * slab.albedo, 2)

@@ -1,0 +1,247 @@
+"""The conditions of the vision bench: what is rendered, what the pipeline believes, and the bars it is held to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from ceilvo.calibration import Calibration, projection_matrix
+from ceilvo.camera import CameraModel
+from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.motion import LapPath, LapSpec, TiltSpec
+from ceilvo.sim.renderer import RenderSpec
+from ceilvo.sim.rig import simulated_calibration, simulated_camera
+from ceilvo.sim.surroundings import Slab, SurroundingsSpec
+from ceilvo.sim.world import World, WorldSpec
+
+LAP = LapSpec(room_m=6.94, inset_m=1.0)  # 19.0 m
+USUAL = RenderSpec()
+TWO_DEG = TiltSpec(float(np.radians(2.0)))
+T_BAR = CeilingSpec(groove_m=0.024, lip_m=0.0, groove_albedo=0.95)
+FAINT = CeilingSpec(groove_albedo=0.66, lip_albedo=0.78)
+BARE = CeilingSpec(joints=False, vents=0, spots=0, stains=3, tile_spread=0.0)
+MOUNT_XY_M = (0.05, -0.03)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure's bound: at least (">=") or at most ("<=") `value`."""
+
+    sense: Literal["<=", ">="]
+    value: float
+
+    def met(self, figure: float) -> bool:
+        """False for nan."""
+        return figure >= self.value if self.sense == ">=" else figure <= self.value
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One run of the bench.
+
+    Attributes:
+        assumed: the calibration given to the pipeline; None is the true one.
+        blackouts_s: starts of one second without light each, as shares of the run.
+        bars: figure name to its bar; the names are those of vision_metrics.figures().
+    """
+
+    name: str
+    about: str
+    spec: WorldSpec = field(default_factory=lambda: WorldSpec(lap=LAP))
+    true: Calibration = field(default_factory=simulated_calibration)
+    assumed: Calibration | None = None
+    fps: float = 30.0
+    blackouts_s: tuple[float, ...] = ()
+    bars: dict[str, Bar] = field(default_factory=dict)
+
+    @property
+    def lap_s(self) -> float:
+        """World time at the end of the first lap."""
+        lap = self.spec.lap
+        return LapPath(lap).lap_m / lap.speed_mps + lap.rest_s + 0.5 * lap.ramp_s
+
+    def world(self) -> World:
+        return World(self.spec, self.true)
+
+    @property
+    def calibration(self) -> Calibration:
+        return self.assumed or self.true
+
+
+def conditions() -> tuple[Condition, ...]:
+    """All of them, in the order of the table."""
+    return (*_light(), *_ceilings(), *_in_the_way(), *_driving(), *_calibration(), *_lenses(), *_stress())
+
+
+def _light() -> list[Condition]:
+    crossings = {
+        "recall_pct": at_least(99.0),
+        "precision_pct": at_least(99.0),
+        "crossing_median_px": at_most(0.08),
+        "crossing_p95_px": at_most(0.5),
+    }
+    motion = {"motion_median_mm": at_most(0.06), "motion_median_mdeg": at_most(1.5), "worst_mm": at_most(8.0)}
+    times = {"time_median": at_most(8.0), "time_p99": at_most(12.0)}
+    return [
+        _make("base", "lamps on, usual noise", bars={**crossings, **motion, **times}),
+        _make("noise-x3", "three times the noise", render=_noisy(3.0), bars=_found(98.0)),
+        _make("noise-x6", "six times the noise", render=_noisy(6.0)),
+        _make("lamps-off", "30 % daylight only", render=replace(USUAL, lit=())),
+        _make("dark", "12 % daylight only", render=replace(USUAL, lit=(), daylight=0.12), bars=_found(97.0)),
+        _make(
+            "flicker-switch",
+            "lamps flicker by 30 % and are switched in three groups",
+            render=replace(USUAL, flicker_depth=0.3, switch_groups=3, switch_period_s=1.7),
+        ),
+        _make("blur-33ms", "33 ms exposure", render=replace(USUAL, exposure_s=0.033), bars=_found(94.0)),
+        _make("blur-66ms", "66 ms exposure", fps=15.0, render=replace(USUAL, exposure_s=0.066)),
+    ]
+
+
+def _ceilings() -> list[Condition]:
+    never_wrong = {"wrong": at_most(0.0), "drift_pct": at_most(0.5)}
+    return [
+        _make("faint", "grooves 13 % darker than tiles", ceiling=FAINT),
+        _make("t-bars-dim", "bright bars with edges 4.5 px apart, daylight only", ceiling=T_BAR, render=_DIM),
+        _make("t-bars-dim-tilt", "the same, tilt up to 2 deg", ceiling=T_BAR, render=_DIM, tilt=TWO_DEG),
+        _make("bare", "plaster with lamps only", ceiling=BARE, bars=never_wrong),
+        _make(
+            "walls",
+            "walls with doors and a rail, seen below the ceiling",
+            lap=replace(LAP, room_m=6.54, inset_m=0.8),
+            surroundings=SurroundingsSpec(walls=True),
+            bars=never_wrong,
+        ),
+    ]
+
+
+def _in_the_way() -> list[Condition]:
+    return [
+        _make("occluded", "plates 1.5 m above the camera pass by", surroundings=OVERHANG),
+        _make("occluded-fixed", "a plate on the robot hides 25 % of the view", surroundings=ON_ROBOT),
+    ]
+
+
+def _driving() -> list[Condition]:
+    bars = {"motion_median_mm": at_most(0.5), "motion_p95_mm": at_most(1.8), "worst_mm": at_most(15.0)}
+    fast = replace(LAP, speed_mps=0.8, corner_radius_m=0.8 / np.radians(90.0))
+    return [
+        _make("tilt", "tilt up to 2 deg with vibration", tilt=TWO_DEG, bars=bars),
+        _make("fast", "0.8 m/s, turns of 90 deg/s", lap=fast),
+        _make("5-fps", "5 frames a second", fps=5.0),
+        _make("blackout", "1 s without light on a straight", blackouts=(0.33,)),
+        _make("blackout-bend", "1 s without light in a bend", blackouts=(0.23,)),
+    ]
+
+
+def _calibration() -> list[Condition]:
+    return [
+        _make("cal-k1", "k1 5 % too large", assumed=misjudged(k1=1.05)),
+        _make("cal-f", "f 0.5 % too long", assumed=misjudged(f=1.005)),
+        _make("cal-centre", "principal point off by 2 px in x and y", assumed=misjudged(centre_px=2.0)),
+        _make("cal-all", "all three", assumed=misjudged(1.05, 1.005, 2.0)),
+    ]
+
+
+def _lenses() -> list[Condition]:
+    return [
+        _make("1280x720", "larger picture", true=simulated_calibration(simulated_camera("pinhole", 1280, 720))),
+        _make("fisheye", "fisheye lens", true=simulated_calibration(simulated_camera("fisheye"))),
+    ]
+
+
+def _stress() -> list[Condition]:
+    render = replace(_noisy(3.0), flicker_depth=0.3, switch_groups=3, switch_period_s=1.7)
+    about = "noise x3, flicker, switching, tilt 2 deg, plates pass by"
+    stress: dict[str, Any] = {"render": render, "tilt": TWO_DEG, "surroundings": OVERHANG}
+    return [
+        _make("mixed", about, **stress, bars={"restarts": at_most(0.0), "drift_pct": at_most(0.1)}),
+        _make(
+            "mixed-cal",
+            about + ", calibration errors",
+            **stress,
+            assumed=misjudged(1.05, 1.005, 2.0),
+            bars={"restarts": at_most(0.0), "drift_pct": at_most(0.5)},
+        ),
+    ]
+
+
+def at_least(value: float) -> Bar:
+    return Bar(">=", value)
+
+
+def at_most(value: float) -> Bar:
+    return Bar("<=", value)
+
+
+def misjudged(k1: float = 1.0, f: float = 1.0, centre_px: float = 0.0) -> Calibration:
+    """The simulated camera as a poor commissioning would describe it: factors of k1 and f, shift of the centre."""
+    true = simulated_calibration()
+    cam = true.camera
+    wrong = CameraModel(
+        kind=cam.kind,
+        width_px=cam.width_px,
+        height_px=cam.height_px,
+        fx_px=cam.fx_px * f,
+        fy_px=cam.fy_px * f,
+        cx_px=cam.cx_px + centre_px,
+        cy_px=cam.cy_px + centre_px,
+        distortion=(cam.distortion[0] * k1, *cam.distortion[1:]),
+    )
+    mount = float(true.mount_xy_m[0]), float(true.mount_xy_m[1])
+    projection = projection_matrix(wrong, true.camera_from_base, mount, true.ceiling_height_m)
+    return replace(true, camera=wrong, projection=projection)
+
+
+def _make(
+    name: str,
+    about: str,
+    *,
+    render: RenderSpec = USUAL,
+    ceiling: CeilingSpec | None = None,
+    lap: LapSpec = LAP,
+    tilt: TiltSpec | None = None,
+    surroundings: SurroundingsSpec | None = None,
+    true: Calibration | None = None,
+    assumed: Calibration | None = None,
+    fps: float = 30.0,
+    blackouts: tuple[float, ...] = (),
+    bars: dict[str, Bar] | None = None,
+) -> Condition:
+    spec = WorldSpec(
+        lap=lap,
+        ceiling=ceiling or CeilingSpec(),
+        render=render,
+        tilt=tilt or TiltSpec(),
+        surroundings=surroundings or SurroundingsSpec(),
+    )
+    all_bars = {**(bars or {}), "heading_deg": at_most(0.1)}
+    return Condition(name, about, spec, true or simulated_calibration(), assumed, fps, blackouts, all_bars)
+
+
+def _found(recall_pct: float) -> dict[str, Bar]:
+    return {"recall_pct": at_least(recall_pct), "precision_pct": at_least(98.0)}
+
+
+def _noisy(times: float) -> RenderSpec:
+    return replace(USUAL, read_noise=USUAL.read_noise * times, shot_noise=USUAL.shot_noise * times**2)
+
+
+def _overhang() -> SurroundingsSpec:
+    """Plates along the path, each wider than a quarter of the view, none parallel to the ceiling's grid."""
+    path = LapPath(LAP)
+    slabs = []
+    for k, travel in enumerate(np.arange(1.5, path.lap_m, 1.7)):
+        t = travel / LAP.speed_mps + LAP.rest_s + 0.5 * LAP.ramp_s
+        x, y, theta = path.pose_at(t)
+        side = 0.35 if k % 2 else -0.35
+        at = (float(x - side * np.sin(theta)), float(y + side * np.cos(theta)))
+        slabs.append(Slab(at, (1.1, 0.85), float(theta + (0.2, -0.3, 0.45)[k % 3]), 1.5))
+    return SurroundingsSpec(slabs=tuple(slabs))
+
+
+_DIM = replace(USUAL, lit=())
+OVERHANG = _overhang()
+ON_ROBOT = SurroundingsSpec(slabs=(Slab((MOUNT_XY_M[0], 0.17), (0.9, 0.19), 0.0, 0.5, 0.1, "base"),))

@@ -1,0 +1,209 @@
+"""Figures of merit against the simulator's exact truth.
+
+Crossings are compared in the level view of the calibration that the pipeline was given, tilt taken out, so that an
+error of the calibration or of the estimated tilt counts as an error of the crossing.
+
+- recall: true grid crossings (four arms or three) and corners of lit lamps whose image is inside the frame by
+  `MARGIN_PX` and not hidden; found = a crossing reported within `FOUND_PX`.
+- precision: reported crossings within `FOUND_PX` of a place where two true lines (grooves, lamp and vent edges) meet.
+- error: distance from a found true crossing to the nearest report.
+- motion: a good motion against the true one since the last good frame; NEES of the same with the motion's covariance.
+- drift: worst position error of the integrated motions over the path's length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo import se2
+from ceilvo.calibration import Calibration
+from ceilvo.sim.ceiling_layout import CrossingKind
+from ceilvo.sim.world import World
+from ceilvo.types import Crossings, Motion
+
+Array = NDArray[np.float64]
+
+MARGIN_PX = 14.0
+FOUND_PX = 3.0
+WRONG_M = 0.02
+_CLEAR_PX = 14
+_NO_CALIBRATED_VIEW_DEG = 68.0
+
+
+@dataclass
+class CrossingScore:
+    """Counts and errors of crossings, frame after frame."""
+
+    world: World
+    calibration: Calibration
+    found: int = 0
+    missed: int = 0
+    right: int = 0
+    wrong: int = 0
+    errors_px: list[Array] = field(default_factory=list)
+    lamp_errors_px: list[Array] = field(default_factory=list)
+    recall_per_frame: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        xy, kind = self.world.ceiling.true_crossings()
+        render = self.world.spec.render
+        lamps_seen = render.lit is None and render.switch_groups == 0
+        wanted = (kind == CrossingKind.CROSS) | (kind == CrossingKind.TEE)
+        if lamps_seen:
+            wanted |= kind == CrossingKind.LAMP
+        self._true = xy[wanted]
+        self._is_lamp = kind[wanted] == CrossingKind.LAMP
+        self._plausible = np.concatenate([self.world.ceiling.true_intersections(), self._wall_meetings()])
+
+    def add(self, crossings: Crossings | None, pose: Array, tilt: Array) -> None:
+        """Score one frame seen from a true pose (3,) with a true tilt (2,)."""
+        shown = self._visible(pose, tilt)
+        true_uv = self._level(self._true[shown], pose)
+        uv = crossings.uv_px if crossings is not None else np.zeros((0, 2))
+        nearest = _nearest(true_uv, uv)
+        good = nearest < FOUND_PX
+        self.found += int(good.sum())
+        self.missed += int((~good).sum())
+        self.errors_px.append(nearest[good])
+        self.lamp_errors_px.append(nearest[good & self._is_lamp[shown]])
+        if len(good):
+            self.recall_per_frame.append(float(good.mean()))
+        near = np.hypot(*(self._plausible - pose[:2]).T) < 6.0
+        ok = _nearest(uv, self._level(self._plausible[near], pose)) < FOUND_PX
+        self.right += int(ok.sum())
+        self.wrong += int((~ok).sum())
+
+    def figures(self) -> dict[str, float]:
+        errors, lamps = np.concatenate(self.errors_px or [np.zeros(0)]), np.concatenate(self.lamp_errors_px or [[]])
+        frames = max(len(self.errors_px), 1)
+        return {
+            "recall_pct": _share(self.found, self.missed),
+            "precision_pct": _share(self.right, self.wrong),
+            "crossing_median_px": _quantile(errors, 0.5),
+            "crossing_p95_px": _quantile(errors, 0.95),
+            "lamp_corner_p95_px": _quantile(np.asarray(lamps), 0.95),
+            "crossings_true_per_frame": (self.found + self.missed) / frames,
+            "crossings_reported_per_frame": (self.right + self.wrong) / frames,
+            "recall_worst_frame_pct": 100.0 * min(self.recall_per_frame, default=float("nan")),
+        }
+
+    def _level(self, xy_map: Array, pose: Array) -> Array:
+        base = se2.transform(se2.inverse(pose), xy_map)
+        s = np.column_stack([base, np.ones(len(base))]) @ self.calibration.level_from_ceiling.T
+        return np.asarray(s[:, :2] / s[:, 2:])
+
+    def _visible(self, pose: Array, tilt: Array) -> NDArray[np.bool_]:
+        """Which true crossings are in the picture, by the true calibration and the true tilt, and not hidden."""
+        true = self.world.calibration
+        base = se2.transform(se2.inverse(pose), self._true) - true.mount_xy_m
+        ray = np.column_stack([base / true.ceiling_height_m, np.ones(len(base))])
+        steep = np.hypot(ray[:, 0], ray[:, 1]) > np.tan(np.radians(_NO_CALIBRATED_VIEW_DEG))
+        seen = ray @ cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]  # transposed: base_from_tilted is R
+        uv = true.camera.pixels(seen @ true.camera_from_base.T)
+        cam = true.camera
+        with np.errstate(invalid="ignore"):
+            inside = np.all((uv > MARGIN_PX) & (uv < [cam.width_px - 1 - MARGIN_PX, cam.height_px - 1 - MARGIN_PX]), 1)
+        inside &= ~steep
+        surroundings = self.world.spec.surroundings
+        if surroundings.slabs or surroundings.walls:
+            hidden = cv2.dilate(self.world.renderer.occlusion(pose, tilt), np.ones((2 * _CLEAR_PX + 1,) * 2)) > 0.02
+            at = np.rint(uv[inside]).astype(np.int64)
+            inside[inside] = ~hidden[at[:, 1], at[:, 0]]
+        return np.asarray(inside)
+
+    def _wall_meetings(self) -> Array:
+        """Where the ceiling's lines run into a wall, and the corners of the room: real features at ceiling height."""
+        if not self.world.spec.surroundings.walls:
+            return np.zeros((0, 2))
+        side = self.world.spec.lap.room_m
+        lines = self.world.ceiling.true_lines()
+        out = [np.array([[0.0, 0.0], [0.0, side], [side, 0.0], [side, side]])]
+        for axis in (0, 1):
+            at = np.unique(np.round(lines.segments[lines.axis == axis][:, 0, axis], 6))
+            for wall in (0.0, side):
+                out.append(np.column_stack([at, np.full(len(at), wall)])[:, :: 1 if axis == 0 else -1])
+        return np.concatenate(out)
+
+
+class MotionScore:
+    """Motions against truth, and the path they add up to."""
+
+    def __init__(self, start: Array) -> None:
+        self._pose = np.array(start, np.float64)
+        self._anchor_true = np.array(start, np.float64)
+        self._since = np.zeros(3)
+        self._started = False
+        self.errors: list[Array] = []
+        self.nees: list[float] = []
+        self.failures: dict[str, int] = {}
+        self.frames = self.wrong = self.restarts = 0
+        self.position_errors_m: list[float] = []
+        self.heading_errors_rad: list[float] = []
+        self.wrong_at: list[int] = []
+
+    def add(self, motion: Motion, true: Array) -> None:
+        """One frame's motion and the true pose (3,) at its time."""
+        self.frames += 1
+        self._pose = se2.compose(self._pose, motion.prev_from_curr)
+        self._since = se2.compose(self._since, motion.prev_from_curr)
+        if not motion.ok and self._started:
+            first = "".join(c for c in str(motion.failure) if not c.isdigit())
+            self.failures[first] = self.failures.get(first, 0) + 1
+        elif motion.ok:
+            self._judge(motion, se2.between(self._anchor_true, true))
+        if motion.ok or motion.restarted:
+            self.restarts += self._started and motion.restarted
+            self._anchor_true, self._since, self._started = true, np.zeros(3), True
+        self.position_errors_m.append(float(np.hypot(*(self._pose - true)[:2])))
+        self.heading_errors_rad.append(abs(se2.wrap(float(self._pose[2] - true[2]))))
+
+    def _judge(self, motion: Motion, true_motion: Array) -> None:
+        error = self._since - true_motion
+        error[2] = se2.wrap(float(error[2]))
+        self.errors.append(error)
+        self.nees.append(float(error @ np.linalg.solve(motion.cov, error)))
+        if float(np.hypot(error[0], error[1])) > WRONG_M:
+            self.wrong += 1
+            self.wrong_at.append(self.frames - 1)
+
+    def figures(self, path_m: float) -> dict[str, float]:
+        errors = np.array(self.errors).reshape(-1, 3)
+        xy = 1e3 * np.hypot(errors[:, 0], errors[:, 1])
+        turn = 1e3 * np.degrees(np.abs(errors[:, 2]))
+        worst_m = max(self.position_errors_m, default=float("nan"))
+        nees = np.array(self.nees)
+        return {
+            "motion_median_mm": _quantile(xy, 0.5),
+            "motion_p95_mm": _quantile(xy, 0.95),
+            "motion_max_mm": float(xy.max(initial=0.0)),
+            "motion_median_mdeg": _quantile(turn, 0.5),
+            "motion_p95_mdeg": _quantile(turn, 0.95),
+            "worst_mm": 1e3 * worst_m,
+            "final_mm": 1e3 * self.position_errors_m[-1],
+            "drift_pct": 100.0 * worst_m / path_m if path_m > 0 else float("nan"),
+            "heading_deg": float(np.degrees(self.heading_errors_rad[-1])),
+            "nees_mean": float(nees.mean()) / 3.0 if len(nees) else float("nan"),
+            "nees_median": _quantile(nees, 0.5) / 2.366,  # the median of chi squared with 3 degrees of freedom
+            "failed": float(sum(self.failures.values())),
+            "restarts": float(self.restarts),
+            "wrong": float(self.wrong),
+        }
+
+
+def _nearest(a: Array, b: Array) -> Array:
+    """(len(a),) distance to the nearest of b; infinite without any."""
+    if len(a) == 0 or len(b) == 0:
+        return np.full(len(a), np.inf)
+    return np.asarray(np.sqrt(np.min(np.sum((a[:, None] - b[None]) ** 2, axis=2), axis=1)))
+
+
+def _share(good: int, bad: int) -> float:
+    return 100.0 * good / (good + bad) if good + bad else float("nan")
+
+
+def _quantile(values: Array, q: float) -> float:
+    return float(np.quantile(values, q)) if len(values) else float("nan")
