@@ -30,6 +30,8 @@ EXCEPTIONS = {
     "daemon/app_simulation.py": {"drivers", "sim"},
 }
 
+APP_CALLERS = ("daemon/cli.py", "daemon/app", "bench/")
+
 IMPURE = {
     *("time", "datetime", "os", "io", "pathlib", "logging", "threading", "queue", "socket", "subprocess", "random"),
     *("multiprocessing", "asyncio", "signal", "secrets", "serial", "pymodbus", "zenoh", "rich", "yaml", "json", "sys"),

@@ -64,7 +64,9 @@ def test_variance_is_sigma_squared_from_below_the_camera_plus_the_crossing_s_own
     seen = crossings([[1.0, 0.5]], [4], cov=1e-6, common=4e-7)
     obs = observe(seen, CURVES, np.array([0.1, 0.5]), np.zeros(3), landmarks([], []), Filter(), 0.0)
     r = 0.9
-    np.testing.assert_allclose(obs.var_m2[0], [(0.002 + 0.001 * r**2) ** 2 + 1e-6, (0.003 + 0.002 * r) ** 2 + 1e-6], 1e-4)
+    np.testing.assert_allclose(
+        obs.var_m2[0], [(0.002 + 0.001 * r**2) ** 2 + 1e-6, (0.003 + 0.002 * r) ** 2 + 1e-6], 1e-4
+    )
     assert obs.common_var_m2 == pytest.approx(4e-7)
     assert obs.heading_var_rad2 == pytest.approx(2e-6)
 
