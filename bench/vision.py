@@ -30,7 +30,7 @@ QUICK_S = 6.0
 _REPORT_EVERY = 15
 _TABLE_WIDTH = 232
 COLUMNS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("recall\n%", (("recall_pct", ".2f"),)),
+    ("recall %\nall grid", (("recall_pct", ".1f"), ("recall_grid_pct", ".1f"))),
     ("precis.\n%", (("precision_pct", ".2f"),)),
     ("cross.\nmed px", (("crossing_median_px", ".3f"),)),
     ("cross.\np95 px", (("crossing_p95_px", ".3f"),)),

@@ -6,7 +6,8 @@ error of the calibration or of the estimated tilt counts as an error of the cros
 - recall: true grid crossings (four arms or three) and corners of lit lamps whose image is inside the frame by
   `MARGIN_PX` and not hidden; found = a crossing reported within `FOUND_PX`.
 - precision: reported crossings within `FOUND_PX` of a place where two true lines (grooves, lamp and vent edges) meet.
-- error: distance from a found true crossing to the nearest report.
+- error: distance from a found true grid crossing to the nearest report. Corners of lamps have an error of their own: a
+  lamp saturates the sensor, so its edge is seen more than a pixel outside of where it is.
 - motion: a good motion against the true one since the last good frame; NEES of the same with the motion's covariance.
 - drift: worst position error of the integrated motions over the path's length.
 """
@@ -44,6 +45,8 @@ class CrossingScore:
     missed: int = 0
     right: int = 0
     wrong: int = 0
+    lamps_found: int = 0
+    lamps_missed: int = 0
     errors_px: list[Array] = field(default_factory=list)
     lamp_errors_px: list[Array] = field(default_factory=list)
     recall_per_frame: list[float] = field(default_factory=list)
@@ -68,8 +71,11 @@ class CrossingScore:
         good = nearest < FOUND_PX
         self.found += int(good.sum())
         self.missed += int((~good).sum())
-        self.errors_px.append(nearest[good])
-        self.lamp_errors_px.append(nearest[good & self._is_lamp[shown]])
+        lamp = self._is_lamp[shown]
+        self.errors_px.append(nearest[good & ~lamp])
+        self.lamp_errors_px.append(nearest[good & lamp])
+        self.lamps_found += int((good & lamp).sum())
+        self.lamps_missed += int((~good & lamp).sum())
         if len(good):
             self.recall_per_frame.append(float(good.mean()))
         near = np.hypot(*(self._plausible - pose[:2]).T) < 6.0
@@ -82,6 +88,8 @@ class CrossingScore:
         frames = max(len(self.errors_px), 1)
         return {
             "recall_pct": _share(self.found, self.missed),
+            "recall_grid_pct": _share(self.found - self.lamps_found, self.missed - self.lamps_missed),
+            "recall_lamps_pct": _share(self.lamps_found, self.lamps_missed),
             "precision_pct": _share(self.right, self.wrong),
             "crossing_median_px": _quantile(errors, 0.5),
             "crossing_p95_px": _quantile(errors, 0.95),
