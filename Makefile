@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
-.PHONY: help run test check config dist test-robot clean
+.PHONY: help run test check config dist test-robot bench-vision bench-real clean
 .DEFAULT_GOAL := help
 
 help:
@@ -13,6 +13,8 @@ help:
 	@echo "make test              every check and every test that needs no special rights"
 	@echo "make check             format, lint and types only"
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
+	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each)"
+	@echo "make bench-real DATA=d recordings of real ceilings in folder d"
 	@echo "make dist              wheel and source archive in dist/"
 	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
@@ -37,6 +39,12 @@ dist: $(VENV)/.installed-dev
 
 test-robot:
 	bash tests/robot/run.sh
+
+bench-vision: $(VENV)/.installed-dev
+	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS))
+
+bench-real: $(VENV)/.installed-dev
+	@$(BIN)/python -m ceilvo.bench.real $(or $(DATA),../shared/data)
 
 clean:
 	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
