@@ -11,18 +11,27 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 
-Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Int16s = NDArray[np.int16]
 
 _MEDIAN_TO_SIGMA = 1.4826
-_NOISE_STRIDE = 7
+_NOISE_STRIDE = 11
+_LEVELS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
 class Edges:
-    """Edge points: uv_px (P, 2) in the level view relative to its principal point, gradient direction phi_rad (P,)."""
+    """Edge points.
 
-    uv_px: Array
-    phi_rad: Array
+    Attributes:
+        uv_px: (P, 2) in the level view, relative to its principal point.
+        phi_deg: (P,) direction of the gradient, along which brightness rises, in [0, 360).
+        share: how many of the edge points these are; a frame with very many is sampled evenly.
+    """
+
+    uv_px: Array32
+    phi_deg: Array32
+    share: float = 1.0
 
 
 class EdgeDetector:
@@ -33,52 +42,56 @@ class EdgeDetector:
         camera = calibration.camera
         self._width = camera.width_px
         uv, jacobian = calibration.level_view.lookup(config.max_view_deg)
-        self._uv = uv.reshape(-1, 2)
-        self._jacobian = jacobian.reshape(-1, 4)
-        usable = np.isfinite(self._uv[:, 0]).reshape(camera.height_px, camera.width_px)
+        self._lookup = np.concatenate([uv, jacobian], axis=2).reshape(-1, 6)
+        usable = np.isfinite(uv[..., 0])
         usable[[0, -1], :] = False
         usable[:, [0, -1]] = False
-        self._usable = usable.astype(np.uint8)
+        self._usable = usable.astype(np.uint8) * 255
+        # a fixed, patternless order of the pixels: a regular one would favour lines at some angle
+        self._rank = np.random.default_rng(0).permutation(usable.size) * _LEVELS // usable.size
 
     def __call__(self, gray: NDArray[np.uint8]) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size."""
         size = self._config.smoothing_px
         smooth = cv2.GaussianBlur(gray, (size, size), 0)
-        dx = cv2.Sobel(smooth, cv2.CV_16S, 1, 0, ksize=3)
-        dy = cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3)
+        dx = np.asarray(cv2.Sobel(smooth, cv2.CV_16S, 1, 0, ksize=3), np.int16)
+        dy = np.asarray(cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3), np.int16)
         noise = _MEDIAN_TO_SIGMA * float(np.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE])))
         high = max(self._config.canny_sigmas * noise, self._config.canny_floor)
         mask = cv2.Canny(dx, dy, self._config.canny_low_ratio * high, high, L2gradient=True)
-        at = np.flatnonzero(cv2.bitwise_and(mask, mask, mask=self._usable))
-        return self._to_level(at, np.asarray(dx, np.int16).reshape(-1), np.asarray(dy, np.int16).reshape(-1))
+        found = cv2.findNonZero(cv2.bitwise_and(mask, self._usable))
+        if found is None:
+            return Edges(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+        xy = found.reshape(-1, 2)
+        at, share = self._sample(xy[:, 1] * self._width + xy[:, 0])
+        return self._to_level(at, dx.reshape(-1), dy.reshape(-1), share)
 
-    def _to_level(self, at: NDArray[np.intp], dx: NDArray[np.int16], dy: NDArray[np.int16]) -> Edges:
-        gx, gy = dx[at].astype(np.float32), dy[at].astype(np.float32)
+    def _sample(self, at: NDArray[np.int32]) -> tuple[NDArray[np.int32], float]:
+        share = self._config.max_edge_points / max(len(at), 1)
+        if share >= 1.0:
+            return at, 1.0
+        return at[self._rank.take(at) < share * _LEVELS], share
+
+    def _to_level(self, at: NDArray[np.int32], dx: Int16s, dy: Int16s, share: float) -> Edges:
+        gx, gy = dx.take(at).astype(np.float32), dy.take(at).astype(np.float32)
         shift, horizontal = _subpixel_shift(at, self._width, gx, gy, dx, dy)
-        jac = self._jacobian[at]
-        uv = self._uv[at].astype(np.float64)
-        step = np.where(horizontal[:, None], jac[:, [0, 2]], jac[:, [1, 3]])
-        uv += step * shift[:, None]
+        u, v, du_dx, du_dy, dv_dx, dv_dy = self._lookup.take(at, axis=0).T
+        uv = np.empty((len(at), 2), np.float32)
+        uv[:, 0] = u + shift * np.where(horizontal, du_dx, du_dy)
+        uv[:, 1] = v + shift * np.where(horizontal, dv_dx, dv_dy)
         # a gradient is a covector: it turns with the inverse transpose of the look-up's Jacobian
-        level_gx = jac[:, 3] * gx - jac[:, 2] * gy
-        level_gy = -jac[:, 1] * gx + jac[:, 0] * gy
-        return Edges(uv, np.arctan2(level_gy, level_gx).astype(np.float64))
+        phi = cv2.phase(dv_dy * gx - dv_dx * gy, du_dx * gy - du_dy * gx, angleInDegrees=True)
+        return Edges(uv, np.asarray(phi, np.float32).reshape(-1), share)
 
 
 def _subpixel_shift(
-    at: NDArray[np.intp],
-    width: int,
-    gx: NDArray[np.float32],
-    gy: NDArray[np.float32],
-    dx: NDArray[np.int16],
-    dy: NDArray[np.int16],
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    at: NDArray[np.int32], width: int, gx: Array32, gy: Array32, dx: Int16s, dy: Int16s
+) -> tuple[Array32, NDArray[np.bool_]]:
     """Peak of the parabola through the gradient magnitude and its neighbours along the steeper image axis."""
     horizontal = np.abs(gx) >= np.abs(gy)
-    step = np.where(horizontal, 1, width)
+    step = np.where(horizontal, 1, width).astype(np.int32)
     here = np.hypot(gx, gy)
-    before = np.hypot(dx[at - step].astype(np.float32), dy[at - step].astype(np.float32))
-    after = np.hypot(dx[at + step].astype(np.float32), dy[at + step].astype(np.float32))
-    curvature = 2.0 * here - before - after
-    shift = np.where(curvature > 1e-3, 0.5 * (after - before) / np.maximum(curvature, 1e-3), 0.0)
-    return np.clip(shift, -0.5, 0.5).astype(np.float32), horizontal
+    before = np.hypot(dx.take(at - step).astype(np.float32), dy.take(at - step).astype(np.float32))
+    after = np.hypot(dx.take(at + step).astype(np.float32), dy.take(at + step).astype(np.float32))
+    curvature = np.maximum(2.0 * here - before - after, np.float32(1e-3))
+    return np.clip(0.5 * (after - before) / curvature, -0.5, 0.5), horizontal

@@ -16,13 +16,18 @@ from ceilvo.daemon.edges import Edges
 from ceilvo.types import LineKind, Lines
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
-_GATES_PX = (6.0, 3.0, 2.0)
+_GATES_PX = (6.0, 2.5)
 _LAST_GATE_PX = (0.8, 2.0)
 _LAST_GATE_SIGMAS = 3.0
-_DIRECTION_BINS = 90
+_DIRECTION_REACH_DEG = 4.0
 _SAME_LINE_PX = 3.0
+_ANGLE_STRIDE = 3
+_FEWEST_VOTES = 8.0
+_APART_PX = 1e6
+_FEWEST_SUPPORT = 4.0
 _CORRELATED_POINTS = 3.0
 _SIGMA_FLOOR_PX = 0.02
 
@@ -38,27 +43,27 @@ class _Group:
         return np.asarray(np.cos(angle) * self.x + np.sin(angle) * self.y)
 
 
-def dominant_direction(phi_rad: Array) -> float | None:
+def dominant_direction(phi_deg: Array32) -> float | None:
     """Direction in [-pi/4, pi/4) that most gradients share modulo 90 deg, or None without points."""
-    if len(phi_rad) == 0:
+    if len(phi_deg) == 0:
         return None
-    folded = np.mod(4.0 * phi_rad, 2.0 * np.pi)
-    width = 2.0 * np.pi / _DIRECTION_BINS
-    votes = np.bincount((folded / width).astype(np.int64) % _DIRECTION_BINS, minlength=_DIRECTION_BINS)
-    smooth = votes + np.roll(votes, 1) + np.roll(votes, -1)
-    peak = (float(np.argmax(smooth)) + 0.5) * width
-    near = np.abs(_wrap(folded - peak)) < 4.0 * np.radians(4.0)
-    psi = (peak + float(np.mean(_wrap(folded[near] - peak)))) / 4.0
-    return _fold(psi)
+    folded = np.mod(phi_deg, np.float32(90.0))
+    votes = np.bincount(folded.astype(np.int32), minlength=91)
+    votes[0] += votes[90]  # float32 rounding may reach 90 itself
+    votes = votes[:90]
+    peak = float(np.argmax(votes + np.roll(votes, 1) + np.roll(votes, -1))) + 0.5
+    off = np.mod(folded - np.float32(peak - 45.0), np.float32(90.0)) - 45.0
+    near = off[np.abs(off) < _DIRECTION_REACH_DEG]
+    return _fold(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))
 
 
 def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
     """Lines of one frame, or None when too few edge points agree on a direction."""
-    psi = dominant_direction(edges.phi_rad)
+    psi = dominant_direction(edges.phi_deg)
     if psi is None:
         return None
-    groups = _split(edges, psi, np.radians(config.direction_gate_deg))
-    psi, starts = _hough(groups, psi, config)
+    groups = _split(edges, psi, config.direction_gate_deg)
+    psi, starts = _hough(groups, psi, config, edges.share)
     if sum(len(s) for s in starts) < 2:
         return None
     fit = _Fit(groups, psi, starts, focal_px, config)
@@ -67,28 +72,31 @@ def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
         fit.solve()
     fit.assign(fit.last_gate_px())
     fit.solve()
-    return _join_grooves(fit, config)
+    return _join_grooves(fit, config, edges.share)
 
 
-def _split(edges: Edges, psi: float, gate_rad: float) -> list[_Group]:
+def _split(edges: Edges, psi: float, gate_deg: float) -> list[_Group]:
     """Four groups: axis 0 falling, axis 0 rising, axis 1 falling, axis 1 rising along the normal."""
-    off = edges.phi_rad - psi
-    quarter = np.rint(off / (0.5 * np.pi)).astype(np.int64)
-    quarter = np.where(np.abs(off - quarter * (0.5 * np.pi)) < gate_rad, quarter % 4, -1)
-    members = (edges.uv_px[quarter == q] for q in (2, 0, 3, 1))
+    turns = (edges.phi_deg - np.float32(np.degrees(psi))) * np.float32(1 / 90.0)
+    nearest = np.rint(turns)
+    quarter = np.where(np.abs(turns - nearest) < gate_deg / 90.0, nearest.astype(np.int8) & 3, 4)
+    members = (edges.uv_px[quarter == q].astype(np.float64) for q in (2, 0, 3, 1))
     return [_Group(np.ascontiguousarray(uv[:, 0]), np.ascontiguousarray(uv[:, 1])) for uv in members]
 
 
-def _hough(groups: list[_Group], psi: float, config: Features) -> tuple[float, list[Array]]:
+def _hough(groups: list[_Group], psi: float, config: Features, share: float) -> tuple[float, list[Array]]:
     """The direction with the sharpest votes and, for each group, line offsets."""
-    reach = np.radians(config.hough_angle_deg)
-    best, best_score, best_votes = psi, -1.0, [np.zeros((0, 2))] * 4
-    for angle in psi + np.linspace(-reach, reach, 5):
-        votes = [_votes(g.along(angle + 0.5 * np.pi * (k // 2)), config.hough_bin_px) for k, g in enumerate(groups)]
-        score = sum(float(np.sum(v[:, 1] ** 2)) for v in votes)
-        if score > best_score:
-            best, best_score, best_votes = float(angle), score, votes
-    return best, [_peaks(v, config) for v in best_votes]
+    reach, bin_px = np.radians(config.hough_angle_deg), config.hough_bin_px
+    few = [_Group(g.x[::_ANGLE_STRIDE], g.y[::_ANGLE_STRIDE]) for g in groups]
+    angles = psi + np.linspace(-reach, reach, 5)
+    sharpness = [sum(float(np.sum(v[:, 1] ** 2)) for v in _all_votes(few, angle, bin_px)) for angle in angles]
+    best = float(angles[int(np.argmax(sharpness))])
+    need = max(config.min_line_points * share, _FEWEST_VOTES)
+    return best, [_peaks(v, need, config) for v in _all_votes(groups, best, bin_px)]
+
+
+def _all_votes(groups: list[_Group], angle: float, bin_px: float) -> list[Array]:
+    return [_votes(g.along(angle + 0.5 * np.pi * (k // 2)), bin_px) for k, g in enumerate(groups)]
 
 
 def _votes(rho: Array, bin_px: float) -> Array:
@@ -101,14 +109,14 @@ def _votes(rho: Array, bin_px: float) -> Array:
     return np.column_stack([(np.arange(len(count)) + first + 0.5) * bin_px, count])
 
 
-def _peaks(votes: Array, config: Features) -> Array:
+def _peaks(votes: Array, need: float, config: Features) -> Array:
     """Offsets of local maxima of three neighbouring bins, strongest `max_lines`, sorted."""
     if len(votes) == 0:
         return np.zeros(0)
     count = np.concatenate([[0.0], votes[:, 1], [0.0]])
     three = count[:-2] + count[1:-1] + count[2:]
     left, right = np.concatenate([[0.0], three[:-1]]), np.concatenate([three[1:], [0.0]])
-    at = np.flatnonzero((three >= config.min_line_points) & (three > left) & (three >= right))
+    at = np.flatnonzero((three >= need) & (three > left) & (three >= right))
     at = np.sort(at[np.argsort(-three[at], kind="stable")[: config.max_lines]])
     moment = (count[2:][at] - count[:-2][at]) / three[at]
     return np.asarray(votes[at, 0] + moment * config.hough_bin_px)
@@ -142,44 +150,40 @@ class _Fit:
 
     @property
     def uv(self) -> Array:
-        """(P, 2) px of all points as a level robot would see them."""
-        return np.column_stack([self._x, self._y]) * self._focal
+        """(P, 2) px of the remaining points as a level robot would see them."""
+        x, y = self._level()
+        return np.column_stack([x, y]) * self._focal
 
     def _place(self) -> None:
         """Turn the seen rays back by the robot's tilt; rho is along a point's normal, tangent along its line."""
+        x, y = self._level()
+        c, s = np.cos(self.psi), np.sin(self.psi)
+        half = self._ends[2]
+        self.rho, self._tangent = c * x + s * y, c * y - s * x
+        swap = self.rho[half:].copy()
+        self.rho[half:] = self._tangent[half:]
+        self._tangent[half:] = -swap
+
+    def _level(self) -> tuple[Array, Array]:
         a, b = self.tilt
         x, y = self._seen_x, self._seen_y
         scale = 1.0 / (1.0 + a * y - b * x)
-        self._x, self._y = (x + b) * scale, (y - a) * scale
-        c, s = np.cos(self.psi), np.sin(self.psi)
-        along_0, along_1 = c * self._x + s * self._y, c * self._y - s * self._x
-        half = self._ends[2]
-        self.rho = np.concatenate([along_0[:half], along_1[half:]])
-        self._tangent = np.concatenate([along_1[:half], -along_0[half:]])
+        return (x + b) * scale, (y - a) * scale
 
     def assign(self, gate_px: float) -> None:
         """Give every point the nearest line of its axis and polarity within the gate; drop points of no line."""
-        none = len(self.offset)
-        line = np.full(len(self.rho), none, np.int64)
         rho_px = self.rho * self._focal
-        for g in range(4):
-            ids = np.flatnonzero(self.line_group == g)
-            if len(ids) == 0:
-                continue
-            ids = ids[np.argsort(self.offset[ids], kind="stable")]
-            middle = 0.5 * (self.offset[ids][1:] + self.offset[ids][:-1])
-            mine = slice(self._ends[g], self._ends[g + 1])
-            nearest = ids[np.searchsorted(middle, rho_px[mine])]
-            near = np.abs(rho_px[mine] - self.offset[nearest]) < gate_px
-            line[mine] = np.where(near, nearest, none)
-        self._keep(line < none, line)
-
-    def _keep(self, keep: NDArray[np.bool_], line: Ints) -> None:
-        counts = [int(np.count_nonzero(keep[self._ends[g] : self._ends[g + 1]])) for g in range(4)]
-        self._ends = np.cumsum([0, *counts])
-        self.line = line[keep]
+        key = rho_px + np.repeat(_APART_PX * np.arange(4.0), np.diff(self._ends))
+        line_key = self.offset + _APART_PX * self.line_group
+        order = np.argsort(line_key, kind="stable")
+        sorted_key = line_key[order]
+        nearest = np.searchsorted(0.5 * (sorted_key[1:] + sorted_key[:-1]), key)
+        keep = np.flatnonzero(np.abs(key - sorted_key[nearest]) < gate_px)
+        self.line = order[nearest[keep]]
+        counts = np.bincount(self.line_group[self.line], minlength=4)
+        self._ends = np.concatenate([[0], np.cumsum(counts)])
         self._seen_x, self._seen_y = self._seen_x[keep], self._seen_y[keep]
-        self._x, self._y, self.rho, self._tangent = (v[keep] for v in (self._x, self._y, self.rho, self._tangent))
+        self.rho, self._tangent = self.rho[keep], self._tangent[keep]
 
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
@@ -193,17 +197,19 @@ class _Fit:
         self.support = np.bincount(self.line, minlength=n)
         count = np.maximum(self.support, 1)
         rows = np.stack([self.rho, self._tangent, *self._tilt_rows()])
-        means = np.stack([np.bincount(self.line, row, n) / count for row in rows])
-        centred = (rows - means[:, self.line]) * self._focal
-        r, jac = centred[0], centred[1:]
-        self.noise_px = max(float(np.sqrt(np.mean(r * r))) if len(r) else 1.0, _SIGMA_FLOOR_PX)
+        means = np.stack([np.bincount(self.line, row, n) for row in rows]) / count
+        # sums of products about every line's own mean
+        scatter = (rows @ rows.T - (means * count) @ means.T) * self._focal**2
+        scatter_r, r_jac, info_jac = scatter[0, 0], scatter[0, 1:], scatter[1:, 1:]
+        mean_square = scatter_r / max(len(self.line), 1)
+        self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
         weight = 1.0 / (self.noise_px**2 * _CORRELATED_POINTS)
         prior = np.radians(self._config.tilt_prior_deg if self._config.estimate_tilt else 1e-6)
         turn = self._tilt_from_axes()
         prior_info = np.zeros((3, 3))
         prior_info[0, 0], prior_info[1, 1], prior_info[2, 2] = 1e-3, prior**-2, prior**-2
-        info = weight * jac @ jac.T + prior_info
-        gradient = weight * jac @ r + np.array([0.0, *(turn.T @ self.tilt / prior**2)])
+        info = weight * info_jac + prior_info
+        gradient = weight * r_jac + np.array([0.0, *(turn.T @ self.tilt / prior**2)])
         covariance = np.asarray(np.linalg.inv(info))
         step = -covariance @ gradient
         to_base = np.eye(3)
@@ -227,9 +233,9 @@ class _Fit:
         return np.concatenate([-across[:half], -own[half:]]), np.concatenate([own[:half], -across[half:]])
 
 
-def _join_grooves(fit: _Fit, config: Features) -> Lines | None:
+def _join_grooves(fit: _Fit, config: Features, share: float) -> Lines | None:
     """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line."""
-    keep = np.flatnonzero(fit.support >= max(config.min_line_points // 2, 4))
+    keep = np.flatnonzero(fit.support >= max(0.5 * share * config.min_line_points, _FEWEST_SUPPORT))
     if len(keep) < 2:
         return None
     order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]

@@ -31,7 +31,8 @@ def edges(
         p = FOCAL_PX * seen[:, :2] / seen[:, 2:]
         uv.append(p + rng.normal(0, noise_px, len(s))[:, None] * n)
         phi.append(angle + (0 if polarity > 0 else np.pi) + rng.normal(0, 0.02, len(s)))
-    return Edges(np.concatenate(uv), (np.concatenate(phi) + np.pi) % (2 * np.pi) - np.pi)
+    phi_deg = np.degrees(np.concatenate(phi)) % 360.0
+    return Edges(np.concatenate(uv).astype(np.float32), phi_deg.astype(np.float32))
 
 
 GRID: list[Segment] = [
@@ -51,7 +52,7 @@ def world_offsets(lines: Lines, axis_angle: float) -> np.ndarray:
 
 @given(st.floats(-3.2, 3.2))
 def test_direction_is_found_at_any_angle(psi: float) -> None:
-    found = dominant_direction(edges(GRID, psi, 1).phi_rad)
+    found = dominant_direction(edges(GRID, psi, 1).phi_deg)
     assert found is not None
     assert abs((found - psi + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.radians(0.3)
 
@@ -106,7 +107,7 @@ def test_kinds_turn_with_the_axes() -> None:
 
 def test_no_points_and_noise_alone_give_no_lines() -> None:
     rng = np.random.default_rng(1)
-    none = Edges(np.zeros((0, 2)), np.zeros(0))
-    noise = Edges(rng.uniform(-300, 300, (300, 2)), rng.uniform(-np.pi, np.pi, 300))
+    none = Edges(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+    noise = Edges(rng.uniform(-300, 300, (300, 2)).astype(np.float32), rng.uniform(0, 360, 300).astype(np.float32))
     assert find_lines(none, Features(), FOCAL_PX) is None
     assert find_lines(noise, Features(), FOCAL_PX) is None
