@@ -63,6 +63,7 @@ class Lines:
         support: (L,) edge points in the fit.
         tilt_rad: (2,) rotation of the camera about base x and y against its calibration, estimated in the same fit.
         tilt_sigma_rad: (2,) its standard deviation.
+        free_tilt_rad, free_tilt_sigma_rad: (2,) the same from this frame alone.
         points: (P, 2) px, edge points in the level view that support a line, for pictures and coverage checks.
         point_line: (P,) index of their line.
     """
@@ -76,6 +77,8 @@ class Lines:
     support: Ints
     tilt_rad: Array
     tilt_sigma_rad: Array
+    free_tilt_rad: Array
+    free_tilt_sigma_rad: Array
     points: Array
     point_line: Ints
 

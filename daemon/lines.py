@@ -6,13 +6,14 @@ whose unknowns are the common direction, the tilt (roll, pitch) and one offset a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.edges import Edges
+from ceilvo.daemon.tilt import TiltPrior
 from ceilvo.types import LineKind, Lines
 
 Array = NDArray[np.float64]
@@ -28,7 +29,8 @@ _ANGLE_STRIDE = 3
 _FEWEST_VOTES = 8.0
 _APART_PX = 1e6
 _FEWEST_SUPPORT = 4.0
-_CORRELATED_POINTS = 3.0
+_CORRELATED_POINTS = 27.0
+_TILT_CHI2 = 9.21
 _SIGMA_FLOOR_PX = 0.02
 
 
@@ -57,8 +59,13 @@ def dominant_direction(phi_deg: Array32) -> float | None:
     return _fold(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))
 
 
-def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
-    """Lines of one frame, or None when too few edge points agree on a direction."""
+def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None) -> Lines | None:
+    """Lines of one frame, or None when too few edge points agree on a direction.
+
+    Args:
+        focal_px: of the level view.
+        prior: how this robot has tilted lately; used unless this frame contradicts it.
+    """
     psi = dominant_direction(edges.phi_deg)
     if psi is None:
         return None
@@ -66,13 +73,16 @@ def find_lines(edges: Edges, config: Features, focal_px: float) -> Lines | None:
     psi, starts = _hough(groups, psi, config, edges.share)
     if sum(len(s) for s in starts) < 2:
         return None
-    fit = _Fit(groups, psi, starts, focal_px, config)
+    fit = _Fit(groups, psi, starts, focal_px, config, edges.share)
     for gate_px in _GATES_PX:
         fit.assign(gate_px)
         fit.solve()
     fit.assign(fit.last_gate_px())
     fit.solve()
-    return _join_grooves(fit, config, edges.share)
+    free = TiltPrior(fit.tilt, np.sqrt(np.diag(fit.covariance)[1:]))
+    if prior is not None and config.estimate_tilt:
+        fit.lean_on(prior)
+    return _join_grooves(fit, config, edges.share, free)
 
 
 def _split(edges: Edges, psi: float, gate_deg: float) -> list[_Group]:
@@ -129,11 +139,12 @@ class _Fit:
     """
 
     def __init__(
-        self, groups: list[_Group], psi: float, starts: list[Array], focal_px: float, config: Features
+        self, groups: list[_Group], psi: float, starts: list[Array], focal_px: float, config: Features, share: float
     ) -> None:
         self.psi = psi
         self.tilt = np.zeros(2)
         self._focal, self._config = focal_px, config
+        self.correlated = 1.0 + _CORRELATED_POINTS * share  # neighbours on a line share their error
         self._seen_x = np.concatenate([g.x for g in groups]) / focal_px
         self._seen_y = np.concatenate([g.y for g in groups]) / focal_px
         self._ends = np.cumsum([0, *(len(g.x) for g in groups)])
@@ -203,7 +214,7 @@ class _Fit:
         scatter_r, r_jac, info_jac = scatter[0, 0], scatter[0, 1:], scatter[1:, 1:]
         mean_square = scatter_r / max(len(self.line), 1)
         self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
-        weight = 1.0 / (self.noise_px**2 * _CORRELATED_POINTS)
+        weight = 1.0 / (self.noise_px**2 * self.correlated)
         prior = np.radians(self._config.tilt_prior_deg if self._config.estimate_tilt else 1e-6)
         turn = self._tilt_from_axes()
         prior_info = np.zeros((3, 3))
@@ -218,7 +229,26 @@ class _Fit:
         self.psi += float(step[0])
         self.tilt = self.tilt + turn @ step[1:]
         self._place()
-        mean_rho = np.bincount(self.line, self.rho, n) / count
+        self._settle()
+
+    def lean_on(self, prior: TiltPrior) -> None:
+        """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""
+        off = prior.mean_rad - self.tilt
+        spread = self.covariance[1:, 1:] + np.diag(prior.sigma_rad**2)
+        if float(off @ np.linalg.solve(spread, off)) > _TILT_CHI2:
+            return
+        gain = self.covariance[:, 1:] @ np.linalg.inv(spread)
+        step = gain @ off
+        self.covariance = self.covariance - gain @ self.covariance[1:, :]
+        self.psi += float(step[0])
+        self.tilt = self.tilt + step[1:]
+        self._place()
+        self._settle()
+
+    def _settle(self) -> None:
+        """Offsets as the means of their points."""
+        n = len(self.offset)
+        mean_rho = np.bincount(self.line, self.rho, n) / np.maximum(self.support, 1)
         self.offset = np.where(self.support > 0, mean_rho * self._focal, self.offset)
 
     def _tilt_from_axes(self) -> Array:
@@ -233,7 +263,7 @@ class _Fit:
         return np.concatenate([-across[:half], -own[half:]]), np.concatenate([own[:half], -across[half:]])
 
 
-def _join_grooves(fit: _Fit, config: Features, share: float) -> Lines | None:
+def _join_grooves(fit: _Fit, config: Features, share: float, free: TiltPrior) -> Lines | None:
     """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line."""
     keep = np.flatnonzero(fit.support >= max(0.5 * share * config.min_line_points, _FEWEST_SUPPORT))
     if len(keep) < 2:
@@ -250,7 +280,7 @@ def _join_grooves(fit: _Fit, config: Features, share: float) -> Lines | None:
     paired = partner >= 0
     edge_kind = np.where(group % 2 == 1, LineKind.RISING, LineKind.FALLING)
     support = fit.support[order]
-    sigma = fit.noise_px * np.sqrt(_CORRELATED_POINTS / support) + _SIGMA_FLOOR_PX
+    sigma = fit.noise_px * np.sqrt(fit.correlated / support) + _SIGMA_FLOOR_PX
     joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
     joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
     point_line = new_of_old[fit.line]
@@ -266,6 +296,8 @@ def _join_grooves(fit: _Fit, config: Features, share: float) -> Lines | None:
         support=np.where(paired, support + support[other], support)[first],
         tilt_rad=fit.tilt,
         tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
+        free_tilt_rad=free.mean_rad,
+        free_tilt_sigma_rad=free.sigma_rad,
         points=fit.uv[used],
         point_line=point_line[used],
     )
@@ -302,10 +334,7 @@ def _turn_axes(lines: Lines, turned: int) -> Lines:
         # psi was taken a quarter turn back: old axis 0 is new axis 1, old axis 1 is new axis 0 reversed
         sign = np.where(axis == 1, -1, 1)
         axis, offset, kind = 1 - axis, offset * sign, kind * sign
-    return Lines(
-        lines.psi_rad, lines.psi_sigma_rad, axis, offset, lines.sigma_px, kind, lines.support,
-        lines.tilt_rad, lines.tilt_sigma_rad, lines.points, lines.point_line,
-    )  # fmt: skip
+    return replace(lines, axis=axis, offset_px=offset, kind=kind)
 
 
 def _fold(psi: float) -> float:

@@ -22,6 +22,7 @@ from ceilvo.daemon.odometry import VisualOdometry
 from ceilvo.daemon.particles import PoseFilter
 from ceilvo.daemon.pfcf import Pfcf
 from ceilvo.daemon.states import Evidence, StateMachine
+from ceilvo.daemon.tilt import TiltTracker
 from ceilvo.types import (
     Array,
     Crossings,
@@ -84,7 +85,8 @@ class Pipeline:
         dt_s = self._elapsed_s(frame.stamp_ns)
         edges = self._edges(frame.gray)
         lap("edges")
-        lines = find_lines(edges, self._config.features, self._calibration.level_view.focal_px)
+        lines = find_lines(edges, self._config.features, self._calibration.level_view.focal_px, self._tilt.prior())
+        self._tilt.note(lines)
         lap("lines")
         crossings = None if lines is None else cross(lines, self._calibration, self._config.features)
         lap("crossings")
@@ -235,6 +237,7 @@ class Pipeline:
         if known is None or not len(known):
             known, self._map_axis_rad = None, None
         self._odometry = VisualOdometry(self._config.odometry)
+        self._tilt = TiltTracker()
         self._states.reset("started")
         self._odom = np.zeros(3)
         self._twist = np.zeros(3)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from ceilvo.config import Features
 from ceilvo.daemon.edges import Edges
 from ceilvo.daemon.lines import dominant_direction, find_lines
+from ceilvo.daemon.tilt import TiltPrior
 from ceilvo.types import LineKind, Lines
 
 FOCAL_PX = 410.0
@@ -111,3 +112,25 @@ def test_no_points_and_noise_alone_give_no_lines() -> None:
     noise = Edges(rng.uniform(-300, 300, (300, 2)).astype(np.float32), rng.uniform(0, 360, 300).astype(np.float32))
     assert find_lines(none, Features(), FOCAL_PX) is None
     assert find_lines(noise, Features(), FOCAL_PX) is None
+
+
+def test_a_fitting_prior_quietens_the_tilt() -> None:
+    """Over many noisy views of a level robot, the prior must shrink the spread of the tilt."""
+    prior = TiltPrior(np.zeros(2), np.full(2, 1e-5))
+    free, led = [], []
+    for seed in range(30):
+        seen = edges(GRID, 0.3, seed)
+        for known, out in ((None, free), (prior, led)):
+            lines = find_lines(seen, Features(), FOCAL_PX, known)
+            assert lines is not None
+            out.append(lines.tilt_rad)
+    assert np.std(led) < 0.5 * np.std(free)
+
+
+def test_a_contradicted_prior_gives_way() -> None:
+    tilt = np.radians([1.2, -0.8])
+    seen = edges(GRID, 0.3, 5, tilt=(tilt[0], tilt[1]))
+    without = find_lines(seen, Features(), FOCAL_PX)
+    against = find_lines(seen, Features(), FOCAL_PX, TiltPrior(np.zeros(2), np.full(2, 1e-5)))
+    assert without is not None and against is not None
+    assert np.array_equal(without.tilt_rad, against.tilt_rad)

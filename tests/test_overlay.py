@@ -65,6 +65,8 @@ def lines(
         support=np.full(count, len(along), np.int64),
         tilt_rad=np.array(tilt, np.float64),
         tilt_sigma_rad=np.full(2, 0.001),
+        free_tilt_rad=np.array(tilt, np.float64),
+        free_tilt_sigma_rad=np.full(2, 0.001),
         points=np.concatenate(points),
         point_line=np.concatenate(owner).astype(np.int64),
     )
