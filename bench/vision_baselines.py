@@ -83,6 +83,8 @@ class _Ground:
 
     def motion(self, curr_px: Array, prev_px: Array, otherwise: Array) -> tuple[Array, NDArray[np.bool_]]:
         """prev_from_curr (3,) and which points agree with it; `otherwise` when too few do."""
+        if not len(curr_px):
+            return otherwise, np.zeros(0, bool)
         curr, prev = self._on_ceiling(curr_px), self._on_ceiling(prev_px)
         agree = np.isfinite(curr).all(axis=1) & np.isfinite(prev).all(axis=1)
         at = np.flatnonzero(agree)

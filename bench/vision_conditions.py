@@ -132,7 +132,7 @@ def _driving() -> list[Condition]:
         _make("fast", "0.8 m/s, turns of 90 deg/s", lap=fast),
         _make("5-fps", "5 frames a second", fps=5.0),
         _make("blackout", "1 s without light on a straight", blackouts=(0.33,)),
-        _make("blackout-bend", "1 s without light in a bend", blackouts=(0.23,)),
+        _make("blackout-bend", "1 s without light in a bend", blackouts=(0.213,)),
     ]
 
 
