@@ -103,9 +103,10 @@ install_app() {
   done
   # Scripts name their interpreter by its path: make it the final one.
   grep -rlIZ --fixed-strings "$new" "$new/bin" "$new/pyvenv.cfg" | xargs -0r sed -i "s|$new|$APP|g"
-  # Byte code checked by content, not by time: an installation is the same bytes each time.
+  # Byte code holds the date of its source: with a fixed one an installation is the same bytes each time.
   find "$new/lib" -name __pycache__ -prune -exec rm -rf {} +
-  "$new/bin/python" -I -m compileall -qqf --invalidation-mode checked-hash -s "$new" -p "$APP" "$new/lib" || true
+  find "$new/lib" -name '*.py' -exec touch -d @315532800 {} +
+  "$new/bin/python" -I -m compileall -qqf -s "$new" -p "$APP" "$new/lib" || true
   install_share "$new/share/ceilvo"
   if [ -e "$root$APP" ]; then mv -T "$root$APP" "$old"; fi
   mv -T "$new" "$root$APP"

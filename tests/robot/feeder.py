@@ -39,7 +39,8 @@ def main() -> None:
     device, frames_path, width, height, rate, fourcc, folder_name = sys.argv[1:]
     w, h, folder = int(width), int(height), Path(folder_name)
     frames = np.memmap(frames_path, np.uint8, "r").reshape(-1, h, w)
-    yuyv = np.full((h, w, 2), 128, np.uint8)
+    buffer = np.full((h, w) if fourcc == "GREY" else (h, w, 2), 128, np.uint8)
+    luma = buffer if fourcc == "GREY" else buffer[..., 0]
     fd = os.open(device, os.O_RDWR)
     set_format(fd, fourcc, w, h, w if fourcc == "GREY" else 2 * w)
     period_ns = round(1e9 / float(rate))
@@ -47,17 +48,13 @@ def main() -> None:
     index, playing = 0, False
     with (folder / "feed.csv").open("w", buffering=1) as log:
         while True:
-            gray = frames[index]
-            if fourcc == "GREY":
-                data = gray.tobytes()
-            else:
-                yuyv[..., 0] = gray
-                data = yuyv.tobytes()
+            # One buffer, written in place: fresh memory for each frame costs more here than all the rest.
+            luma[:] = frames[index]
             # A late frame moves all that follow: a camera does not deliver in bursts.
             due_ns = max(due_ns + period_ns, time.monotonic_ns())
             time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
             before_ns = time.monotonic_ns()
-            os.write(fd, data)
+            os.write(fd, buffer.data)
             log.write(f"{index},{before_ns},{time.monotonic_ns()}\n")
             playing = playing or (folder / "go").exists()
             if playing and index < len(frames) - 1:

@@ -74,19 +74,21 @@ drive() {
   note restarts_before "$(show NRestarts)"
 }
 
-kill_hard() {
+# restarted NAME SIGNAL: how long until another process is ready, then some of its poses.
+restarted() {
   local pid n t0
   pid=$(show MainPID)
-  n=$(poses)
   t0=$(now)
-  note kill_ns "$t0"
-  kill -9 "$pid"
-  wait_for 15 is_another_life "$pid" || return 1
-  note kill_ready_ms $((($(now) - t0) / 1000000))
+  note "$1_ns" "$t0"
+  kill "$2" "$pid"
+  wait_for 20 is_another_life "$pid" || return 1
+  note "$1_ready_ms" $((($(now) - t0) / 1000000))
   # What was under way when the old life ended has arrived by now.
   n=$(poses)
-  wait_for 15 has_more_poses_than $((n + 15)) || return 1
+  wait_for 15 has_more_poses_than $((n + 15))
 }
+kill_hard() { restarted kill -KILL; }
+hang() { restarted hang -STOP; }
 
 stop() {
   local t0
@@ -99,6 +101,14 @@ stop() {
   note stop_result "$(show Result)"
 }
 
+refuse_wrong_config() {
+  echo 'camra: {}' >>/etc/ceilvo/config.yaml
+  systemctl start ceilvod 2>/dev/null
+  note wrong_config "status $(show ExecMainStatus), restarts $(show NRestarts), $(show ActiveState)"
+  cp config.yaml /etc/ceilvo/
+  systemctl reset-failed ceilvod
+}
+
 uninstall() {
   bash /opt/ceilvo/share/ceilvo/install.sh uninstall || return 1
   note leftovers "$(find / -xdev -path /mnt -prune -o -iname '*ceilvo*' -print | sort | tr '\n' ' ')"
@@ -107,12 +117,13 @@ uninstall() {
 
 rc=0
 rm -f $out/facts.txt "$out/samples.jsonl"
-for phase in install_service start_without_camera plug_camera_in drive kill_hard stop; do
+for phase in install_service start_without_camera plug_camera_in drive kill_hard hang stop refuse_wrong_config; do
   step "$phase"
   $phase || { step "$phase failed"; rc=1; note failed_phase $phase; break; }
 done
 kill "${feeder:-}" "${listener:-}" 2>/dev/null
 [ -f "$feed/feed.csv" ] && cp $feed/feed.csv $out/
+cp -r /var/lib/ceilvo $out/state
 journalctl -u ceilvod --no-pager -o short-monotonic >$out/service.txt
 if [ $rc = 0 ]; then
   step uninstall

@@ -207,17 +207,34 @@ def _life(run: Run) -> Iterator[Check]:
     ready = run.number("kill_ready_ms") / 1e3
     yield Check("ready after kill -9", f"{ready:.2f} s", f"<= {RESTART_S:.0f} s", ready <= RESTART_S)
     lives = _lives(run.poses)
-    again = (lives[1][0] - run.number("kill_ns")) / 1e9 if len(lives) > 1 else math.nan
-    yield Check("publishing after kill -9", f"{again:.2f} s", "again", len(lives) == 2)
+    for k, name in enumerate(("kill", "hang"), 1):
+        if name == "hang":
+            found = f"{run.number('hang_ready_ms') / 1e3:.2f} s"
+            yield Check("ready after hanging", found, "by the watchdog", "hang_ready_ms" in f)
+        again = (lives[k][0] - run.number(f"{name}_ns")) / 1e9 if len(lives) > k else math.nan
+        yield Check(f"publishing after {name}", f"{again:.2f} s", "again", len(lives) == 3)
+    yield Check("pose after restarts", _restarted_error(run, lives))
     stop = run.number("stop_ms") / 1e3
     yield Check("stopped in", f"{stop:.2f} s", f"<= {STOP_S:.0f} s", stop <= STOP_S)
     how = f"code {f.get('stop_code')} status {f.get('stop_status')} {f.get('stop_result')}"
     yield Check("how it ended", how, "exited, 0", how == "code 1 status 0 success")
+    wrong = f.get("wrong_config", "-")
+    yield Check("wrong configuration", wrong, "78, stays down", wrong == "status 78, restarts 0, failed")
     tracebacks = run.journal.count("Traceback (most recent call last)")
     yield Check("Python tracebacks", str(tracebacks), "0", tracebacks == 0 and bool(run.journal))
     left = f.get("leftovers", "-").split()
     kept = ["/etc/ceilvo", "/var/lib/ceilvo"]
     yield Check("left by uninstall", " ".join(left), "config, state", left == kept and f.get("user_left") == "0")
+
+
+def _restarted_error(run: Run, lives: list[tuple[int, int]]) -> str:
+    """Distance of the last pose of every later life from where the robot stands, and the state it is in."""
+    out = []
+    for _, end in lives[1:]:
+        body = next(s["body"] for s in reversed(run.poses) if s["recv_unix_ns"] == end)
+        x, y, _ = run.truth[-1]
+        out.append(f"{math.hypot(body['x_m'] - x, body['y_m'] - y):.4f} m {body['state']}")
+    return ", ".join(out)
 
 
 def _text(path: Path) -> str:

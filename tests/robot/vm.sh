@@ -165,11 +165,13 @@ finish() {
   return 70
 }
 
+# One processor, and before others: the kernel and its processes trace each other, and hand over 3 times faster so.
 run_um() {
-  local r=0 cow
+  local r=0 cow cpu
   start "$1"
+  cpu=$(taskset -cp $$ | sed 's/.*[ ,-]//')
   cow=$(mktemp -u "$OUT/root.XXXXXX")
-  timeout -k5 "$TIMEOUT" "$CACHE/um/linux" mem="${MEM}M" ubd0="$cow,$CACHE/image.ext4" root=/dev/ubda rootfstype=ext4 rw \
+  nice -n -10 taskset -c "$cpu" timeout -k5 "$TIMEOUT" "$CACHE/um/linux" mem="${MEM}M" ubd0="$cow,$CACHE/image.ext4" root=/dev/ubda rootfstype=ext4 rw \
     quiet loglevel=4 panic=-1 con=null con0=fd:0,fd:1 ssl=null ${TTY:+ssl1=tty:$TTY} init=/lib/systemd/systemd \
     systemd.show_status=0 vmshare="$share" vmout="$OUT" vmmods="$CACHE/um/lib/modules" \
     </dev/null >"$OUT/console.txt" 2>&1 || r=$?

@@ -1,0 +1,135 @@
+"""The judge of the virtual robot must notice what it is there to notice."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+SECOND_NS = 1_000_000_000
+PERIOD_NS = SECOND_NS // 15
+FRAMES = 300
+STANDING = 15
+
+
+def load_judge() -> ModuleType:
+    path = Path(__file__).with_name("judge.py")
+    spec = importlib.util.spec_from_file_location("robot_judge", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["robot_judge"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+judge = load_judge()
+
+
+def pose(k: int, index: int, truth: Any, seq: int) -> dict[str, Any]:
+    x, y, theta = truth[index]
+    at = k * PERIOD_NS
+    body = {"seq": seq, "stamp_ns": at + 10, "state": "TRACKING", "x_m": x, "y_m": y, "theta_rad": theta, "age_ms": 9.0}
+    return {"key": "ceilvo/r/pose", "recv_ns": at, "recv_unix_ns": at + SECOND_NS, "body": body}
+
+
+def telegram(sample: dict[str, Any]) -> dict[str, Any]:
+    b = sample["body"]
+    fields = {"recv_unix_ns": sample["recv_unix_ns"] + 1000, "state": b["state"], "sequence": b["seq"]}
+    return {
+        **fields,
+        "x_m": round(b["x_m"], 4),
+        "y_m": round(b["y_m"], 4),
+        "theta_rad": round(b["theta_rad"], 5),
+    }
+
+
+@pytest.fixture
+def run() -> Any:
+    """A flawless run: a second of standing, a drive along x and back in heading, two more lives of the process."""
+    truth = np.column_stack([np.linspace(0, 12, FRAMES), np.zeros(FRAMES), np.linspace(3.1, 3.2, FRAMES)])
+    index = [0] * STANDING + list(range(1, FRAMES)) + [FRAMES - 1] * 40
+    feed = np.array([(i, k * PERIOD_NS, k * PERIOD_NS + 20) for k, i in enumerate(index)], np.int64)
+    life = [0, len(index) - 25, len(index) - 10, len(index)]
+    seqs = [k - max(start for start in life[:3] if start <= k) for k in range(len(index))]
+    poses = [pose(k, i, truth, seq) for k, (i, seq) in enumerate(zip(index, seqs, strict=True))]
+    telegrams = [telegram(p) for p in poses]
+    telegrams.append({**telegrams[-1], "state": "STOPPED"})
+    facts = {"install_ms": "1", "verify": "", "exposure": "1.3", "check_config_status": "0", "start_status": "0"}
+    facts |= {"status_without_camera": "no camera", "status_tracking": "TRACKING", "go_ns": "0", "played_ns": "1e9"}
+    facts |= {"cpu_before_ns": "0", "cpu_after_ns": "1", "memory_bytes": "1", "kill_ready_ms": "900", "kill_ns": "0"}
+    facts |= {"hang_ready_ms": "5000", "hang_ns": "0", "stop_ms": "200", "stop_code": "1", "stop_status": "0"}
+    facts |= {"stop_result": "success", "leftovers": "/etc/ceilvo /var/lib/ceilvo ", "user_left": "0"}
+    facts |= {"wrong_config": "status 78, restarts 0, failed"}
+    return judge.Run(facts, poses, telegrams, feed, truth, "started")
+
+
+def failed(run: Any) -> set[str]:
+    return {c.name for c in judge.checks(run) if c.kept is False}
+
+
+def test_flawless_run_passes(run: Any) -> None:
+    assert failed(run) == set()
+    error, index = judge.errors(run)
+    assert np.abs(error).max() < 1e-12
+    assert list(index) == list(range(1, FRAMES))
+
+
+def test_shifted_poses_are_noticed(run: Any) -> None:
+    for s in run.poses:
+        s["body"]["y_m"] += 0.06
+    assert failed(run) == {"position error RMS", "of those published alike"}
+
+
+def test_stamps_of_the_wrong_frame_are_noticed(run: Any) -> None:
+    for s in run.poses:
+        s["body"]["stamp_ns"] -= 2 * PERIOD_NS
+    assert "position error RMS" in failed(run)
+
+
+def test_lost_poses_are_noticed(run: Any) -> None:
+    thin = dataclasses.replace(run, samples=[s for k, s in enumerate(run.samples) if k % 5])
+    assert {"poses received", "of those published alike"} <= failed(thin)
+
+
+def test_pose_that_only_the_base_saw_is_noticed(run: Any) -> None:
+    run.telegrams[100]["x_m"] += 0.0002
+    assert failed(run) == {"of those published alike"}
+    wrong, judged = judge.unpublished(run)
+    assert [t["sequence"] for t in wrong] == [100]
+    assert judged == len(run.telegrams) - 1
+
+
+@pytest.mark.parametrize(
+    ("change", "check"),
+    [
+        ({"kill_ready_ms": "5100"}, "ready after kill -9"),
+        ({"stop_ms": "2100"}, "stopped in"),
+        ({"stop_status": "9"}, "how it ended"),
+        ({"verify": "Unknown key"}, "systemd-analyze verify"),
+        ({"exposure": "2.1"}, "exposure"),
+        ({"exposure": ""}, "exposure"),
+        ({"leftovers": "/etc/ceilvo /opt/ceilvo /var/lib/ceilvo"}, "left by uninstall"),
+        ({"failed_phase": "drive"}, "phases"),
+        ({"wrong_config": "status 78, restarts 3, activating"}, "wrong configuration"),
+    ],
+)
+def test_broken_promises_are_noticed(run: Any, change: dict[str, str], check: str) -> None:
+    run.facts.update(change)
+    assert failed(run) == {check}
+
+
+def test_no_last_word_and_a_traceback_are_noticed(run: Any) -> None:
+    run.telegrams.pop()
+    crashed = dataclasses.replace(run, journal="Traceback (most recent call last):\n")
+    assert failed(crashed) == {"last telegram", "Python tracebacks"}
+
+
+def test_nothing_written_down_is_not_a_success(run: Any) -> None:
+    empty = judge.Run({}, [], [], np.zeros((0, 3), np.int64), run.truth, "")
+    assert {"poses of the drive", "of those published alike", "last telegram", "Python tracebacks"} <= failed(empty)
