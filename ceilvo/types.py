@@ -66,6 +66,7 @@ class Lines:
         free_tilt_rad, free_tilt_sigma_rad: (2,) the same from this frame alone.
         points: (P, 2) px, edge points in the level view that support a line, for pictures and coverage checks.
         point_line: (P,) index of their line.
+        share: of the edge points there are, how many were looked at.
     """
 
     psi_rad: float
@@ -81,6 +82,7 @@ class Lines:
     free_tilt_sigma_rad: Array
     points: Array
     point_line: Ints
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,5 +75,5 @@ def _coverage(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: flo
     total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
     begin = np.clip(((at - reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64), 0, bins)
     end = np.clip(((at + reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64) + 1, 0, bins)
-    need = _MIN_COVERAGE * 2.0 * reach_px / _COVERAGE_BIN_PX
+    need = _MIN_COVERAGE * 2.0 * reach_px / _COVERAGE_BIN_PX * min(1.0, _COVERAGE_BIN_PX * lines.share)
     return np.asarray(total[:, end] - total[:, begin] >= need)

@@ -59,10 +59,10 @@ class EdgeDetector:
         noise = _MEDIAN_TO_SIGMA * float(np.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE])))
         high = max(self._config.canny_sigmas * noise, self._config.canny_floor)
         mask = cv2.Canny(dx, dy, self._config.canny_low_ratio * high, high, L2gradient=True)
-        found = cv2.findNonZero(cv2.bitwise_and(mask, self._usable))
-        if found is None:
+        mask = cv2.bitwise_and(mask, self._usable)
+        if not cv2.countNonZero(mask):
             return Edges(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
-        xy = found.reshape(-1, 2)
+        xy = np.asarray(cv2.findNonZero(mask), np.int32).reshape(-1, 2)
         at, share = self._sample(xy[:, 1] * self._width + xy[:, 0])
         return self._to_level(at, dx.reshape(-1), dy.reshape(-1), share)
 

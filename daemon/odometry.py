@@ -42,6 +42,12 @@ class VisualOdometry:
         """(3,) m/s, m/s, rad/s in base, of the last good step."""
         return self._twist
 
+    def expected(self, dt_s: float, wheels: WheelMotion | None = None) -> Array | None:
+        """(3,) predicted motion since the previous call of step(), None right after a failure or at the start."""
+        if self._reference is None or self._since_ref_s > 0.0:
+            return None
+        return wheels.prev_from_curr if wheels is not None else self._twist * dt_s
+
     def step(
         self,
         crossings: Crossings | None,

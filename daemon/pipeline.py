@@ -15,14 +15,12 @@ from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.crossings import cross
-from ceilvo.daemon.edges import EdgeDetector
-from ceilvo.daemon.lines import find_lines
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
 from ceilvo.daemon.particles import PoseFilter
 from ceilvo.daemon.pfcf import Pfcf
 from ceilvo.daemon.states import Evidence, StateMachine
-from ceilvo.daemon.tilt import TiltTracker
+from ceilvo.daemon.tracking import LineFinder
 from ceilvo.types import (
     Array,
     Crossings,
@@ -64,7 +62,7 @@ class Pipeline:
     def __init__(self, calibration: Calibration, config: Config, rng: np.random.Generator) -> None:
         self._calibration = calibration
         self._config = config
-        self._edges = EdgeDetector(calibration, config.features)
+        self._lines = LineFinder(calibration, config.features)
         self._filter: PoseFilter = Pfcf(config.filter, rng)
         self._seq = 0
         self._stamp_ns: int | None = None
@@ -83,11 +81,7 @@ class Pipeline:
     def step(self, frame: Frame, wheels: WheelMotion | None = None, lap: Lap = no_lap) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
         dt_s = self._elapsed_s(frame.stamp_ns)
-        edges = self._edges(frame.gray)
-        lap("edges")
-        lines = find_lines(edges, self._config.features, self._calibration.level_view.focal_px, self._tilt.prior())
-        self._tilt.note(lines)
-        lap("lines")
+        lines = self._lines(frame.gray, self._odometry.expected(dt_s, wheels), lap)
         crossings = None if lines is None else cross(lines, self._calibration, self._config.features)
         lap("crossings")
         motion = self._odometry.step(crossings, dt_s, wheels)
@@ -237,7 +231,7 @@ class Pipeline:
         if known is None or not len(known):
             known, self._map_axis_rad = None, None
         self._odometry = VisualOdometry(self._config.odometry)
-        self._tilt = TiltTracker()
+        self._lines.reset()
         self._states.reset("started")
         self._odom = np.zeros(3)
         self._twist = np.zeros(3)

@@ -1,0 +1,212 @@
+"""Stage 1 and 2 when the last frame tells where to look: edges only in bands around predicted ones.
+
+Profiles of brightness are read across every predicted edge, at even distances along it, straight from the raw frame.
+Steps of the right polarity are found on them, first anywhere in the band, then near the shift that most steps of
+their axis share; what is found goes into the same joint least squares as a full detection. When too few of the
+predicted edges are there, the answer is None and the caller looks at the whole frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.daemon.grooves import EdgeSet, join_grooves
+from ceilvo.daemon.line_fit import Group, JointFit
+from ceilvo.daemon.tilt import TiltPrior
+from ceilvo.se2 import rotation
+from ceilvo.types import Array, Lines
+
+Array32 = NDArray[np.float32]
+
+_SPACING_PX = 5.0
+_REACH_PX = 8
+_NEAR_PX = 2.5
+_GROW_PX = 15.0
+_GRID_PX = 4.0
+_FOUND_SHARE = 0.7
+_SHIFT_BINS = 2 * _REACH_PX + 1
+_NOISE_MAX_PX = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """Where profiles are read: level pixels (K, 2) of a level robot, their edge (K,)."""
+
+    centre_px: Array
+    edge: NDArray[np.int64]
+
+
+def predicted(edges: EdgeSet, prev_from_curr: Array, calibration: Calibration) -> EdgeSet:
+    """The edges where a robot that moved by prev_from_curr (3,) should see them."""
+    px_per_m = calibration.level_view.focal_px / calibration.ceiling_height_m
+    turn = rotation(float(prev_from_curr[2]))
+    mount = calibration.mount_xy_m
+    shift = px_per_m * (turn @ mount + prev_from_curr[:2] - mount)
+    angle = edges.psi_rad + 0.5 * np.pi * edges.axis
+    across = np.cos(angle) * shift[0] + np.sin(angle) * shift[1]
+    along = -np.sin(angle) * shift[0] + np.cos(angle) * shift[1]
+    return EdgeSet(
+        edges.psi_rad - float(prev_from_curr[2]),
+        edges.axis,
+        edges.rising,
+        edges.offset_px - across,
+        edges.start_px - along - _GROW_PX,
+        edges.end_px - along + _GROW_PX,
+    )
+
+
+class BandDetector:
+    """Looks for predicted edges in raw frames of one camera."""
+
+    def __init__(self, calibration: Calibration, config: Features) -> None:
+        self._config = config
+        camera, view = calibration.camera, calibration.level_view
+        self._focal = view.focal_px
+        self._size = (camera.width_px, camera.height_px)
+        uv, _ = view.lookup(config.max_view_deg)
+        low, high = np.nanmin(uv, axis=(0, 1)), np.nanmax(uv, axis=(0, 1))
+        self._low = np.floor(low / _GRID_PX) * _GRID_PX
+        columns, rows = (np.ceil((high - self._low) / _GRID_PX).astype(int) + 1).tolist()
+        grid = np.stack(
+            np.meshgrid(self._low[0] + _GRID_PX * np.arange(columns), self._low[1] + _GRID_PX * np.arange(rows)), -1
+        )
+        centre = np.array([camera.cx_px, camera.cy_px])
+        raw = view.to_raw(grid.reshape(-1, 2) + centre)
+        back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre  # a lens folds over beyond its edge: not invertible
+        wrong = ~(np.hypot(*(back - grid.reshape(-1, 2)).T) < 0.5)
+        raw[wrong] = np.nan
+        self._raw = raw.reshape(rows, columns, 2).astype(np.float32)
+
+    def __call__(self, gray: NDArray[np.uint8], expected: EdgeSet, prior: TiltPrior) -> tuple[Lines, EdgeSet] | None:
+        """Lines at the expected places, or None when too few are there."""
+        size = self._config.smoothing_px
+        smooth = np.asarray(cv2.GaussianBlur(gray, (size, size), 0), np.uint8)
+        samples = _sample(expected, self._limits())
+        if len(samples.edge) == 0:
+            return None
+        angle = expected.psi_rad + 0.5 * np.pi * expected.axis
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])[samples.edge]
+        seen = _seen(samples.centre_px / self._focal, prior.mean_rad) * self._focal
+        profile, inside = self._profiles(smooth, seen, normal)
+        samples = _Samples(samples.centre_px[inside], samples.edge[inside])
+        step = (profile[:, 2:] - profile[:, :-2]) * np.where(expected.rising[samples.edge], 1.0, -1.0)[:, None]
+        at, good = _steps(step.astype(np.float32), expected.axis[samples.edge], self._config.canny_floor / 4.0)
+        found = np.bincount(samples.edge[good], minlength=len(expected.axis))
+        looked = np.bincount(samples.edge, minlength=len(expected.axis))
+        if np.count_nonzero(good) < _FOUND_SHARE * 0.5 * len(good) or not _enough(found, looked):
+            return None
+        points = seen[inside][good] + at[good, None] * normal[inside][good]
+        return self._fit(points, samples.edge[good], expected, prior)
+
+    def _fit(
+        self, points: Array, edge: NDArray[np.int64], expected: EdgeSet, prior: TiltPrior
+    ) -> tuple[Lines, EdgeSet] | None:
+        group = 2 * expected.axis + expected.rising
+        order = np.argsort(group, kind="stable")  # lines of the fit stand group after group
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        by_group = np.argsort(group[edge], kind="stable")
+        members = np.split(points[by_group], np.cumsum(np.bincount(group[edge], minlength=4))[:3])
+        groups = [Group(m[:, 0], m[:, 1]) for m in members]
+        starts = [expected.offset_px[group == g] for g in range(4)]
+        share = 1.0 / _SPACING_PX
+        fit = JointFit(groups, expected.psi_rad, starts, self._focal, self._config, share)
+        fit.tilt = prior.mean_rad.copy()
+        fit.start(place[edge[by_group]], expected.offset_px[order])
+        fit.solve()
+        fit.assign(_NEAR_PX)
+        fit.solve()
+        free = fit.finish(prior)
+        return join_grooves(fit, self._config, share, free) if fit.noise_px < _NOISE_MAX_PX else None
+
+    def _limits(self) -> tuple[Array, Array]:
+        rows, columns = self._raw.shape[:2]
+        return self._low, self._low + _GRID_PX * np.array([columns - 1, rows - 1])
+
+    def _to_raw(self, level_px: Array) -> Array32:
+        """(K, 2) raw pixels of level pixels relative to the principal point, nan outside the picture."""
+        where = ((level_px - self._low) / _GRID_PX).astype(np.float32)
+        raw = cv2.remap(
+            self._raw, where[None, :, 0], where[None, :, 1], cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan, np.nan),
+        )  # fmt: skip
+        return np.asarray(raw[0], np.float32)
+
+    def _profiles(self, smooth: NDArray[np.uint8], centre: Array, normal: Array) -> tuple[Array32, NDArray[np.bool_]]:
+        """(K', 2 reach + 3) brightness across the edges, and which of the samples lie in the picture."""
+        half = _REACH_PX + 1
+        ends = self._to_raw(np.concatenate([centre - half * normal, centre + half * normal]))
+        first, last = ends[: len(centre)], ends[len(centre) :]
+        width, height = self._size
+        inside = np.ones(len(centre), bool)
+        with np.errstate(invalid="ignore"):
+            for end in (first, last):
+                inside &= (end[:, 0] > 1) & (end[:, 1] > 1) & (end[:, 0] < width - 2) & (end[:, 1] < height - 2)
+        middle = self._to_raw(centre[inside])
+        first, last = first[inside], last[inside]
+        t = np.linspace(-1.0, 1.0, 2 * half + 1, dtype=np.float32)
+        # a parabola through both ends and the middle follows the lens within hundredths of a pixel
+        slope, bend = 0.5 * (last - first), 0.5 * (last + first) - middle
+        x = middle[:, :1] + slope[:, :1] * t + bend[:, :1] * t * t
+        y = middle[:, 1:] + slope[:, 1:] * t + bend[:, 1:] * t * t
+        profile = cv2.remap(smooth, x, y, cv2.INTER_LINEAR)
+        return np.asarray(profile, np.float32), inside
+
+
+def _sample(edges: EdgeSet, limits: tuple[Array, Array]) -> _Samples:
+    """Even samples along every edge, where the look-up reaches."""
+    low, high = limits
+    reach = float(np.max(np.abs(np.concatenate([low, high])))) * 1.5
+    start = np.maximum(edges.start_px, -reach)
+    counts = np.maximum(((np.minimum(edges.end_px, reach) - start) / _SPACING_PX).astype(np.int64), 0)
+    edge = np.repeat(np.arange(len(counts)), counts)
+    k = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    along = start[edge] + _SPACING_PX * (k + 0.5)
+    angle = edges.psi_rad + 0.5 * np.pi * edges.axis
+    c, s = np.cos(angle)[edge], np.sin(angle)[edge]
+    offset = edges.offset_px[edge]
+    centre = np.column_stack([offset * c - along * s, offset * s + along * c])
+    keep = np.all((centre > low + _REACH_PX) & (centre < high - _REACH_PX), axis=1)
+    return _Samples(centre[keep], edge[keep])
+
+
+def _seen(level: Array, tilt: Array) -> Array:
+    """Where a tilted robot sees what a level one would see at (K, 2) ray coordinates."""
+    a, b = tilt
+    x, y = level[:, 0], level[:, 1]
+    z = 1.0 - a * y + b * x
+    return np.column_stack([(x - b) / z, (y + a) / z])
+
+
+def _steps(step: Array32, axis: NDArray[np.int64], floor: float) -> tuple[Array, NDArray[np.bool_]]:
+    """(K,) position of the step of each profile relative to its centre, px, and whether there is one."""
+    rows = np.arange(len(step))
+    best = np.argmax(step, axis=1)
+    strong = step[rows, best] >= floor
+    shift = np.zeros(len(step), np.int64)
+    for a in (0, 1):
+        votes = np.bincount(best[(axis == a) & strong], minlength=_SHIFT_BINS)
+        three = votes + np.concatenate([votes[1:], [0]]) + np.concatenate([[0], votes[:-1]])
+        shift[axis == a] = int(np.argmax(three))
+    bins = np.arange(_SHIFT_BINS)
+    near = np.abs(bins[None, :] - shift[:, None]) <= _NEAR_PX
+    best = np.argmax(np.where(near, step, -np.inf), axis=1)
+    inner = np.clip(best, 1, _SHIFT_BINS - 2)
+    before, here, after = step[rows, inner - 1], step[rows, inner], step[rows, inner + 1]
+    peak = (inner == best) & (here >= floor) & (here >= before) & (here >= after)
+    curvature = np.maximum(2.0 * here - before - after, 1e-3)
+    at = inner + np.clip(0.5 * (after - before) / curvature, -0.5, 0.5) - _REACH_PX
+    return at.astype(np.float64), peak
+
+
+def _enough(found: NDArray[np.int64], looked: NDArray[np.int64]) -> bool:
+    """Whether most of the predicted edges that are in view were seen along a good part of them."""
+    in_view = looked >= 4
+    seen = in_view & (found >= 0.4 * looked)
+    return bool(np.count_nonzero(seen) >= max(_FOUND_SHARE * np.count_nonzero(in_view), 4))

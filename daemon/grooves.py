@@ -1,0 +1,141 @@
+"""From fitted edges to lines: two sides that lie close together are one groove, and axes get their final names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.config import Features
+from ceilvo.daemon.line_fit import JointFit
+from ceilvo.daemon.tilt import TiltPrior
+from ceilvo.types import Array, Ints, LineKind, Lines
+
+_SAME_LINE_PX = 3.0
+_FEWEST_SUPPORT = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSet:
+    """The edges under the lines of a frame, in a level robot's view: what to look for in the next frame.
+
+    Attributes:
+        psi_rad: direction of axis 0's normal.
+        axis, rising: (E,) 0 or 1, and whether brightness rises along the normal.
+        offset_px: (E,).
+        start_px, end_px: (E,) extent along the edge, counted along the normal turned by +90 deg.
+    """
+
+    psi_rad: float
+    axis: Ints
+    rising: NDArray[np.bool_]
+    offset_px: Array
+    start_px: Array
+    end_px: Array
+
+
+def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior) -> tuple[Lines, EdgeSet] | None:
+    """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line.
+
+    Args:
+        share: edge points looked at, of all there may be; fewer make a line then.
+        free: tilt as this frame alone says it.
+
+    Returns:
+        The lines and the edges under them; None when fewer than two edges have enough points.
+    """
+    keep = np.flatnonzero(fit.support >= max(0.5 * share * config.min_line_points, _FEWEST_SUPPORT))
+    if len(keep) < 2:
+        return None
+    order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
+    order = order[_distinct(fit, order)]
+    offset, axis, group = fit.offset[order], fit.axis[order], fit.line_group[order]
+    partner = _pairs(offset, axis, group % 2, config.groove_px)
+    first = (partner < 0) | (partner > np.arange(len(order)))  # one entry a pair
+    new_of_old = np.full(len(fit.offset), -1, np.int64)
+    index = np.cumsum(first) - 1
+    new_of_old[order] = np.where(first, index, index[np.maximum(partner, 0)])
+    other = np.where(partner >= 0, partner, np.arange(len(order)))
+    paired = partner >= 0
+    edge_kind = np.where(group % 2 == 1, LineKind.RISING, LineKind.FALLING)
+    support = fit.support[order]
+    sigma = fit.sigma_px()[order]
+    joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
+    joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
+    points = fit.uv
+    point_line = new_of_old[fit.line]
+    used = point_line >= 0
+    psi, turned = fold_turns(fit.psi)
+    lines = Lines(
+        psi_rad=psi,
+        psi_sigma_rad=float(np.sqrt(fit.covariance[0, 0])),
+        axis=axis[first],
+        offset_px=joined[first],
+        sigma_px=joined_sigma[first],
+        kind=np.where(paired, LineKind.GROOVE, edge_kind)[first].astype(np.int64),
+        support=np.where(paired, support + support[other], support)[first],
+        tilt_rad=fit.tilt,
+        tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
+        free_tilt_rad=free.mean_rad,
+        free_tilt_sigma_rad=free.sigma_rad,
+        points=points[used],
+        point_line=point_line[used],
+        share=share,
+    )
+    return _turn_axes(lines, turned), _edge_set(fit, points, order)
+
+
+def _edge_set(fit: JointFit, points: Array, order: Ints) -> EdgeSet:
+    axis, count = fit.axis[order], len(fit.offset)
+    c, s = np.cos(fit.psi), np.sin(fit.psi)
+    first = fit.axis[fit.line] == 0
+    along = np.where(first, c * points[:, 1] - s * points[:, 0], -(c * points[:, 0] + s * points[:, 1]))
+    start, end = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(start, fit.line, along)
+    np.maximum.at(end, fit.line, along)
+    return EdgeSet(fit.psi, axis, fit.line_group[order] % 2 == 1, fit.offset[order], start[order], end[order])
+
+
+def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:
+    """False for a line that stands within 3 px of a stronger one of its own axis and polarity."""
+    good = np.ones(len(order), bool)
+    for g in range(4):
+        ids = np.flatnonzero(fit.line_group[order] == g)
+        close = np.flatnonzero(np.diff(fit.offset[order[ids]]) < _SAME_LINE_PX)
+        for k in close:
+            a, b = ids[k], ids[k + 1]
+            good[a if fit.support[order[a]] < fit.support[order[b]] else b] = False
+    return good
+
+
+def _pairs(offset: Array, axis: Ints, rising: Ints, groove_px: float) -> Ints:
+    """Index of every line's partner, or -1: neighbours of opposite polarity, closest pairs first."""
+    partner = np.full(len(offset), -1, np.int64)
+    gap = np.diff(offset)
+    fits = (np.diff(axis) == 0) & (np.diff(rising) != 0) & (gap < groove_px)
+    for k in np.argsort(gap, kind="stable"):
+        if fits[k] and partner[k] < 0 and partner[k + 1] < 0:
+            partner[k], partner[k + 1] = k + 1, k
+    return partner
+
+
+def _turn_axes(lines: Lines, turned: int) -> Lines:
+    """Rename the axes after psi was folded by `turned` quarter turns (clockwise)."""
+    axis, offset, kind = lines.axis, lines.offset_px, lines.kind
+    for _ in range(turned % 4):
+        # psi was taken a quarter turn back: old axis 0 is new axis 1, old axis 1 is new axis 0 reversed
+        sign = np.where(axis == 1, -1, 1)
+        axis, offset, kind = 1 - axis, offset * sign, kind * sign
+    return replace(lines, axis=axis, offset_px=offset, kind=kind)
+
+
+def fold(psi: float) -> float:
+    """psi in [-pi/4, pi/4)."""
+    return fold_turns(psi)[0]
+
+
+def fold_turns(psi: float) -> tuple[float, int]:
+    """psi in [-pi/4, pi/4) and the quarter turns taken off it."""
+    turns = int(np.floor((psi + 0.25 * np.pi) / (0.5 * np.pi)))
+    return psi - turns * 0.5 * np.pi, turns
