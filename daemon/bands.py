@@ -26,7 +26,10 @@ Array32 = NDArray[np.float32]
 
 _SPACING_PX = 5.0
 _REACH_PX = 8
-_NEAR_PX = 2.5
+_NEAR_PX = 2.0
+_SHIFT_GATES_PX = (4.0, 2.5, 1.5)
+_LIKELY_SHIFT_PX = 5.0
+_LEVER_PX = 300.0
 _GROW_PX = 15.0
 _GRID_PX = 4.0
 _FOUND_SHARE = 0.7
@@ -83,8 +86,15 @@ class BandDetector:
         raw[wrong] = np.nan
         self._raw = raw.reshape(rows, columns, 2).astype(np.float32)
 
-    def __call__(self, gray: NDArray[np.uint8], expected: EdgeSet, prior: TiltPrior) -> tuple[Lines, EdgeSet] | None:
-        """Lines at the expected places, or None when too few are there."""
+    def __call__(
+        self, gray: NDArray[np.uint8], expected: EdgeSet, tilt_rad: Array, prior: TiltPrior
+    ) -> tuple[Lines, EdgeSet] | None:
+        """Lines at the expected places, or None when too few are there.
+
+        Args:
+            tilt_rad: (2,) expected tilt of the robot.
+            prior: for the final estimate of the tilt.
+        """
         size = self._config.smoothing_px
         smooth = np.asarray(cv2.GaussianBlur(gray, (size, size), 0), np.uint8)
         samples = _sample(expected, self._limits())
@@ -92,20 +102,24 @@ class BandDetector:
             return None
         angle = expected.psi_rad + 0.5 * np.pi * expected.axis
         normal = np.column_stack([np.cos(angle), np.sin(angle)])[samples.edge]
-        seen = _seen(samples.centre_px / self._focal, prior.mean_rad) * self._focal
+        seen = _seen(samples.centre_px / self._focal, tilt_rad) * self._focal
         profile, inside = self._profiles(smooth, seen, normal)
         samples = _Samples(samples.centre_px[inside], samples.edge[inside])
-        step = (profile[:, 2:] - profile[:, :-2]) * np.where(expected.rising[samples.edge], 1.0, -1.0)[:, None]
-        at, good = _steps(step.astype(np.float32), expected.axis[samples.edge], self._config.canny_floor / 4.0)
+        normal, seen = normal[inside], seen[inside]
+        sign = np.where(expected.rising[samples.edge], np.float32(1), np.float32(-1))
+        step = (profile[:, 2:] - profile[:, :-2]) * sign[:, None]
+        floor = 0.25 * self._config.canny_floor
+        shift = _common_shift(step, expected.axis[samples.edge] == 0, floor, _columns(seen / self._focal, normal))
+        at, good = _steps(step, shift, floor)
         found = np.bincount(samples.edge[good], minlength=len(expected.axis))
         looked = np.bincount(samples.edge, minlength=len(expected.axis))
-        if np.count_nonzero(good) < _FOUND_SHARE * 0.5 * len(good) or not _enough(found, looked):
+        if not _enough(found, looked):
             return None
-        points = seen[inside][good] + at[good, None] * normal[inside][good]
-        return self._fit(points, samples.edge[good], expected, prior)
+        points = seen[good] + at[good, None] * normal[good]
+        return self._fit(points, samples.edge[good], expected, tilt_rad, prior)
 
     def _fit(
-        self, points: Array, edge: NDArray[np.int64], expected: EdgeSet, prior: TiltPrior
+        self, points: Array, edge: NDArray[np.int64], expected: EdgeSet, tilt_rad: Array, prior: TiltPrior
     ) -> tuple[Lines, EdgeSet] | None:
         group = 2 * expected.axis + expected.rising
         order = np.argsort(group, kind="stable")  # lines of the fit stand group after group
@@ -117,7 +131,7 @@ class BandDetector:
         starts = [expected.offset_px[group == g] for g in range(4)]
         share = 1.0 / _SPACING_PX
         fit = JointFit(groups, expected.psi_rad, starts, self._focal, self._config, share)
-        fit.tilt = prior.mean_rad.copy()
+        fit.tilt = tilt_rad.copy()
         fit.start(place[edge[by_group]], expected.offset_px[order])
         fit.solve()
         fit.assign(_NEAR_PX)
@@ -184,25 +198,57 @@ def _seen(level: Array, tilt: Array) -> Array:
     return np.column_stack([(x - b) / z, (y + a) / z])
 
 
-def _steps(step: Array32, axis: NDArray[np.int64], floor: float) -> tuple[Array, NDArray[np.bool_]]:
-    """(K,) position of the step of each profile relative to its centre, px, and whether there is one."""
-    rows = np.arange(len(step))
+def _columns(seen: Array, normal: Array) -> Array:
+    """(K, 3) how far edges at ray coordinates move along their normal when direction or tilt (x, y) change, rad."""
+    x, y = seen[:, 0], seen[:, 1]
+    nx, ny = normal[:, 0], normal[:, 1]
+    turn = nx * -y + ny * x
+    about_x = nx * x * y + ny * (1.0 + y * y)
+    about_y = -(nx * (1.0 + x * x) + ny * x * y)
+    return np.column_stack([turn, about_x, about_y])
+
+
+def _common_shift(step: Array32, first: NDArray[np.bool_], floor: float, columns: Array) -> Array:
+    """(K,) px by which the whole picture is off at every sample: a shift along both axes, a turn and a tilt.
+
+    The scene is rigid, so five unknowns tell for all edges; a neighbouring line cannot pass for the one looked for.
+    """
     best = np.argmax(step, axis=1)
-    strong = step[rows, best] >= floor
-    shift = np.zeros(len(step), np.int64)
-    for a in (0, 1):
-        votes = np.bincount(best[(axis == a) & strong], minlength=_SHIFT_BINS)
-        three = votes + np.concatenate([votes[1:], [0]]) + np.concatenate([[0], votes[:-1]])
-        shift[axis == a] = int(np.argmax(three))
-    bins = np.arange(_SHIFT_BINS)
-    near = np.abs(bins[None, :] - shift[:, None]) <= _NEAR_PX
-    best = np.argmax(np.where(near, step, -np.inf), axis=1)
-    inner = np.clip(best, 1, _SHIFT_BINS - 2)
-    before, here, after = step[rows, inner - 1], step[rows, inner], step[rows, inner + 1]
-    peak = (inner == best) & (here >= floor) & (here >= before) & (here >= after)
+    strong = step[np.arange(len(step)), best] >= floor
+    at = (best - _REACH_PX).astype(np.float64)
+    start = np.where(first, _mode(at[first & strong]), _mode(at[~first & strong]))
+    model = np.column_stack([first, ~first, columns * _LEVER_PX])
+    weak = np.diag([0.0, 0.0, 1.0, 1.0, 1.0]) + 1e-6 * np.eye(5)
+    fitted = start
+    for gate in _SHIFT_GATES_PX:
+        use = strong & (np.abs(at - fitted) < gate)
+        m = model[use]
+        fitted = model @ np.linalg.solve(m.T @ m + weak, m.T @ at[use])
+    return np.asarray(fitted)
+
+
+def _mode(at: Array) -> float:
+    """The shift that most steps share; small ones are likelier beforehand."""
+    if len(at) == 0:
+        return 0.0
+    votes = np.bincount((at + _REACH_PX).astype(np.int64), minlength=_SHIFT_BINS).astype(np.float64)
+    three = votes + np.concatenate([votes[1:], [0]]) + np.concatenate([[0], votes[:-1]])
+    bins = np.arange(_SHIFT_BINS) - _REACH_PX
+    return float(bins[np.argmax(three * np.exp(-0.5 * (bins / _LIKELY_SHIFT_PX) ** 2))])
+
+
+def _steps(step: Array32, shift: Array, floor: float) -> tuple[Array, NDArray[np.bool_]]:
+    """(K,) position of the step nearest to where it should be, px from the centre, and whether there is one."""
+    middle = step[:, 1:-1]
+    peak = (middle >= floor) & (middle >= step[:, :-2]) & (middle > step[:, 2:])
+    off = np.abs(np.arange(1 - _REACH_PX, _REACH_PX)[None, :] - shift[:, None])
+    best = np.argmin(np.where(peak, off, np.inf), axis=1)
+    rows = np.arange(len(step))
+    good = peak[rows, best] & (off[rows, best] < _NEAR_PX)
+    before, here, after = step[rows, best], step[rows, best + 1], step[rows, best + 2]
     curvature = np.maximum(2.0 * here - before - after, 1e-3)
-    at = inner + np.clip(0.5 * (after - before) / curvature, -0.5, 0.5) - _REACH_PX
-    return at.astype(np.float64), peak
+    at = best + 1 - _REACH_PX + np.clip(0.5 * (after - before) / curvature, -0.5, 0.5)
+    return at.astype(np.float64), good
 
 
 def _enough(found: NDArray[np.int64], looked: NDArray[np.int64]) -> bool:

@@ -30,6 +30,7 @@ class LineFinder:
         """Forget the last frame."""
         self._tilt = TiltTracker()
         self._last: EdgeSet | None = None
+        self._last_tilt = np.zeros(2)
         self._since_full = 0
         self.full = 0
         self.verified = 0
@@ -58,6 +59,7 @@ class LineFinder:
             self._last = None
             return None
         lines, self._last = found
+        self._last_tilt = lines.tilt_rad
         self._tilt.note(lines)
         return lines
 
@@ -67,4 +69,4 @@ class LineFinder:
             return None
         if self._since_full + 1 >= self._config.full_every:
             return None
-        return self._bands(gray, predicted(self._last, prev_from_curr, self._calibration), prior)
+        return self._bands(gray, predicted(self._last, prev_from_curr, self._calibration), self._last_tilt, prior)
