@@ -13,7 +13,6 @@ import os
 import queue
 import sys
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,8 @@ from rich.table import Table
 
 from ceilvo.bench.vision_conditions import Condition, conditions
 from ceilvo.bench.vision_run import Options, run
+from ceilvo.config import Config
+from ceilvo.config_file import replace as replace_keys
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 
@@ -58,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         chosen = _chosen(args.conditions)
         seconds = args.seconds if args.seconds is not None else (QUICK_S if args.quick else None)
-        results = _run_all(chosen, Options(seconds, args.pictures, not args.no_baselines), args.jobs)
+        replace_keys(Config(), args.set)  # a typing mistake is told before anything runs
+        results = _run_all(chosen, Options(seconds, args.pictures, not args.no_baselines, tuple(args.set)), args.jobs)
         console = Console(width=None if sys.stdout.isatty() else _TABLE_WIDTH)
         console.print(table(chosen, results))
         console.print(_verdict(chosen, results))
@@ -82,6 +84,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--json", type=Path, default=Path("build/bench/vision.json"), metavar="FILE")
     p.add_argument("--pictures", type=Path, default=Path("build/bench/vision"), metavar="DIR")
+    p.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override one key; may be repeated"
+    )
     p.add_argument("--no-baselines", action="store_true", help="leave KLT and ORB out")
     return p
 
@@ -106,17 +111,17 @@ def _run_all(chosen: list[Condition], options: Options, jobs: int) -> list[dict[
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (
         Progress(*bars, console=Console(stderr=True)) as progress,
-        ProcessPoolExecutor(jobs, spawn, initializer=_hear, initargs=(done,), max_tasks_per_child=1) as pool,
+        spawn.Pool(jobs, _hear, (done,), maxtasksperchild=1) as pool,
     ):
         task = progress.add_task("frames", total=sum(totals))
-        futures: list[Future[dict[str, float]]] = [pool.submit(_job, c.name, options) for c in chosen]
-        while not all(f.done() for f in futures):
+        running = [pool.apply_async(_job, (c.name, options)) for c in chosen]
+        while not all(r.ready() for r in running):
             try:
                 name, frames = done.get(timeout=0.2)
             except queue.Empty:
                 continue
             progress.update(task, advance=frames, description=f"{name:16}")
-        return [f.result() for f in futures]
+        return [r.get() for r in running]
 
 
 def _hear(done: Any) -> None:

@@ -86,9 +86,8 @@ class _Ground:
         if not len(curr_px):
             return otherwise, np.zeros(0, bool)
         curr, prev = self._on_ceiling(curr_px), self._on_ceiling(prev_px)
-        agree = np.isfinite(curr).all(axis=1) & np.isfinite(prev).all(axis=1)
-        at = np.flatnonzero(agree)
-        agree[:] = False
+        at = np.flatnonzero(np.isfinite(curr).all(axis=1) & np.isfinite(prev).all(axis=1))
+        agree = np.zeros(len(curr), bool)
         if len(at) < 4:
             return otherwise, agree
         _, used = cv2.estimateAffinePartial2D(
@@ -97,7 +96,7 @@ class _Ground:
         if used is None or int(used.sum()) < 4:
             return otherwise, agree
         agree[at[used.reshape(-1) == 1]] = True
-        return np.asarray(rigid_motion(curr[agree], prev[agree])), agree
+        return rigid_motion(curr[agree], prev[agree]), agree
 
     def _on_ceiling(self, uv_px: Array) -> Array:
         """(N, 2) m for (N, 2) raw pixels, by linear interpolation in the look-up."""

@@ -88,7 +88,10 @@ class CrossingScore:
         self.wrong += int((~ok).sum())
 
     def figures(self) -> dict[str, float]:
-        errors, lamps = np.concatenate(self.errors_px or [np.zeros(0)]), np.concatenate(self.lamp_errors_px or [[]])
+        errors, lamps = (
+            np.concatenate(self.errors_px or [np.zeros(0)]),
+            np.concatenate(self.lamp_errors_px or [np.zeros(0)]),
+        )
         frames = max(len(self.errors_px), 1)
         return {
             "recall_pct": _share(self.found, self.missed),
@@ -97,7 +100,7 @@ class CrossingScore:
             "precision_pct": _share(self.right, self.wrong),
             "crossing_median_px": _quantile(errors, 0.5),
             "crossing_p95_px": _quantile(errors, 0.95),
-            "lamp_corner_p95_px": _quantile(np.asarray(lamps), 0.95),
+            "lamp_corner_p95_px": _quantile(lamps, 0.95),
             "crossings_true_per_frame": (self.found + self.missed) / frames,
             "crossings_reported_per_frame": (self.right + self.wrong) / frames,
             "recall_worst_frame_pct": 100.0 * min(self.recall_per_frame, default=float("nan")),

@@ -16,6 +16,7 @@ from ceilvo.bench.vision_baselines import Baseline, DescriptorMatcher, PointTrac
 from ceilvo.bench.vision_conditions import Condition
 from ceilvo.bench.vision_metrics import CrossingScore, MotionScore
 from ceilvo.config import Config
+from ceilvo.config_file import replace as replace_keys
 from ceilvo.daemon.overlay import draw_overlay, previous_pixels
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.errors import FileFormatError
@@ -34,11 +35,13 @@ class Options:
         seconds: world time to drive; None = one lap.
         pictures: folder for the overlay of one frame; None = none.
         baselines: also run KLT and ORB.
+        overrides: `section.key=value` each, on top of the default configuration.
     """
 
     seconds: float | None = None
     pictures: Path | None = None
     baselines: bool = True
+    overrides: tuple[str, ...] = ()
 
 
 class StageTimes:
@@ -75,7 +78,8 @@ def run(
     seconds = options.seconds if options.seconds is not None else condition.lap_s
     frames = max(int(seconds * condition.fps), 2)
     middle_s = 0.5 * world.spec.render.exposure_s
-    pipeline = Pipeline(condition.calibration, Config(), np.random.default_rng(1))
+    config = replace_keys(Config(), options.overrides)
+    pipeline = Pipeline(condition.calibration, config, np.random.default_rng(1))
     crossings = CrossingScore(world, condition.calibration)
     motions = MotionScore(world.truth_at(middle_s))
     rivals = _Rivals(condition, motions_start=world.truth_at(middle_s)) if options.baselines else None
