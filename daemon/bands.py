@@ -24,9 +24,11 @@ from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
 
-_SPACING_PX = 5.0
-_REACH_PX = 8
+_SPACING_PX = 6.0
+_REACH_PX = 7
+_MOST_SAMPLES = 1200
 _NEAR_PX = 2.0
+_GOLDEN = 0.6180339887
 _SHIFT_GATES_PX = (4.0, 2.5, 1.5)
 _LIKELY_SHIFT_PX = 5.0
 _LEVER_PX = 300.0
@@ -39,10 +41,11 @@ _NOISE_MAX_PX = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Samples:
-    """Where profiles are read: level pixels (K, 2) of a level robot, their edge (K,)."""
+    """Where profiles are read: level pixels (K, 2) of a level robot, their edge (K,), every spacing_px along it."""
 
     centre_px: Array
     edge: NDArray[np.int64]
+    spacing_px: float
 
 
 def predicted(edges: EdgeSet, prev_from_curr: Array, calibration: Calibration) -> EdgeSet:
@@ -95,7 +98,7 @@ class BandDetector:
             tilt_rad: (2,) expected tilt of the robot.
             prior: for the final estimate of the tilt.
         """
-        size = self._config.smoothing_px
+        size = self._config.smoothing_px  # a profile is not smoothed along its edge as Sobel's is
         smooth = np.asarray(cv2.GaussianBlur(gray, (size, size), 0), np.uint8)
         samples = _sample(expected, self._limits())
         if len(samples.edge) == 0:
@@ -104,22 +107,27 @@ class BandDetector:
         normal = np.column_stack([np.cos(angle), np.sin(angle)])[samples.edge]
         seen = _seen(samples.centre_px / self._focal, tilt_rad) * self._focal
         profile, inside = self._profiles(smooth, seen, normal)
-        samples = _Samples(samples.centre_px[inside], samples.edge[inside])
-        normal, seen = normal[inside], seen[inside]
-        sign = np.where(expected.rising[samples.edge], np.float32(1), np.float32(-1))
+        edge, normal, seen = samples.edge[inside], normal[inside], seen[inside]
+        sign = np.where(expected.rising[edge], np.float32(1), np.float32(-1))
         step = (profile[:, 2:] - profile[:, :-2]) * sign[:, None]
         floor = 0.25 * self._config.canny_floor
-        shift = _common_shift(step, expected.axis[samples.edge] == 0, floor, _columns(seen / self._focal, normal))
+        shift = _common_shift(step, expected.axis[edge] == 0, floor, _columns(seen / self._focal, normal))
         at, good = _steps(step, shift, floor)
-        found = np.bincount(samples.edge[good], minlength=len(expected.axis))
-        looked = np.bincount(samples.edge, minlength=len(expected.axis))
+        found = np.bincount(edge[good], minlength=len(expected.axis))
+        looked = np.bincount(edge, minlength=len(expected.axis))
         if not _enough(found, looked):
             return None
         points = seen[good] + at[good, None] * normal[good]
-        return self._fit(points, samples.edge[good], expected, tilt_rad, prior)
+        return self._fit(points, edge[good], expected, tilt_rad, prior, 1.0 / samples.spacing_px)
 
     def _fit(
-        self, points: Array, edge: NDArray[np.int64], expected: EdgeSet, tilt_rad: Array, prior: TiltPrior
+        self,
+        points: Array,
+        edge: NDArray[np.int64],
+        expected: EdgeSet,
+        tilt_rad: Array,
+        prior: TiltPrior,
+        share: float,
     ) -> tuple[Lines, EdgeSet] | None:
         group = 2 * expected.axis + expected.rising
         order = np.argsort(group, kind="stable")  # lines of the fit stand group after group
@@ -129,12 +137,9 @@ class BandDetector:
         members = np.split(points[by_group], np.cumsum(np.bincount(group[edge], minlength=4))[:3])
         groups = [Group(m[:, 0], m[:, 1]) for m in members]
         starts = [expected.offset_px[group == g] for g in range(4)]
-        share = 1.0 / _SPACING_PX
         fit = JointFit(groups, expected.psi_rad, starts, self._focal, self._config, share)
         fit.tilt = tilt_rad.copy()
         fit.start(place[edge[by_group]], expected.offset_px[order])
-        fit.solve()
-        fit.assign(_NEAR_PX)
         fit.solve()
         free = fit.finish(prior)
         return join_grooves(fit, self._config, share, free) if fit.noise_px < _NOISE_MAX_PX else None
@@ -154,22 +159,18 @@ class BandDetector:
 
     def _profiles(self, smooth: NDArray[np.uint8], centre: Array, normal: Array) -> tuple[Array32, NDArray[np.bool_]]:
         """(K', 2 reach + 3) brightness across the edges, and which of the samples lie in the picture."""
-        half = _REACH_PX + 1
-        ends = self._to_raw(np.concatenate([centre - half * normal, centre + half * normal]))
-        first, last = ends[: len(centre)], ends[len(centre) :]
+        half, n = _REACH_PX + 1, len(centre)
+        across = half * normal
+        raw = self._to_raw(np.concatenate([centre, centre - across, centre + across]))
+        middle, first, last = raw[:n], raw[n : 2 * n], raw[2 * n :]
         width, height = self._size
-        inside = np.ones(len(centre), bool)
-        with np.errstate(invalid="ignore"):
-            for end in (first, last):
-                inside &= (end[:, 0] > 1) & (end[:, 1] > 1) & (end[:, 0] < width - 2) & (end[:, 1] < height - 2)
-        middle = self._to_raw(centre[inside])
-        first, last = first[inside], last[inside]
-        t = np.linspace(-1.0, 1.0, 2 * half + 1, dtype=np.float32)
+        low, high = np.minimum(first, last), np.maximum(first, last)  # nan compares as outside
+        inside = (low[:, 0] > 1) & (low[:, 1] > 1) & (high[:, 0] < width - 2) & (high[:, 1] < height - 2)
         # a parabola through both ends and the middle follows the lens within hundredths of a pixel
-        slope, bend = 0.5 * (last - first), 0.5 * (last + first) - middle
-        x = middle[:, :1] + slope[:, :1] * t + bend[:, :1] * t * t
-        y = middle[:, 1:] + slope[:, 1:] * t + bend[:, 1:] * t * t
-        profile = cv2.remap(smooth, x, y, cv2.INTER_LINEAR)
+        curve = np.stack([middle, 0.5 * (last - first), 0.5 * (last + first) - middle], axis=2)[inside]
+        t = np.linspace(-1.0, 1.0, 2 * half + 1, dtype=np.float32)
+        powers = np.stack([np.ones_like(t), t, t * t])
+        profile = cv2.remap(smooth, curve[:, 0] @ powers, curve[:, 1] @ powers, cv2.INTER_LINEAR)
         return np.asarray(profile, np.float32), inside
 
 
@@ -178,16 +179,19 @@ def _sample(edges: EdgeSet, limits: tuple[Array, Array]) -> _Samples:
     low, high = limits
     reach = float(np.max(np.abs(np.concatenate([low, high])))) * 1.5
     start = np.maximum(edges.start_px, -reach)
-    counts = np.maximum(((np.minimum(edges.end_px, reach) - start) / _SPACING_PX).astype(np.int64), 0)
+    length = np.maximum(np.minimum(edges.end_px, reach) - start, 0.0)
+    spacing = max(_SPACING_PX, float(np.sum(length)) / _MOST_SAMPLES)
+    counts = (length / spacing).astype(np.int64)
     edge = np.repeat(np.arange(len(counts)), counts)
     k = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
-    along = start[edge] + _SPACING_PX * (k + 0.5)
+    along = start[edge] + spacing * (k + 0.5)
     angle = edges.psi_rad + 0.5 * np.pi * edges.axis
     c, s = np.cos(angle)[edge], np.sin(angle)[edge]
-    offset = edges.offset_px[edge]
+    # profiles begin at all fractions of a pixel, so that the bias of sub-pixel peaks averages out along an edge
+    offset = edges.offset_px[edge] + (_GOLDEN * k) % 1.0 - 0.5
     centre = np.column_stack([offset * c - along * s, offset * s + along * c])
     keep = np.all((centre > low + _REACH_PX) & (centre < high - _REACH_PX), axis=1)
-    return _Samples(centre[keep], edge[keep])
+    return _Samples(centre[keep], edge[keep], spacing)
 
 
 def _seen(level: Array, tilt: Array) -> Array:

@@ -51,7 +51,7 @@ def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior)
     order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
     order = order[_distinct(fit, order)]
     offset, axis, group = fit.offset[order], fit.axis[order], fit.line_group[order]
-    partner = _pairs(offset, axis, group % 2, config.groove_px)
+    partner = _pairs(offset, axis, group % 2, fit.support[order], config.groove_px)
     first = (partner < 0) | (partner > np.arange(len(order)))  # one entry a pair
     new_of_old = np.full(len(fit.offset), -1, np.int64)
     index = np.cumsum(first) - 1
@@ -109,12 +109,16 @@ def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:
     return good
 
 
-def _pairs(offset: Array, axis: Ints, rising: Ints, groove_px: float) -> Ints:
-    """Index of every line's partner, or -1: neighbours of opposite polarity, closest pairs first."""
+def _pairs(offset: Array, axis: Ints, rising: Ints, support: Ints, groove_px: float) -> Ints:
+    """Index of every line's partner, or -1: neighbours of opposite polarity, best supported pairs first.
+
+    Where three edges could pair in two ways, support decides: gaps differ by less than they are uncertain, and a pair
+    that flips from frame to frame is a line that jumps.
+    """
     partner = np.full(len(offset), -1, np.int64)
     gap = np.diff(offset)
     fits = (np.diff(axis) == 0) & (np.diff(rising) != 0) & (gap < groove_px)
-    for k in np.argsort(gap, kind="stable"):
+    for k in np.argsort(-np.minimum(support[1:], support[:-1]), kind="stable"):
         if fits[k] and partner[k] < 0 and partner[k + 1] < 0:
             partner[k], partner[k + 1] = k + 1, k
     return partner

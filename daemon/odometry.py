@@ -16,7 +16,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.homography import consistent
 from ceilvo.daemon.matching import mutual_nearest
-from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion
+from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion, shift_at
 from ceilvo.kinds import quarter_turns, turn_kind
 from ceilvo.types import Crossings, Motion, WheelMotion
 
@@ -108,9 +108,9 @@ class VisualOdometry:
             return None, f"{len(i)} of {len(crossings)} crossings matched, {cfg.min_inliers} needed"
         good = consistent(crossings.uv_px[i], ref.uv_px[j], cfg.ransac_px)
         i, j = i[good], j[good]
-        fit = robust_rigid_motion(
-            crossings.xy_base_m[i], ref.xy_base_m[j], cfg.residual_sigmas, cfg.residual_max_m, cfg.min_inliers
-        )
+        seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
+        start = shift_at(seen, before, turn, ref.psi_rad) if len(i) else None
+        fit = robust_rigid_motion(seen, before, cfg.residual_sigmas, cfg.residual_max_m, cfg.min_inliers, start)
         if fit is None:
             return None, "too few consistent correspondences"
         failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)

@@ -38,30 +38,46 @@ def rigid_motion(a: Array, b: Array) -> Array:
     return np.array([t[0], t[1], theta])
 
 
-def robust_rigid_motion(a: Array, b: Array, sigmas: float, max_m: float, min_points: int) -> RigidFit | None:
-    """rigid_motion with the residual rejection and re-estimation of eq. 16; None when too few points remain."""
+def robust_rigid_motion(
+    a: Array, b: Array, sigmas: float, max_m: float, min_points: int, start: Array | None = None
+) -> RigidFit | None:
+    """rigid_motion with the residual rejection and re-estimation of eq. 16; None when too few points remain.
+
+    Args:
+        start: (3,) b_from_a to judge the first residuals by; None = the fit to all points, which gross outliers pull.
+    """
     used = np.ones(len(a), bool)
+    fit = rigid_motion(a, b) if start is None else start
     for _ in range(_ROUNDS):
-        if np.count_nonzero(used) < max(min_points, 2):
-            return None
-        eta = np.hypot(*(b - transform(rigid_motion(a[used], b[used]), a)).T)  # eq. 16
+        eta = np.hypot(*(b - transform(fit, a)).T)  # eq. 16
         keep = eta < _gate(eta, sigmas, max_m)
-        if np.array_equal(keep, used):
+        if np.count_nonzero(keep) < max(min_points, 2):
+            return None
+        settled = start is None and np.array_equal(keep, used)
+        used, start = keep, None
+        if settled:
             break
-        used = keep
-    else:
-        used &= eta < max_m
-    if np.count_nonzero(used) < max(min_points, 2):
-        return None
-    fit = rigid_motion(a[used], b[used])
-    if np.median(np.hypot(*(b[used] - transform(fit, a[used])).T)) > max_m:
-        return None
+        fit = rigid_motion(a[used], b[used])
     residual = b[used] - transform(fit, a[used])
+    if np.median(np.hypot(residual[:, 0], residual[:, 1])) > max_m:
+        return None
     dof = max(2 * len(residual) - 3, 1)
     variance = float(np.sum(residual**2)) / dof
     return RigidFit(
         fit, used, float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))), _covariance(a[used], fit, variance)
     )
+
+
+def shift_at(a: Array, b: Array, theta_rad: float, axis_rad: float) -> Array:
+    """(3,) b_from_a when its rotation is known: medians of the displacements along and across the ceiling's lines.
+
+    A line that was taken for its neighbour displaces all its crossings across itself and none along, so each of the
+    two medians holds while more than half of the crossings are right in that one direction.
+    """
+    to_axes = rotation(-axis_rad)
+    off = (b - a @ rotation(theta_rad).T) @ to_axes.T
+    t = to_axes.T @ np.median(off, axis=0)
+    return np.array([t[0], t[1], theta_rad])
 
 
 def _gate(eta: Array, sigmas: float, max_m: float) -> float:
