@@ -2,7 +2,8 @@
 
 feeder.py DEVICE FRAMES WIDTH HEIGHT RATE_HZ FORMAT FOLDER
 
-Repeats the first frame until FOLDER/go exists, plays FRAMES once, makes FOLDER/played, then repeats the last frame.
+Repeats the first frame until FOLDER/go exists, plays FRAMES once in real time, makes FOLDER/played, then repeats the
+last frame.
 FOLDER/feed.csv gets a line for each write: index in FRAMES, CLOCK_MONOTONIC in ns before and after. v4l2loopback
 stamps a buffer while it is written.
 """
@@ -22,6 +23,8 @@ VIDIOC_S_FMT = 0xC0D05605
 V4L2_BUF_TYPE_VIDEO_OUTPUT = 2
 V4L2_FIELD_NONE = 1
 V4L2_COLORSPACE_SRGB = 8
+LATEST_OF_PERIOD = 0.2
+"""A frame that is later than this share of a period would bear a stamp too far from the moment that it shows."""
 
 
 def set_format(fd: int, fourcc: str, width: int, height: int, line_bytes: int) -> None:
@@ -44,23 +47,27 @@ def main() -> None:
     fd = os.open(device, os.O_RDWR)
     set_format(fd, fourcc, w, h, w if fourcc == "GREY" else 2 * w)
     period_ns = round(1e9 / float(rate))
-    due_ns = time.monotonic_ns()
-    index, playing = 0, False
+    origin_ns = time.monotonic_ns()
+    tick, index, first = 0, 0, None
     with (folder / "feed.csv").open("w", buffering=1) as log:
         while True:
+            # The robot drives on while this process is kept waiting: frames whose time has passed are lost.
+            tick = max(tick + 1, round((time.monotonic_ns() - origin_ns) / period_ns))
+            if first is None and (folder / "go").exists():
+                first = tick
+            if first is not None:
+                index = min(tick - first, len(frames) - 1)
             # One buffer, written in place: fresh memory for each frame costs more here than all the rest.
             luma[:] = frames[index]
-            # A late frame moves all that follow: a camera does not deliver in bursts.
-            due_ns = max(due_ns + period_ns, time.monotonic_ns())
+            due_ns = origin_ns + tick * period_ns
             time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
             before_ns = time.monotonic_ns()
+            if before_ns - due_ns > LATEST_OF_PERIOD * period_ns:
+                continue
             os.write(fd, buffer.data)
             log.write(f"{index},{before_ns},{time.monotonic_ns()}\n")
-            playing = playing or (folder / "go").exists()
-            if playing and index < len(frames) - 1:
-                index += 1
-                if index == len(frames) - 1:
-                    (folder / "played").touch()
+            if index == len(frames) - 1:
+                (folder / "played").touch()
 
 
 if __name__ == "__main__":

@@ -25,7 +25,12 @@ wait_for() {
 poses() { grep -c '/pose"' "$out/samples.jsonl" 2>/dev/null || true; }
 is_tracking() { grep -q '/pose".*"state": "TRACKING"' "$out/samples.jsonl" 2>/dev/null; }
 has_more_poses_than() { [ "$(poses)" -gt "$1" ]; }
-is_another_life() { [ "$(show ActiveState)" = active ] && [ "$(show MainPID)" != "$1" ]; }
+is_another_life() {
+  # One question: two answers would be of two moments.
+  local answer
+  answer=$(systemctl show -p MainPID,ActiveState ceilvod)
+  grep -q '^ActiveState=active$' <<<"$answer" && ! grep -qE "^MainPID=(0|$1)$" <<<"$answer"
+}
 has_status() { show StatusText | grep -qi "$1"; }
 
 install_service() {

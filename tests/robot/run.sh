@@ -59,7 +59,7 @@ rm -rf "$work/recording"
 cp "$here"/{guest.sh,feeder.py,listener.py} "$share/"
 
 step "simulated base"
-"$python" -m ceilvo.sim.base --baud 115200 --parity N --log "$OUT/telegrams.jsonl" --port-link "$OUT/base" >"$OUT/base.txt" 2>&1 &
+nice -n -10 "$python" -m ceilvo.sim.base --baud 115200 --parity N --log "$OUT/telegrams.jsonl" --port-link "$OUT/base" >"$OUT/base.txt" 2>&1 &
 base=$!
 trap 'kill $base 2>/dev/null || true' EXIT
 for _ in $(seq 100); do [ -s "$OUT/base.txt" ] && break; sleep 0.05; done

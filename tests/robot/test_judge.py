@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -34,13 +35,14 @@ judge = load_judge()
 def pose(k: int, index: int, truth: Any, seq: int) -> dict[str, Any]:
     x, y, theta = truth[index]
     at = k * PERIOD_NS
-    body = {"seq": seq, "stamp_ns": at + 10, "state": "TRACKING", "x_m": x, "y_m": y, "theta_rad": theta, "age_ms": 9.0}
+    body = {"seq": seq, "stamp_ns": at + 10, "stamp_unix_ns": at + 10 + SECOND_NS, "state": "TRACKING", "age_ms": 9.0}
+    body |= {"x_m": x, "y_m": y, "theta_rad": theta}
     return {"key": "ceilvo/r/pose", "recv_ns": at, "recv_unix_ns": at + SECOND_NS, "body": body}
 
 
 def telegram(sample: dict[str, Any]) -> dict[str, Any]:
     b = sample["body"]
-    fields = {"recv_unix_ns": sample["recv_unix_ns"] + 1000, "state": b["state"], "sequence": b["seq"]}
+    fields = {"recv_unix_ns": sample["recv_unix_ns"] + 9e6, "age_s": 0.009, "state": b["state"], "sequence": b["seq"]}
     return {
         **fields,
         "x_m": round(b["x_m"], 4),
@@ -70,7 +72,8 @@ def run() -> Any:
 
 
 def failed(run: Any) -> set[str]:
-    return {c.name for c in judge.checks(run) if c.kept is False}
+    checks = judge.report(list(judge.checks(run)))["checks"]
+    return {name for name, c in checks.items() if c["kept"] is False}
 
 
 def test_flawless_run_passes(run: Any) -> None:
@@ -78,6 +81,10 @@ def test_flawless_run_passes(run: Any) -> None:
     error, index = judge.errors(run)
     assert np.abs(error).max() < 1e-12
     assert list(index) == list(range(1, FRAMES))
+    summary = json.loads(json.dumps(judge.report(list(judge.checks(run)))))
+    assert summary["ok"] is True
+    assert summary["checks"]["position error RMS"]["value"] == pytest.approx(0, abs=1e-9)
+    assert summary["checks"]["position error RMS"]["kept"] is True
 
 
 def test_shifted_poses_are_noticed(run: Any) -> None:
@@ -103,6 +110,14 @@ def test_pose_that_only_the_base_saw_is_noticed(run: Any) -> None:
     wrong, judged = judge.unpublished(run)
     assert [t["sequence"] for t in wrong] == [100]
     assert judged == len(run.telegrams) - 1
+
+
+def test_pose_sent_again_long_after_it_was_published_is_no_other_pose(run: Any) -> None:
+    late = dict(run.telegrams[100], recv_unix_ns=run.telegrams[100]["recv_unix_ns"] + 4e9, age_s=4.009)
+    run.telegrams.insert(101, late)
+    assert failed(run) == set()
+    late["x_m"] += 0.0002
+    assert failed(run) == {"of those published alike"}
 
 
 @pytest.mark.parametrize(
