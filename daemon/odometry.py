@@ -18,7 +18,7 @@ from ceilvo.daemon.homography import consistent
 from ceilvo.daemon.matching import mutual_nearest
 from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion, shift_at
 from ceilvo.kinds import quarter_turns, turn_kind
-from ceilvo.types import Crossings, Motion, WheelMotion
+from ceilvo.types import Crossings, Ints, Motion, WheelMotion
 
 Array = NDArray[np.float64]
 
@@ -108,9 +108,18 @@ class VisualOdometry:
             return None, f"{len(i)} of {len(crossings)} crossings matched, {cfg.min_inliers} needed"
         good = consistent(crossings.uv_px[i], ref.uv_px[j], cfg.ransac_px)
         i, j = i[good], j[good]
+        if len(i) == 0:
+            return None, "no consistent correspondences"
         seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
-        start = shift_at(seen, before, turn, ref.psi_rad) if len(i) else None
-        fit = robust_rigid_motion(seen, before, cfg.residual_sigmas, cfg.residual_max_m, cfg.min_inliers, start)
+        fit = robust_rigid_motion(
+            seen,
+            before,
+            cfg.residual_sigmas,
+            cfg.residual_max_m,
+            cfg.min_inliers,
+            [shift_at(seen, before, turn, ref.psi_rad)],
+            _own_sigma_m(crossings, i) + _own_sigma_m(ref, j),
+        )
         if fit is None:
             return None, "too few consistent correspondences"
         failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)
@@ -150,6 +159,12 @@ class VisualOdometry:
         share = 0.25 * (self._since_ref_s**4 - start_s**4)
         xy, theta = self._config.coast_accel_mps2**2 * share, self._config.coast_turn_radps2**2 * share
         return Motion(np.asarray(predicted, np.float64), np.diag([xy, xy, theta]) + self._floor(), 0, 0.0, reason)
+
+
+def _own_sigma_m(crossings: Crossings, which: Ints) -> float:
+    """Median standard deviation of some crossings, without the part that all of a frame share."""
+    own = crossings.cov_base_m2[which] - crossings.common_cov_m2
+    return float(np.sqrt(0.5 * np.median(np.trace(own, axis1=1, axis2=2))))
 
 
 def _direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:

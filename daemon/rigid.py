@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ Bools = NDArray[np.bool_]
 
 _ROUNDS = 10
 _HALF = 1.2
+_CLEAR_SHARE = 0.8
 _CORNER_SIGMA_M = 0.0005
 
 
@@ -39,24 +41,51 @@ def rigid_motion(a: Array, b: Array) -> Array:
 
 
 def robust_rigid_motion(
-    a: Array, b: Array, sigmas: float, max_m: float, min_points: int, start: Array | None = None
+    a: Array,
+    b: Array,
+    sigmas: float,
+    max_m: float,
+    min_points: int,
+    starts: Sequence[Array] = (),
+    sigma_m: float = 0.0,
 ) -> RigidFit | None:
     """rigid_motion with the residual rejection and re-estimation of eq. 16; None when too few points remain.
 
     Args:
-        start: (3,) b_from_a to judge the first residuals by; None = the fit to all points, which gross outliers pull.
+        starts: (3,) b_from_a each, other motions to judge the first residuals by than the fit to all points, which
+            gross outliers pull; the result that explains the points best is returned, or the first that explains most.
+        sigma_m: what the points themselves say of their error; no residual below a few of it is rejected.
     """
-    used = np.ones(len(a), bool)
-    fit = rigid_motion(a, b) if start is None else start
+    if len(a) < max(min_points, 2):
+        return None
+    scale = max(sigma_m, _CORNER_SIGMA_M)
+    found: list[RigidFit] = []
+    for start in (*starts, None):
+        fit = _refined(a, b, rigid_motion(a, b) if start is None else start, sigmas, max_m, min_points, scale)
+        if fit is not None:
+            found.append(fit)
+            if np.count_nonzero(fit.used) >= _CLEAR_SHARE * len(a):
+                break
+    return min(found, key=lambda f: _misfit(a, b, f.b_from_a, scale)) if found else None
+
+
+def _misfit(a: Array, b: Array, b_from_a: Array, scale_m: float) -> float:
+    """Heavy-tailed cost of all residuals: a few gross ones weigh little, many small ones do."""
+    return float(np.sum(np.log1p(np.sum((b - transform(b_from_a, a)) ** 2, axis=1) / scale_m**2)))
+
+
+def _refined(
+    a: Array, b: Array, start: Array, sigmas: float, max_m: float, min_points: int, scale_m: float
+) -> RigidFit | None:
+    fit, used = start, np.zeros(len(a), bool)
     for _ in range(_ROUNDS):
         eta = np.hypot(*(b - transform(fit, a)).T)  # eq. 16
-        keep = eta < _gate(eta, sigmas, max_m)
+        keep = eta < _gate(eta, sigmas, max_m, scale_m)
         if np.count_nonzero(keep) < max(min_points, 2):
             return None
-        settled = start is None and np.array_equal(keep, used)
-        used, start = keep, None
-        if settled:
+        if np.array_equal(keep, used):
             break
+        used = keep
         fit = rigid_motion(a[used], b[used])
     residual = b[used] - transform(fit, a[used])
     if np.median(np.hypot(residual[:, 0], residual[:, 1])) > max_m:
@@ -80,13 +109,13 @@ def shift_at(a: Array, b: Array, theta_rad: float, axis_rad: float) -> Array:
     return np.array([t[0], t[1], theta_rad])
 
 
-def _gate(eta: Array, sigmas: float, max_m: float) -> float:
+def _gate(eta: Array, sigmas: float, max_m: float, sigma_m: float) -> float:
     """Largest residual kept: a few sigma of the better half, and never so tight that the better half would go.
 
     While many outliers still pull the fit, the second rule lets the half that agrees best take it over.
     """
     median = float(np.median(eta))
-    return max(min(max_m, sigmas * max(1.4826 * median, _CORNER_SIGMA_M)), _HALF * median)
+    return max(min(max_m, sigmas * max(1.4826 * median, sigma_m)), _HALF * median)
 
 
 def _covariance(a: Array, fit: Array, variance: float) -> Array:

@@ -69,7 +69,7 @@ def test_lines_taken_for_their_neighbours_do_not_pull_the_motion() -> None:
     wrong = np.isin(np.arange(10), [1, 4, 6, 8]).repeat(6)
     b[wrong] += 0.009 * np.array([np.cos(truth[2]), np.sin(truth[2])])
     start = shift_at(grid, b, float(truth[2]), float(truth[2]))
-    fit = robust_rigid_motion(grid, b, 4.0, 0.01, 3, start)
+    fit = robust_rigid_motion(grid, b, 4.0, 0.01, 3, [start])
     assert fit is not None
     assert not fit.used[wrong].any() and fit.used[~wrong].all()
     assert np.abs(se2.between(truth, fit.b_from_a)).max() < 1e-4
