@@ -211,6 +211,8 @@ class Layout:
         for p in self.panels:
             if p.kind == "lamp":
                 found += _outline(p.inner, LineKind.RISING)
+            if p.recessed and not self.spec.joints:  # otherwise the joint around it is the line
+                found += _outline(p.rect, LineKind.RISING)
             for at in p.joints():
                 found += _outline(at, LineKind.GROOVE)
             for slot in p.steps():
