@@ -40,6 +40,7 @@ from ceilvo.drivers.base_link import BaseLink
 from ceilvo.drivers.cameras import make_camera
 from ceilvo.drivers.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.modbus_base import ModbusBase
+from ceilvo.drivers.paced_camera import PacedCamera
 from ceilvo.drivers.ports import Camera
 from ceilvo.drivers.systemd_notify import Notifier
 from ceilvo.drivers.zenoh_bus import ZenohBus
@@ -241,8 +242,11 @@ class Daemon:
 
 
 def plan_real(config: Config, calibration: Calibration, seconds: float | None, summary_file: Path | None) -> Plan:
-    """A plan for the configured camera."""
-    return Plan(config, calibration, make_camera(config.camera), seconds=seconds, summary_file=summary_file)
+    """A plan for the configured camera; a recording in its place keeps its own pace."""
+    camera = make_camera(config.camera)
+    if config.camera.source != "v4l2":
+        camera = PacedCamera(camera)
+    return Plan(config, calibration, camera, seconds=seconds, summary_file=summary_file)
 
 
 def run(plan: Plan) -> int:

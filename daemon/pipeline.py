@@ -14,6 +14,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.confirmation import Confirmation
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
@@ -39,7 +40,7 @@ Lap = Callable[[str], None]
 
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
-_CONFIRMING = 5
+_SURE_M = 0.12
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -71,7 +72,8 @@ class Pipeline:
         self._view: View | None = None
         self._gap = _NO_GAP
         self._travel_m = self._turn_rad = 0.0
-        self._confirmed = True
+        self._hypothesis: Confirmation | None = None
+        self._news = True
         self._odom = np.zeros(3)
         self._states = StateMachine(config.states)
         self.reset()
@@ -101,8 +103,8 @@ class Pipeline:
         observations = self._observe(stamp_ns, motion, crossings)
         if observations is not None:
             # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
-            self._filter.update(observations if self._confirmed else _explained(observations))
-            self._confirmed = self._confirmed or self._agree(observations)
+            self._filter.update(observations if self._hypothesis is None else _explained(observations))
+            self._confirm(observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
 
@@ -134,15 +136,16 @@ class Pipeline:
         cfg = self._config.filter
         due = (
             self._updated_ns is None
-            or not self._confirmed
             or self._travel_m >= cfg.update_travel_m
             or self._turn_rad >= np.radians(cfg.update_turn_deg)
             or (stamp_ns - self._updated_ns) * _NS >= cfg.update_period_s
         )
-        if not due:
+        self._news = due
+        if not due and self._hypothesis is None:
             return None
-        self._travel_m = self._turn_rad = 0.0
-        self._updated_ns = stamp_ns
+        if due:
+            self._travel_m = self._turn_rad = 0.0
+            self._updated_ns = stamp_ns
         pose, _, _ = self._filter.estimate()
         if self._map_axis_rad is None:
             self._map_axis_rad = float(se2.wrap(crossings.psi_rad + float(pose[2])))
@@ -156,12 +159,13 @@ class Pipeline:
             self._map_axis_rad,
         )
 
-    def _agree(self, observations: Observations) -> bool:
-        """Whether a hypothesis is confirmed: most features are where the map has one of their kind, and fit."""
+    def _confirm(self, observations: Observations) -> None:
+        """Judge an assumed pose by views from places that are a little apart; once is enough to believe it."""
+        if self._hypothesis is None or not self._news:
+            return
         _, _, depletion = self._filter.estimate()
-        matched = int(np.count_nonzero(observations.label >= 0))
-        enough = matched >= max(_CONFIRMING, len(observations) // 2)
-        return enough and depletion.nis <= self._config.states.nis_high
+        if self._hypothesis.weigh(observations, depletion.nis, self._config.states.nis_high):
+            self._hypothesis = None
 
     def _conclude(
         self,
@@ -176,7 +180,7 @@ class Pipeline:
             self._twist = motion.prev_from_curr / dt_s
         seen = 0 if crossings is None else len(crossings)
         verdict = self._states.step(
-            _evidence(stamp_ns, motion, seen, cov, depletion, observations, not self._confirmed)
+            _evidence(stamp_ns, motion, seen, cov, depletion, observations, self._hypothesis is not None)
         )
         self._seq += 1
         return Estimate(
@@ -246,12 +250,14 @@ class Pipeline:
         """Start on a map of an earlier run; the pose is a hypothesis that landmarks must confirm."""
         self._map_axis_rad = map_axis_rad
         self._start_at(pose, cov, landmarks, confirmed=False)
+        self._hypothesis = Confirmation(sure=False)  # the robot may have driven on since the pose was stored
         self._states.reset("stored map and pose, to be confirmed")
 
     def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
         self._filter.reset(pose, cov, landmarks)
         self._gap = _NO_GAP
-        self._confirmed = confirmed
+        sure = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1])) < _SURE_M
+        self._hypothesis = None if confirmed else Confirmation(sure)
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns = None
 

@@ -95,19 +95,31 @@ def test_without_frames_it_coasts_and_says_why(world: World) -> None:
     assert coasted.cov[0, 0] > estimates[-1].cov[0, 0]
 
 
-def test_a_stored_pose_is_not_tracking_until_landmarks_confirm_it(world: World) -> None:
-    shot = list(frames(world, 6.0))
+def restarted(world: World, shift: tuple[float, float]) -> tuple[list[Estimate], list[Frame]]:
+    """Map 8 s of driving, then start again on that map at 3 s with a stored pose that is off by `shift`."""
+    shot = list(frames(world, 8.0))
     mapper = pipeline_of(world)
-    for frame in shot:
-        last = mapper.step(frame)
+    poses = [mapper.step(frame) for frame in shot]
     axis = mapper.map_axis_rad
     assert axis is not None
+    begin = int(3.0 * RATE_HZ)
     again = pipeline_of(world)
-    again.know_map(mapper.landmarks(), axis, last.pose, last.cov + np.diag([0.05, 0.05, 0.05]) ** 2)
-    states = [again.step(replace(shot[-1], stamp_ns=shot[-1].stamp_ns + k * 66_000_000)) for k in range(20)]
-    assert states[0].state is not State.TRACKING
-    assert states[-1].state is State.TRACKING
-    assert np.hypot(*(states[-1].pose - last.pose)[:2]) < 0.02
+    stored = poses[begin].pose + np.array([*shift, 0.0])
+    again.know_map(mapper.landmarks(), axis, stored, np.diag([0.05, 0.05, 0.05]) ** 2)
+    return [again.step(frame) for frame in shot[begin:]], shot[begin:]
+
+
+def test_a_stored_pose_is_not_tracking_until_landmarks_confirm_it(world: World) -> None:
+    estimates, _ = restarted(world, (0.02, -0.01))
+    assert estimates[0].state is not State.TRACKING
+    assert estimates[-1].state is State.TRACKING
+    assert np.hypot(*error(world, estimates[-1])[:2]) < 0.03
+
+
+@pytest.mark.parametrize("shift", [(0.6, 0.0), (0.0, -0.6), (-1.2, 0.6)])
+def test_a_stored_pose_that_is_whole_tiles_off_is_never_tracking(world: World, shift: tuple[float, float]) -> None:
+    estimates, _ = restarted(world, shift)
+    assert State.TRACKING not in {e.state for e in estimates}
 
 
 def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World) -> None:
