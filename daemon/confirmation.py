@@ -1,51 +1,62 @@
-"""Whether a pose that was only assumed is right: a sequential test of what is seen against the map.
+"""Whether a pose that was only assumed is right: it must explain what is seen better than its neighbours do.
 
-A grid of tiles agrees with any pose that is whole tiles off, so one good-looking view proves nothing. Views from
-places a little apart are counted: how many features the map explains at a right pose and at one that is tiles off was
-measured on simulated ceilings. Crossings of two grooves tell little each, the others (lamps, vents) much.
+A grid of tiles agrees with any pose that is whole tiles off, so that most features fit proves nothing. The rivals are
+tried on the same views: the assumed pose is believed once it has explained clearly more features than the best of the
+poses one tile away, over views from places a little apart. A bare grid decides nothing, and then nothing is believed.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.kinds import crossing_kind
-from ceilvo.types import Observations
+from ceilvo.types import Array, Landmarks
 
-GRID_CROSSING = int(crossing_kind(np.zeros(1, np.int64), np.zeros(1, np.int64))[0])
-"""Two grooves."""
-
-_RIGHT_GRID, _WRONG_GRID = 0.92, 0.80
-_RIGHT_OTHER, _WRONG_OTHER = 0.50, 0.12
-_ACCEPT = 6.0
-_LEAST = -30.0
-_MOST_A_VIEW = 2.5  # features of one view share lines, so they agree or disagree together
-_OTHERS_NEEDED = 4
-_FEWEST_SURE = 5
+_MARGIN = 8
 _SURE_SHARE = 0.6
+_FEWEST = 5
+_FEWEST_LANDMARKS = 6
 
 
 class Confirmation:
-    """Log-likelihood ratio of "right" against "tiles off"; `sure` hypotheses are within a fraction of a tile."""
+    """Counts explained features; `sure` hypotheses are within a fraction of a tile and need no rivals."""
 
     def __init__(self, sure: bool) -> None:
         self._sure = sure
-        self._ratio = 0.0
-        self._others = 0
+        self._explained: Array = np.zeros(1)
 
-    def weigh(self, observations: Observations, nis: float, nis_max: float) -> bool:
-        """Take in one view from a new place; True once the hypothesis is confirmed."""
-        known = observations.label >= 0
-        grid = observations.kind == GRID_CROSSING
+    def weigh(self, explained: Array, seen: int, nis: float, nis_max: float) -> bool:
+        """Take in one view from a new place.
+
+        Args:
+            explained: (1 + K,) features that the map explains from the assumed pose and from its K rivals.
+            seen: features in the view.
+
+        Returns:
+            True once the hypothesis is confirmed.
+        """
+        if explained.shape != self._explained.shape:
+            self._explained = np.zeros(explained.shape)
+        self._explained = self._explained + explained
+        fits = explained[0] >= max(_FEWEST, _SURE_SHARE * seen) and nis <= nis_max
         if self._sure:
-            enough = np.count_nonzero(known) >= max(_FEWEST_SURE, _SURE_SHARE * len(observations))
-            return bool(enough) and nis <= nis_max
-        gain = _log_ratio(known[grid], _RIGHT_GRID, _WRONG_GRID) + _log_ratio(known[~grid], _RIGHT_OTHER, _WRONG_OTHER)
-        self._ratio = max(self._ratio + min(gain, _MOST_A_VIEW), _LEAST)
-        self._others += int(np.count_nonzero(known & ~grid))
-        return self._ratio >= _ACCEPT and self._others >= _OTHERS_NEEDED and nis <= nis_max
+            return bool(fits)
+        ahead = self._explained[0] - np.max(self._explained[1:], initial=0.0)
+        return bool(fits and len(explained) > 1 and ahead >= _MARGIN)
 
 
-def _log_ratio(known: np.typing.NDArray[np.bool_], right: float, wrong: float) -> float:
-    yes, no = int(np.count_nonzero(known)), int(np.count_nonzero(~known))
-    return yes * float(np.log(right / wrong)) + no * float(np.log((1.0 - right) / (1.0 - wrong)))
+def rivals(pose: Array, landmarks: Landmarks, map_axis_rad: float) -> Array:
+    """(K, 3) poses one tile away along and across the map's axes, K = 8, or 0 where the map shows no tiles."""
+    xy = landmarks.xy_map_m
+    if len(xy) < _FEWEST_LANDMARKS:
+        return np.zeros((0, 3))
+    kinds, counts = np.unique(landmarks.kind, return_counts=True)
+    same = xy[landmarks.kind == kinds[np.argmax(counts)]]
+    if len(same) < _FEWEST_LANDMARKS:
+        return np.zeros((0, 3))
+    apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])
+    np.fill_diagonal(apart, np.inf)
+    tile = float(np.median(np.min(apart, axis=1)))
+    c, s = np.cos(map_axis_rad), np.sin(map_axis_rad)
+    steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+    shift = tile * np.array([(i * c - j * s, i * s + j * c, 0.0) for i, j in steps])
+    return np.asarray(pose + shift)

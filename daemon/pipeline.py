@@ -14,7 +14,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.confirmation import Confirmation
+from ceilvo.daemon.confirmation import Confirmation, rivals
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
@@ -104,7 +104,8 @@ class Pipeline:
         if observations is not None:
             # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
             self._filter.update(observations if self._hypothesis is None else _explained(observations))
-            self._confirm(observations)
+            if crossings is not None and self._hypothesis is not None and self._news:
+                self._confirm(self._hypothesis, crossings, observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
 
@@ -149,22 +150,27 @@ class Pipeline:
         pose, _, _ = self._filter.estimate()
         if self._map_axis_rad is None:
             self._map_axis_rad = float(se2.wrap(crossings.psi_rad + float(pose[2])))
+        return self._seen_from(pose, crossings)
+
+    def _seen_from(self, pose: Array, crossings: Crossings) -> Observations:
+        """Crossings as observations of the map, were the robot at a pose."""
         return observe(
             crossings,
             self._calibration.noise,
             self._calibration.mount_xy_m,
             pose,
             self._filter.landmarks(),
-            cfg,
-            self._map_axis_rad,
+            self._config.filter,
+            self._map_axis_rad or 0.0,
         )
 
-    def _confirm(self, observations: Observations) -> None:
+    def _confirm(self, hypothesis: Confirmation, crossings: Crossings, observations: Observations) -> None:
         """Judge an assumed pose by views from places that are a little apart; once is enough to believe it."""
-        if self._hypothesis is None or not self._news:
-            return
-        _, _, depletion = self._filter.estimate()
-        if self._hypothesis.weigh(observations, depletion.nis, self._config.states.nis_high):
+        pose, _, depletion = self._filter.estimate()
+        others = rivals(pose, self._filter.landmarks(), self._map_axis_rad or 0.0)
+        explained = [np.count_nonzero(self._seen_from(p, crossings).label >= 0) for p in others]
+        counts = np.array([np.count_nonzero(observations.label >= 0), *explained], np.float64)
+        if hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high):
             self._hypothesis = None
 
     def _conclude(

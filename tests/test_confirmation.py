@@ -1,42 +1,61 @@
-"""The sequential test of an assumed pose."""
+"""An assumed pose against its rivals one tile away."""
 
 import numpy as np
+import pytest
 
-from ceilvo.daemon.confirmation import GRID_CROSSING, Confirmation
-from ceilvo.types import Observations
+from ceilvo.daemon.confirmation import Confirmation, rivals
+from ceilvo.types import Landmarks
 
 NIS, NIS_MAX = 1.0, 3.0
-LAMP_CORNER = 5
 
 
-def view(grid_known: int, grid_unknown: int, other_known: int = 0, other_unknown: int = 0) -> Observations:
-    kind = [GRID_CROSSING] * (grid_known + grid_unknown) + [LAMP_CORNER] * (other_known + other_unknown)
-    label = list(range(grid_known)) + [-1] * grid_unknown + list(range(100, 100 + other_known)) + [-1] * other_unknown
-    n = len(kind)
-    return Observations(np.zeros((n, 2)), np.ones((n, 2)), np.array(kind, np.int64), np.array(label, np.int64))
+def views(own: int, rival: int, seen: int, count: int, sure: bool = False, nis: float = NIS) -> list[bool]:
+    confirmation = Confirmation(sure)
+    return [confirmation.weigh(np.array([own, rival, rival - 1], float), seen, nis, NIS_MAX) for _ in range(count)]
 
 
-def test_one_perfect_view_is_not_enough_for_an_unsure_pose() -> None:
-    assert not Confirmation(sure=False).weigh(view(30, 0, 10, 0), NIS, NIS_MAX)
+def test_the_better_pose_is_believed_after_a_few_views() -> None:
+    assert views(30, 28, 32, 10) == [False] * 3 + [True] * 7
 
 
-def test_several_views_with_lamps_are() -> None:
-    confirmation = Confirmation(sure=False)
-    assert any(confirmation.weigh(view(28, 2, 3, 2), NIS, NIS_MAX) for _ in range(6))
+def test_a_bare_grid_never_decides() -> None:
+    assert not any(views(30, 30, 30, 1000))
 
 
-def test_a_bare_grid_never_confirms_an_unsure_pose() -> None:
-    confirmation = Confirmation(sure=False)
-    assert not any(confirmation.weigh(view(30, 0), NIS, NIS_MAX) for _ in range(100))
+def test_the_worse_pose_is_never_believed() -> None:
+    assert not any(views(27, 30, 30, 1000))
 
 
-def test_tiles_off_lamps_contradict() -> None:
-    confirmation = Confirmation(sure=False)
-    assert not any(confirmation.weigh(view(25, 5, 1, 5), NIS, NIS_MAX) for _ in range(100))
+def test_a_pose_that_explains_little_is_not_believed_even_if_its_rivals_explain_less() -> None:
+    assert not any(views(10, 2, 30, 100))
+
+
+def test_innovations_out_of_bounds_are_no_confirmation() -> None:
+    assert not any(views(30, 20, 30, 100, nis=10.0))
 
 
 def test_a_sure_pose_needs_one_view_that_fits() -> None:
-    assert Confirmation(sure=True).weigh(view(20, 5), NIS, NIS_MAX)
-    assert not Confirmation(sure=True).weigh(view(5, 20), NIS, NIS_MAX)
-    assert not Confirmation(sure=True).weigh(view(20, 5), 10.0, NIS_MAX)
-    assert not Confirmation(sure=True).weigh(view(0, 0), NIS, NIS_MAX)
+    assert views(20, 20, 25, 1, sure=True) == [True]
+    assert views(5, 5, 25, 1, sure=True) == [False]
+    assert views(0, 0, 0, 1, sure=True) == [False]
+
+
+def test_without_rivals_an_unsure_pose_stays_unsure() -> None:
+    confirmation = Confirmation(sure=False)
+    assert not any(confirmation.weigh(np.array([30.0]), 30, NIS, NIS_MAX) for _ in range(50))
+
+
+@pytest.mark.parametrize("axis", [0.0, 0.4, -1.2])
+def test_rivals_stand_one_tile_away_along_the_axes(axis: float) -> None:
+    c, s = np.cos(axis), np.sin(axis)
+    grid = 0.6 * np.array([(i, j) for i in range(5) for j in range(5)]) @ np.array([[c, s], [-s, c]])
+    n = len(grid)
+    kinds = np.full(n, 4)
+    landmarks = Landmarks(np.arange(n), grid, np.tile(np.eye(2), (n, 1, 1)), kinds, kinds)
+    found = rivals(np.array([1.0, 2.0, 0.5]), landmarks, axis)
+    shift = (found - [1.0, 2.0, 0.5])[:, :2] @ np.array([[c, -s], [s, c]])
+    assert found.shape == (8, 3)
+    assert np.allclose(np.abs(shift).max(axis=1), 0.6)
+    assert np.allclose(shift / 0.6, np.round(shift / 0.6))
+    few = Landmarks(*(a[:3] for a in (landmarks.ids, grid, landmarks.cov_m2, kinds, kinds)))
+    assert len(rivals(np.zeros(3), few, axis)) == 0
