@@ -65,8 +65,11 @@ class Features:
     )
     canny_floor: float = key(12.0, "smallest upper Canny threshold", low=1.0, high=255.0)
     canny_low_ratio: float = key(0.45, "lower over upper threshold", low=0.1, high=1.0)
-    max_edge_points: int = key(
-        10000, "edge points used of a frame; more are sampled evenly, which bounds the time", low=500, high=10000000
+    max_edge_share: float = key(
+        0.03,
+        "edge points used, as a share of the pixels; more are sampled evenly: bounds the time",
+        low=0.001,
+        high=1.0,
     )
     direction_gate_deg: float = key(
         8.0, "edge points further off the dominant directions are not lines", low=1.0, high=20.0

@@ -137,11 +137,12 @@ class BandDetector:
         members = np.split(points[by_group], np.cumsum(np.bincount(group[edge], minlength=4))[:3])
         groups = [Group(m[:, 0], m[:, 1]) for m in members]
         starts = [expected.offset_px[group == g] for g in range(4)]
-        fit = JointFit(groups, expected.psi_rad, starts, self._focal, self._config, share)
-        fit.tilt = tilt_rad.copy()
+        fit = JointFit(groups, expected.psi_rad, starts, self._focal, self._config, share, tilt_rad)
         fit.start(place[edge[by_group]], expected.offset_px[order])
         fit.solve()
-        free = fit.finish(prior)
+        free = fit.finish()
+        if self._config.estimate_tilt:
+            fit.lean_on(prior)
         return join_grooves(fit, self._config, share, free) if fit.noise_px < _NOISE_MAX_PX else None
 
     def _limits(self) -> tuple[Array, Array]:

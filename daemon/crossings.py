@@ -15,6 +15,7 @@ Ints = NDArray[np.int64]
 
 _COVERAGE_BIN_PX = 3.0
 _MIN_COVERAGE = 0.3
+_FEWEST_HITS = 2.0
 
 
 def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings:
@@ -60,7 +61,7 @@ def _normals(psi: float) -> Array:
 
 
 def _coverage(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: float) -> NDArray[np.bool_]:
-    """(len(ids), len(at)): does the line have edge points within reach of a position along itself?"""
+    """(len(ids), len(at)): does the line have edge points within reach of a position?"""
     if len(ids) == 0 or len(at) == 0:
         return np.zeros((len(ids), len(at)), bool)
     row = np.full(len(lines.axis), -1, np.int64)
@@ -76,4 +77,4 @@ def _coverage(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: flo
     begin = np.clip(((at - reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64), 0, bins)
     end = np.clip(((at + reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64) + 1, 0, bins)
     need = _MIN_COVERAGE * 2.0 * reach_px / _COVERAGE_BIN_PX * min(1.0, _COVERAGE_BIN_PX * lines.share)
-    return np.asarray(total[:, end] - total[:, begin] >= need)
+    return np.asarray(total[:, end] - total[:, begin] >= max(need, _FEWEST_HITS))

@@ -67,7 +67,7 @@ class EdgeDetector:
         return self._to_level(at, dx.reshape(-1), dy.reshape(-1), share)
 
     def _sample(self, at: NDArray[np.int32]) -> tuple[NDArray[np.int32], float]:
-        share = self._config.max_edge_points / max(len(at), 1)
+        share = self._config.max_edge_share * len(self._lookup) / max(len(at), 1)
         if share >= 1.0:
             return at, 1.0
         return at[self._rank.take(at) < share * _LEVELS], share

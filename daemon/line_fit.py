@@ -16,6 +16,7 @@ _CORRELATED_POINTS = 27.0
 _SIGMA_FLOOR_PX = 0.02
 _TILT_CHI2 = 9.21
 _APART_PX = 1e6
+_DOUBT_RAD = np.radians(0.3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +37,23 @@ class JointFit:
     """
 
     def __init__(
-        self, groups: list[Group], psi: float, starts: list[Array], focal_px: float, config: Features, share: float
+        self,
+        groups: list[Group],
+        psi: float,
+        starts: list[Array],
+        focal_px: float,
+        config: Features,
+        share: float,
+        tilt_rad: Array,
     ) -> None:
         self.psi = psi
-        self.tilt = np.zeros(2)
+        self.tilt = tilt_rad
         self._focal, self._config = focal_px, config
         self.correlated = 1.0 + _CORRELATED_POINTS * share  # neighbours on a line share their error
         self._seen_x = np.concatenate([g.x for g in groups]) / focal_px
         self._seen_y = np.concatenate([g.y for g in groups]) / focal_px
         self._ends = np.cumsum([0, *(len(g.x) for g in groups)])
-        self.offset = np.concatenate(starts)
-        self.line_group = np.repeat(np.arange(4), [len(s) for s in starts])
-        self.support = np.zeros(len(self.offset), np.int64)
+        self.restart(starts)
         self.covariance = np.eye(3)
         self.noise_px = 1.0
         self._place()
@@ -93,6 +99,22 @@ class JointFit:
         self._seen_x, self._seen_y = self._seen_x[keep], self._seen_y[keep]
         self.rho, self._tangent = self.rho[keep], self._tangent[keep]
 
+    def restart(self, starts: list[Array]) -> None:
+        """Lines to fit, by their offsets in each group."""
+        self.offset = np.concatenate(starts)
+        self.line_group = np.repeat(np.arange(4), [len(s) for s in starts])
+        self.support = np.zeros(len(self.offset), np.int64)
+
+    def rho_by_group(self) -> list[Array]:
+        """Coordinates along the normal, px, of all points, group by group."""
+        return [self.rho[self._ends[g] : self._ends[g + 1]] * self._focal for g in range(4)]
+
+    def doubts(self, expected_rad: Array, prior: TiltPrior | None) -> bool:
+        """Whether the tilt found is far from what was expected: then a false optimum is possible."""
+        off = np.abs(self.tilt - expected_rad)
+        spread = _DOUBT_RAD if prior is None else np.maximum(3.0 * prior.sigma_rad, _DOUBT_RAD)
+        return bool(np.any(off > spread))
+
     def start(self, line_of_point: Ints, expected_offset: Array) -> None:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
         self.line = line_of_point
@@ -105,8 +127,12 @@ class JointFit:
         sigma = 1.4826 * float(np.median(spread)) if len(spread) else 0.0
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
-    def solve(self) -> None:
-        """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line."""
+    def solve(self, tilt: bool = True) -> None:
+        """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line.
+
+        Args:
+            tilt: False holds the tilt where it is.
+        """
         n = len(self.offset)
         self.support = np.bincount(self.line, minlength=n)
         count = np.maximum(self.support, 1)
@@ -118,12 +144,13 @@ class JointFit:
         mean_square = scatter_r / max(len(self.line), 1)
         self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
         weight = 1.0 / (self.noise_px**2 * self.correlated)
-        prior = np.radians(self._config.tilt_prior_deg if self._config.estimate_tilt else 1e-6)
+        held = not (tilt and self._config.estimate_tilt)
+        prior = np.radians(1e-6 if held else self._config.tilt_prior_deg)
         turn = self._tilt_from_axes()
         prior_info = np.zeros((3, 3))
         prior_info[0, 0], prior_info[1, 1], prior_info[2, 2] = 1e-3, prior**-2, prior**-2
         info = weight * info_jac + prior_info
-        gradient = weight * r_jac + np.array([0.0, *(turn.T @ self.tilt / prior**2)])
+        gradient = weight * r_jac + np.array([0.0, *(np.zeros(2) if held else turn.T @ self.tilt / prior**2)])
         covariance = np.asarray(np.linalg.inv(info))
         step = -covariance @ gradient
         to_base = np.eye(3)
@@ -165,14 +192,11 @@ class JointFit:
         across, own = rho * tangent, 1.0 + rho * rho
         return np.concatenate([-across[:half], -own[half:]]), np.concatenate([own[:half], -across[half:]])
 
-    def finish(self, prior: TiltPrior | None) -> TiltPrior:
-        """The last round, then the prior; returns the tilt of this frame alone."""
+    def finish(self) -> TiltPrior:
+        """The last round; returns the tilt of this frame alone."""
         self.assign(self.last_gate_px())
         self.solve()
-        free = TiltPrior(self.tilt, np.sqrt(np.diag(self.covariance)[1:]))
-        if prior is not None and self._config.estimate_tilt:
-            self.lean_on(prior)
-        return free
+        return TiltPrior(self.tilt, np.sqrt(np.diag(self.covariance)[1:]))
 
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""

@@ -18,7 +18,11 @@ from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
 
-_GATES_PX = (6.0, 2.5)
+_GATES_PX = (6.0, 3.0)
+_COARSE_STRIDE = 3
+_FINE_BIN_PX = 1.0
+_FINE_GATE_PX = 2.0
+_NO_WORSE = 0.95
 _DIRECTION_REACH_DEG = 4.0
 _ANGLE_STRIDE = 3
 _FEWEST_VOTES = 8.0
@@ -60,12 +64,46 @@ def detect(
     psi, starts = _hough(groups, psi, config, edges.share)
     if sum(len(s) for s in starts) < 2:
         return None
-    fit = JointFit(groups, psi, starts, focal_px, config, edges.share)
-    for gate_px in _GATES_PX:
-        fit.assign(gate_px)
-        fit.solve()
-    free = fit.finish(prior)
+    fit = _fitted(groups, psi, starts, config, focal_px, edges.share, np.zeros(2))
+    free = fit.finish()
+    expected = np.zeros(2) if prior is None else prior.mean_rad
+    if config.estimate_tilt and fit.doubts(expected, prior):
+        fit, free = _better(
+            fit, free, _fitted(groups, psi, starts, config, focal_px, edges.share, expected, tilt=False)
+        )
+    if prior is not None and config.estimate_tilt:
+        fit.lean_on(prior)
     return join_grooves(fit, config, edges.share, free)
+
+
+def _fitted(
+    groups: list[Group],
+    psi: float,
+    starts: list[Array],
+    config: Features,
+    focal_px: float,
+    share: float,
+    tilt_rad: Array,
+    tilt: bool = True,
+) -> JointFit:
+    """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: those are sharper."""
+    few = [Group(g.x[::_COARSE_STRIDE], g.y[::_COARSE_STRIDE]) for g in groups]
+    coarse = JointFit(few, psi, starts, focal_px, config, share / _COARSE_STRIDE, tilt_rad)
+    for gate_px in _GATES_PX:
+        coarse.assign(gate_px)
+        coarse.solve(tilt)
+    need = max(config.min_line_points * share, _FEWEST_VOTES)
+    fine = JointFit(groups, coarse.psi, starts, focal_px, config, share, coarse.tilt)
+    fine.restart([_peaks(_votes(rho, _FINE_BIN_PX), need, config, _FINE_BIN_PX) for rho in fine.rho_by_group()])
+    fine.assign(_FINE_GATE_PX)
+    fine.solve(tilt)
+    return fine
+
+
+def _better(fit: JointFit, free: TiltPrior, level: JointFit) -> tuple[JointFit, TiltPrior]:
+    """A fit with free tilt must convince clearly more points than one that held it: few lines can imitate a tilt."""
+    seen = level.finish()
+    return (level, seen) if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
 
 
 def _split(edges: Edges, psi: float, gate_deg: float) -> list[Group]:
@@ -85,7 +123,7 @@ def _hough(groups: list[Group], psi: float, config: Features, share: float) -> t
     sharpness = [sum(float(np.sum(v[:, 1] ** 2)) for v in _all_votes(few, angle, bin_px)) for angle in angles]
     best = float(angles[int(np.argmax(sharpness))])
     need = max(config.min_line_points * share, _FEWEST_VOTES)
-    return best, [_peaks(v, need, config) for v in _all_votes(groups, best, bin_px)]
+    return best, [_peaks(v, need, config, bin_px) for v in _all_votes(groups, best, bin_px)]
 
 
 def _all_votes(groups: list[Group], angle: float, bin_px: float) -> list[Array]:
@@ -102,7 +140,7 @@ def _votes(rho: Array, bin_px: float) -> Array:
     return np.column_stack([(np.arange(len(count)) + first + 0.5) * bin_px, count])
 
 
-def _peaks(votes: Array, need: float, config: Features) -> Array:
+def _peaks(votes: Array, need: float, config: Features, bin_px: float) -> Array:
     """Offsets of local maxima of three neighbouring bins, strongest `max_lines`, sorted."""
     if len(votes) == 0:
         return np.zeros(0)
@@ -112,4 +150,4 @@ def _peaks(votes: Array, need: float, config: Features) -> Array:
     at = np.flatnonzero((three >= need) & (three > left) & (three >= right))
     at = np.sort(at[np.argsort(-three[at], kind="stable")[: config.max_lines]])
     moment = (count[2:][at] - count[:-2][at]) / three[at]
-    return np.asarray(votes[at, 0] + moment * config.hough_bin_px)
+    return np.asarray(votes[at, 0] + moment * bin_px)
