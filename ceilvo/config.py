@@ -100,8 +100,10 @@ class Odometry:
     )
     max_speed_mps: float = key(2.0, "faster motion is a failure", low=0.05, high=10.0)
     max_turn_radps: float = key(3.5, "faster turning is a failure", low=0.05, high=20.0)
-    noise_xy_m: float = key(0.0003, "standard deviation added to every step along x and y", low=0.0, high=0.1)
-    noise_theta_rad: float = key(0.0001, "standard deviation added to every step in heading", low=0.0, high=0.1)
+    noise_xy_m: float = key(
+        0.00002, "standard deviation added to every step along x and y for what the fit does not see", low=0.0, high=0.1
+    )
+    noise_theta_rad: float = key(0.000005, "standard deviation added to every step in heading", low=0.0, high=0.1)
     coast_accel_mps2: float = key(
         0.5, "acceleration assumed while vision is out: covariance grows with it", low=0.01, high=10.0
     )
@@ -118,6 +120,10 @@ class Filter:
     resample_ess_ratio: float = key(
         0.5, "resample when ESS falls below this share of the particles", low=0.05, high=1.0
     )
+    process_xy_m: float = key(
+        0.0003, "spread of the particles by every frame: odometry's slow drift is no white noise", low=0.0, high=0.1
+    )
+    process_theta_rad: float = key(0.0001, "the same in heading", low=0.0, high=0.1)
     outlier_floor: float = key(0.02, "share of observations that may be outliers", low=0.0, high=0.5)
     feature_independence: float = key(
         0.5,

@@ -16,12 +16,13 @@ Ints = NDArray[np.int64]
 _COVERAGE_BIN_PX = 3.0
 _MIN_COVERAGE = 0.3
 _FEWEST_HITS = 2.0
+_REACH_POINTS = 2.5
 
 
 def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings:
     """Crossings where both lines have edge points nearby; the others are crossings of mere extensions."""
     first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
-    reach = config.crossing_reach_px
+    reach = max(config.crossing_reach_px, _REACH_POINTS / lines.share)
     there = _coverage(lines, first, 1, lines.offset_px[second], reach) & (
         _coverage(lines, second, 0, lines.offset_px[first], reach).T
     )

@@ -65,6 +65,8 @@ class Pipeline:
         self._config = config
         self._lines = LineFinder(calibration, config.features)
         self._filter: PoseFilter = Pfcf(config.filter, rng)
+        cfg = config.filter
+        self._process = np.diag([cfg.process_xy_m**2, cfg.process_xy_m**2, cfg.process_theta_rad**2])
         self._seq = 0
         self._stamp_ns: int | None = None
         self._updated_ns: int | None = None
@@ -117,7 +119,7 @@ class Pipeline:
         if not motion.ok:
             cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
         if motion.ok or motion.restarted:
-            self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov))
+            self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov + self._process))
             self._gap = _NO_GAP
         else:
             self._gap = replace(motion, prev_from_curr=moved, cov=cov)
