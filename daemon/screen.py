@@ -211,7 +211,7 @@ def _figures(s: Snapshot, unicode: bool) -> list[Text]:
         _row("quality", f"{s.quality:9.2f}"),
         _row("camera", f"{s.fps:6.1f} fps, {s.drops} dropped"),
         _row("vision", f"{s.crossings:6d} crossings, {s.inliers} inliers"),
-        _row("filter", f"{100 * s.ess_ratio:6.0f} % ESS of {s.particles}, {s.unique_ancestors} ancestors"),
+        _row("filter", f"{100 * s.ess_ratio:6.0f} % ESS, {s.unique_ancestors} of {s.particles} kept"),
         _row("map", f"{s.landmarks:6d} landmarks, NIS {s.nis:.2f}"),
         _row("base", _base(s.base)),
         _row("zenoh", "   off" if s.zenoh_samples is None else f"{s.zenoh_samples:6d} samples"),

@@ -182,7 +182,7 @@ class ModbusBase:
         c = self._config
         hint = f"check base.port ({c.port}), its permissions (group dialout) and that no other program holds it"
         try:
-            serial.Serial(c.port, c.baud, exclusive=True).close()
+            serial.Serial(c.port, c.baud, parity=port_parity(c.port, c.parity), exclusive=True).close()
         except (OSError, ValueError, termios.error) as e:
             return f"{e}; {hint}"
         return f"it was busy; {hint}"
