@@ -1,4 +1,4 @@
-"""Particle filter with curve fitting (eqs. 17-25): poses as particles, each with its own landmark map."""
+"""FastSLAM 1.0 and the paper's filter (eqs. 17-25): poses as particles, each with its own landmark map."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ REGULARISATION = (2e-5, 2e-5, 1e-5)
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
-class Pfcf:
-    """PoseFilter by particles; method "pf" resamples systematically (FastSLAM 1.0), "pfcf" along the fitted curve."""
+class FastSlam:
+    """PoseFilter by particles; method "pf" resamples systematically, "pfcf_paper" along the fitted curve."""
 
     def __init__(self, settings: Filter, rng: np.random.Generator) -> None:
         self._settings = settings
@@ -220,7 +220,7 @@ class Pfcf:
     def _resample(self) -> tuple[int, float]:
         """Draw equally weighted particles; returns the number of distinct ancestors and the fit's residual."""
         drawn = None
-        if self._settings.method == "pfcf":
+        if self._settings.method == "pfcf_paper":
             drawn = curve_fit.redraw(self._poses, self._weights, self._settings.fit_degree, self._rng)
         if drawn is None:
             ancestors, residual = curve_fit.systematic(self._weights, self._rng), float("nan")

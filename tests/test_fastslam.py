@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.config import Filter
-from ceilvo.daemon import curve_fit, pfcf
+from ceilvo.daemon import curve_fit, fastslam
 from ceilvo.daemon.particles import effective_size, mean_and_cov
-from ceilvo.daemon.pfcf import Pfcf, independent
+from ceilvo.daemon.fastslam import FastSlam, independent
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import inverse, rotation, transform, wrap
 from ceilvo.types import Landmarks, Motion, Observations
@@ -20,7 +20,7 @@ INDEPENDENT = replace(Filter(), feature_independence=1.0)
 
 
 def make(settings=INDEPENDENT, pose=(0.0, 0.0, 0.0), cov=None, known=None, seed=SEED):
-    made = Pfcf(settings, np.random.default_rng(seed))
+    made = FastSlam(settings, np.random.default_rng(seed))
     made.reset(np.asarray(pose, float), np.zeros((3, 3)) if cov is None else cov, known)
     return made
 
@@ -168,7 +168,7 @@ def test_candidates_expire_and_differ_by_kind():
         f.update(observations([[1.0, 0.5]], [-1], kind=[3]))
     f.update(observations([[1.0, 0.5]], [-1], kind=[4]))
     assert len(f.landmarks()) == 0
-    for _ in range(pfcf.CANDIDATE_EXPIRES_UPDATES + 1):
+    for _ in range(fastslam.CANDIDATE_EXPIRES_UPDATES + 1):
         f.update(observations([], []))
     f.update(observations([[1.0, 0.5]], [-1], kind=[3]))
     assert len(f.landmarks()) == 0
@@ -203,7 +203,7 @@ def test_maps_grow_beyond_a_chunk_and_follow_their_particles():
     np.testing.assert_array_equal(f._maps.gather(np.array([3]))[0], before[3:4])
 
 
-@pytest.mark.parametrize("method", ["pfcf", "pf"])
+@pytest.mark.parametrize("method", ["pfcf_paper", "pf"])
 def test_resampling_keeps_the_estimate_and_makes_weights_uniform(method):
     xy = np.random.default_rng(SEED).uniform(-1, 1, (4, 2))
     f = make(
@@ -221,7 +221,7 @@ def test_resampling_keeps_the_estimate_and_makes_weights_uniform(method):
     print(f"{method}: shift {np.abs(after - pose) / sigma} sigma, std {np.sqrt(np.diag(after_cov)) / sigma}")
     assert np.all(np.abs(after - pose) < 0.15 * sigma)
     np.testing.assert_allclose(np.sqrt(np.diag(after_cov)), sigma, rtol=0.15)
-    assert np.isfinite(health.fit_residual) == (method == "pfcf")
+    assert np.isfinite(health.fit_residual) == (method == "pfcf_paper")
     assert health.unique_ancestors < 2000
 
 
@@ -301,7 +301,7 @@ STEP = st.tuples(
 )
 
 
-@given(st.lists(STEP, min_size=1, max_size=6), st.sampled_from(["pf", "pfcf"]), st.sampled_from([0.0, 0.02]))
+@given(st.lists(STEP, min_size=1, max_size=6), st.sampled_from(["pf", "pfcf_paper"]), st.sampled_from([0.0, 0.02]))
 def test_nothing_finite_or_not_makes_it_nan(steps, method, floor):
     f = make(replace(Filter(), method=method, particles=12, birth_sightings=1, outlier_floor=floor))
     for step, sigma, rows, heading, heading_var in steps:
