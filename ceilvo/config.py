@@ -103,8 +103,8 @@ class Odometry:
 class Filter:
     method: str = key(
         "pfcf",
-        "pfcf = particles with one shared map and a curve fitted to their weights, pfcf_paper = eqs. 21-25 to the letter, "
-        "pf = systematic resampling (FastSLAM), ukf = unscented Kalman filter",
+        "pfcf = particles on one shared map, a curve fitted to their weights; pfcf_paper = eqs. 21-25 to the letter; "
+        "pf = FastSLAM 1.0; ukf = unscented Kalman filter",
         choices=("pfcf", "pfcf_paper", "pf", "ukf"),
     )
     particles: int = key(100, "number of pose hypotheses", low=10, high=100000)
@@ -113,7 +113,7 @@ class Filter:
     ukf_gate: bool = key(True, "ukf: refuse outliers")
     slip_per_m: float = key(0.05, "pfcf: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
     slip_share: float = key(0.5, "pfcf: how much of the reported way a slip may swallow", low=0.0, high=1.0)
-    lost_updates: int = key(8, "pfcf: updates refused in a row before the pose is searched on the map", low=2, high=1000)
+    lost_updates: int = key(8, "pfcf: updates refused in a row that start a search on the map", low=2, high=1000)
     resample_ess_ratio: float = key(
         0.5, "resample when ESS falls below this share of the particles", low=0.05, high=1.0
     )

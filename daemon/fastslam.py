@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon import curve_fit
+from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.landmarks import Candidates, ParticleMaps, fused
 from ceilvo.daemon.matching import mutual_nearest
-from ceilvo.daemon.particles import effective_size, mean_and_cov, moved, normalised, spread
+from ceilvo.daemon.particles import COUNTERS, effective_size, mean_and_cov, moved, normalised, spread
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import rotation, transform, wrap_array
-from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion, Observations
+from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
 
+Redraw = Callable[[Array, Array, int, np.random.Generator], tuple[Array, float] | None]
+"""Like curve_fit.redraw: poses, weights, degree, randomness to new poses and the fit's residual, or None."""
 OUTLIER_DENSITY_PER_M2 = 0.25
 """An outlier may lie anywhere on 4 m^2."""
 OUTLIER_DENSITY_PER_RAD = 2.0 / np.pi
@@ -35,24 +41,30 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 class FastSlam:
-    """PoseFilter by particles; method "pf" resamples systematically, "pfcf_paper" along the fitted curve."""
+    """PoseFilter by particles; method "pf" resamples systematically, any other along a fitted curve."""
 
-    def __init__(self, settings: Filter, rng: np.random.Generator) -> None:
+    def __init__(self, settings: Filter, rng: np.random.Generator, redraw: Redraw = curve_fit.redraw) -> None:
         self._settings = settings
         self._rng = rng
+        self._redraw = redraw
+        self._counters = dict.fromkeys(COUNTERS, 0)
         self.reset(np.zeros(3), np.zeros((3, 3)))
 
-    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None) -> None:
+    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
         n = self._settings.particles
-        self._poses = spread(np.asarray(pose, np.float64), np.asarray(cov, np.float64), n, self._rng)
+        if not np.all(np.isfinite(cov)):
+            self._poses = self._anywhere(landmarks)
+        else:
+            self._poses = spread(np.asarray(pose, np.float64), np.asarray(cov, np.float64), n, self._rng)
         self._poses[:, 2] = wrap_array(self._poses[:, 2])
+        self._known = KnownMap(landmarks) if known and landmarks is not None and len(landmarks) else None
         self._weights = np.full(n, 1.0 / n)
         self._maps = ParticleMaps(n)
         self._candidates = Candidates(CANDIDATE_EXPIRES_UPDATES)
         self._depletion = Depletion(n, float(n), n, float("nan"), 0.0, 0)
         self._estimate: tuple[Array, Array] | None = None
         self._summary: Landmarks | None = None
-        if landmarks is not None and len(landmarks):
+        if landmarks is not None and len(landmarks) and self._known is None:
             packed = landmarks.cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
             labels = self._maps.add(
                 np.repeat(landmarks.xy_map_m[:, :, None], n, axis=2),
@@ -63,6 +75,14 @@ class FastSlam:
                 landmarks.ids,
             )
             self._maps.refresh(self._weights, labels)
+
+    def _anywhere(self, landmarks: Landmarks | None) -> Array:
+        """(N, 3) poses all over the map."""
+        if landmarks is None or not len(landmarks):
+            raise CeilvoError("filter: the pose is not known and there is no map; give a finite covariance or a map")
+        low, high = np.min(landmarks.xy_map_m, axis=0), np.max(landmarks.xy_map_m, axis=0)
+        unit = self._rng.random((self._settings.particles, 3))
+        return np.column_stack([low + unit[:, :2] * (high - low), 2.0 * np.pi * unit[:, 2]])
 
     def predict(self, motion: Motion) -> None:
         if not (np.all(np.isfinite(motion.prev_from_curr)) and np.all(np.isfinite(motion.cov))):
@@ -75,15 +95,20 @@ class FastSlam:
 
     def update(self, obs: Observations) -> None:
         """Weights by eq. 18 (the motion being the proposal, they grow by the likelihood), then map, then resampling."""
-        obs = _usable(obs, len(self._maps))
+        obs = self._labelled(usable(obs, self._size()))
+        self._counters["updates"] += 1
         matched = np.flatnonzero(obs.label >= 0)
         likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
         self._weights = self._tempered(likelihood + self._heading_log_likelihood(obs))
         self._estimate = mean_and_cov(self._poses, self._weights)  # before resampling, which only adds noise
-        self._maps.refresh(self._weights, obs.label[matched])
-        self._summary = None
-        unknown = np.concatenate([np.flatnonzero(obs.label < 0), matched[unexplained]])
-        self._consider(obs, unknown, self._estimate[0])
+        self._counters["observations"] += len(matched)
+        self._counters["outliers"] += int(np.count_nonzero(unexplained))
+        self._counters["rejected_updates"] += int(2 * np.count_nonzero(unexplained) > len(matched))
+        if self._known is None:
+            self._maps.refresh(self._weights, obs.label[matched])
+            self._summary = None
+            unknown = np.concatenate([np.flatnonzero(obs.label < 0), matched[unexplained]])
+            self._consider(obs, unknown, self._estimate[0])
         ess, ancestors, residual = effective_size(self._weights), len(self._weights), float("nan")
         if ess < self._settings.resample_ess_ratio * len(self._weights):
             ancestors, residual = self._resample()
@@ -96,12 +121,35 @@ class FastSlam:
         return pose.copy(), cov.copy(), self._depletion
 
     def landmarks(self) -> Landmarks:
+        if self._known is not None:
+            return self._known.landmarks
         if self._summary is None:
             self._summary = self._maps.summary()
         return self._summary
 
     def particles(self) -> tuple[Array, Array]:
         return self._poses.copy(), self._weights.copy()
+
+    def counters(self) -> Mapping[str, int]:
+        return dict(self._counters)
+
+    def _size(self) -> int:
+        return len(self._maps) if self._known is None else len(self._known)
+
+    def _labelled(self, obs: Observations) -> Observations:
+        """Features whose landmark is left to the filter go to the nearest of their kind at the mean pose."""
+        free = np.flatnonzero(obs.label == UNLABELLED)
+        if not len(free):
+            return obs
+        pose, _ = mean_and_cov(self._poses, self._weights)
+        xy, gate = transform(pose, obs.xy_base_m[free]), self._settings.association_gate_m
+        m = self.landmarks()
+        near = np.arange(len(m)) if self._known is None else self._known.near(xy, gate)
+        seen, which = mutual_nearest(xy, obs.kind[free], m.xy_map_m[near], m.kind[near], gate)
+        label = obs.label.copy()
+        label[free] = NO_LANDMARK
+        label[free[seen]] = near[which]
+        return usable(replace(obs, label=label), self._size())
 
     def _weigh_and_map(
         self, obs: Observations, matched: NDArray[np.intp]
@@ -113,7 +161,7 @@ class FastSlam:
         if not len(matched):
             return np.zeros(len(self._weights)), np.zeros(0, bool), 0.0, 0
         labels = obs.label[matched]
-        mean, cov = self._maps.gather(labels)
+        mean, cov = self._maps.gather(labels) if self._known is None else self._known.repeated(labels)
         seen, noise = self._in_map(obs, matched)
         innovation, innovation_cov = seen - mean, cov + noise
         nis = self._nis(innovation, innovation_cov)
@@ -121,11 +169,12 @@ class FastSlam:
         inlier = np.log1p(-floor) + gaussian_log(innovation, innovation_cov)
         outlier = np.log(floor * OUTLIER_DENSITY_PER_M2) if floor > 0.0 else -np.inf
         wins = inlier > outlier
-        new_mean, new_cov = fused(mean, cov, innovation, innovation_cov)
-        take = wins[:, None, :]
-        self._maps.scatter(labels, np.where(take, new_mean, mean), np.where(take, new_cov, cov))
         explained = wins @ self._weights > 0.5
-        self._maps.sightings[labels[explained]] += 1
+        if self._known is None:
+            new_mean, new_cov = fused(mean, cov, innovation, innovation_cov)
+            take = wins[:, None, :]
+            self._maps.scatter(labels, np.where(take, new_mean, mean), np.where(take, new_cov, cov))
+            self._maps.sightings[labels[explained]] += 1
         variance = 0.5 * float(np.mean((innovation_cov[:, 0] + innovation_cov[:, 2]) @ self._weights))
         count = independent(len(matched), self._settings.feature_independence, obs.common_var_m2 / variance)
         log_likelihood = count / len(matched) * np.sum(np.logaddexp(inlier, outlier), axis=0)
@@ -213,6 +262,7 @@ class FastSlam:
             candidates.count[which],
             self._settings.max_landmarks,
         )
+        self._counters["births"] += len(labels)
         self._maps.refresh(self._weights, labels)
         self._summary = None
         candidates.remove(which)
@@ -220,8 +270,10 @@ class FastSlam:
     def _resample(self) -> tuple[int, float]:
         """Draw equally weighted particles; returns the number of distinct ancestors and the fit's residual."""
         drawn = None
-        if self._settings.method == "pfcf_paper":
-            drawn = curve_fit.redraw(self._poses, self._weights, self._settings.fit_degree, self._rng)
+        self._counters["resamplings"] += 1
+        if self._settings.method != "pf":
+            drawn = self._redraw(self._poses, self._weights, self._settings.fit_degree, self._rng)
+            self._counters["fit_failures"] += int(drawn is None)
         if drawn is None:
             ancestors, residual = curve_fit.systematic(self._weights, self._rng), float("nan")
             poses = self._poses[ancestors]
@@ -267,15 +319,15 @@ def _turned(var: Array, theta: float) -> Array:
     return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])
 
 
-def _usable(obs: Observations, landmarks: int) -> Observations:
+def usable(obs: Observations, landmarks: int) -> Observations:
     """Without rows that are not finite or have no variance; a landmark seen twice or not there is unknown."""
     good = np.all(np.isfinite(obs.xy_base_m), axis=1) & np.all(np.isfinite(obs.var_m2) & (obs.var_m2 > 0.0), axis=1)
     label = obs.label[good].copy()
-    label[label >= landmarks] = -1
+    label[(label >= landmarks) | (label < UNLABELLED)] = NO_LANDMARK
     first = np.unique(label, return_index=True)[1]
-    repeated = np.ones(len(label), bool)
+    repeated = label >= 0
     repeated[first] = False
-    label[repeated] = -1
+    label[repeated] = NO_LANDMARK
     return Observations(
         obs.xy_base_m[good],
         np.maximum(obs.var_m2[good], VAR_FLOOR),

@@ -55,8 +55,8 @@ COUNTERS = (
     "tile_slips",
 )
 """Updates; observations matched to a landmark, and those of them that the gate refused; updates most of whose
-observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that the
-landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling."""
+observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
+the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling."""
 
 
 def mean_and_cov(poses: Array, weights: Array) -> tuple[Array, Array]:
