@@ -1,0 +1,293 @@
+"""The filter of this daemon: pose particles on one shared map, a curve fitted to their weights, gates that close in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.config import Filter
+from ceilvo.daemon import log_quadratic
+from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
+from ceilvo.daemon.particles import normalised
+from ceilvo.se2 import wrap, wrap_array
+from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion
+
+ROUNDS = (10.0, 5.0, 1.25)
+"""Gates of the rounds of fitting, in units of filter.gate_chi2."""
+WIDEN = 1.2
+"""Standard deviations of a round's proposal in those of the last fit."""
+SLIP_LENGTH_M = 0.3
+"""How long a slip lasts, on average."""
+NEGLIGIBLE = 0.01
+"""A hypothesis of less weight is dropped."""
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """One hypothesis before the update: its weight, and by how much its pose differs from the joint map's."""
+
+    log_weight: float
+    shift: Array
+    spread: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """One hypothesis after the rounds: pose and root of its covariance, evidence, inliers (K,), and the curve's fit."""
+
+    pose: Array
+    root: Array
+    log_evidence: float
+    inliers: Bools
+    heading: bool
+    residual: float
+    ess: float
+
+
+class Conditional:
+    """p(features | pose) of one hypothesis: the landmarks given the pose are N(m + B (x - mu), C)."""
+
+    def __init__(self, view: View, mu: Array, cov: Array) -> None:
+        self.view, self.mu, self.cov = view, mu, cov
+        cross = view.joint[3:, :3]
+        self.follow = np.linalg.solve(cov, cross.T).T
+        noise = noise_in_map(float(mu[2]), view.var * view.inflation)
+        self.total = view.joint[3:, 3:] - self.follow @ cross.T
+        for i, block in enumerate(noise):
+            self.total[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block
+        self.lower = np.linalg.cholesky(self.total) if len(view) else np.zeros((0, 0))
+        self._inverse = np.linalg.inv(self.lower) if len(view) else self.lower
+
+    def innovations(self, poses: Array) -> Array:
+        """(N, 2 K) features in map minus landmarks, each as the pose has them."""
+        c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        x, y = self.view.xy[:, 0], self.view.xy[:, 1]
+        off = poses - self.mu
+        off[:, 2] = wrap_array(off[:, 2])
+        out = -off @ self.follow.T - self.view.landmark.ravel()
+        out[:, 0::2] += poses[:, :1] + c * x - s * y
+        out[:, 1::2] += poses[:, 1:2] + s * x + c * y
+        return np.asarray(out, np.float64)
+
+    def distances(self, poses: Array, gate: float) -> Array:
+        """(N, K) squared normalised innovations, each given the earlier ones that are within the gate."""
+        nu = self.innovations(poses)
+        white = nu @ self._inverse.T
+        out = white[:, 0::2] ** 2 + white[:, 1::2] ** 2
+        if np.any(out > gate):
+            self._eliminate(nu, white, out, gate)
+        return np.asarray(out, np.float64)
+
+    def _eliminate(self, nu: Array, white: Array, out: Array, gate: float) -> None:
+        """One feature after the other; those beyond the gate do not condition the later ones."""
+        inverse = self._inverse
+        diagonal = [inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(out.shape[1])]
+        for k in range(out.shape[1]):
+            at = slice(2 * k, 2 * k + 2)
+            e = (nu[:, at] - white[:, : 2 * k] @ self.lower[at, : 2 * k].T) @ diagonal[k].T
+            out[:, k] = e[:, 0] ** 2 + e[:, 1] ** 2
+            white[:, at] = e * (out[:, k] <= gate)[:, None]
+
+    def log_likelihood(self, poses: Array, gate: float) -> Array:
+        """(N,) with every term saturated at the gate."""
+        d = self.distances(poses, gate)
+        total = np.sum(np.logaddexp(-0.5 * d, -0.5 * gate), axis=1)
+        return np.asarray(total + np.logaddexp(-0.5 * self.heading_distance(poses), -0.5 * gate), np.float64)
+
+    def heading_distance(self, poses: Array) -> Array:
+        if not np.isfinite(self.view.heading_var):
+            return np.zeros(len(poses))
+        return np.asarray(wrap_array(poses[:, 2] - self.view.heading) ** 2 / self.view.heading_var, np.float64)
+
+
+class Pfcf(JointFilter):
+    """State: N pose particles and one map p(m | x); see docs/filter.md."""
+
+    def __init__(self, settings: Filter, rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+
+    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
+        super().reset(pose, cov, landmarks, known)
+        n = self._settings.particles
+        self._way = np.zeros(2)
+        self._reported_m = 0.0
+        self._slipping = 0.0
+        self._health = (float(n), float("nan"))
+        self._redraw()
+
+    def _redraw(self) -> None:
+        root = np.linalg.cholesky(self._joint.pose_cov)
+        self._particles = self._joint.pose + self._normals() @ root.T
+
+    def _normals(self) -> Array:
+        """(N, 3) standard normals whose sample mean and covariance are exact."""
+        n = self._settings.particles
+        u = self._rng.standard_normal((n, 3))
+        u -= np.mean(u, axis=0)
+        return np.asarray(np.linalg.solve(np.linalg.cholesky(u.T @ u / n), u.T).T, np.float64)
+
+    def particles(self) -> tuple[Array, Array]:
+        return self._particles.copy(), np.full(len(self._particles), 1.0 / len(self._particles))
+
+    def estimate(self) -> tuple[Array, Array, Depletion]:
+        n = self._settings.particles
+        ess, residual = self._health
+        health = Depletion(n, ess, n, residual, self._nis, self._nis_dof)
+        return self._joint.pose.copy(), self._joint.pose_cov.copy(), health
+
+    def predict(self, motion: Motion) -> None:
+        before = self._joint.pose.copy()
+        super().predict(motion)
+        step = self._joint.pose[:2] - before[:2]
+        self._way += step
+        self._reported_m += float(np.hypot(*step))
+        self._redraw()
+
+    # -- update
+
+    def _absorb(self, view: View, rows: Ints) -> Bools:
+        priors = self._priors()
+        fits = [self._fit(view, prior) for prior in priors]
+        log_weight = np.array([p.log_weight + f.log_evidence for p, f in zip(priors, fits, strict=True)])
+        weight = normalised(log_weight)
+        self._slipping = float(weight[1]) if len(weight) > 1 else 0.0
+        self._counters["slips"] += int(self._slipping > 0.5)
+        kept = weight > NEGLIGIBLE
+        weight = weight * kept / np.sum(weight * kept)
+        best = int(np.argmax(weight))
+        self._telemetry(view, priors[best], fits[best])
+        parts = [self._posterior(view, rows, p, f) for p, f, k in zip(priors, fits, kept, strict=True) if k]
+        self._merge(weight[kept], parts)
+        self._way, self._reported_m = np.zeros(2), 0.0
+        self._redraw()
+        self._counters["resamplings"] += 1
+        return fits[best].inliers
+
+    def _priors(self) -> list[Prior]:
+        """The motion as reported, and with a part of it swallowed by slip."""
+        cfg, way = self._settings, self._reported_m
+        none = Prior(0.0, np.zeros(3), np.zeros((3, 3)))
+        if cfg.slip_per_m <= 0.0 or cfg.slip_share <= 0.0 or way <= 0.0:
+            return [none]
+        enter, leave = 1.0 - np.exp(-cfg.slip_per_m * way), 1.0 - np.exp(-way / SLIP_LENGTH_M)
+        p = float(np.clip(self._slipping * (1.0 - leave) + (1.0 - self._slipping) * enter, 1e-12, 1.0 - 1e-12))
+        lost = np.append(cfg.slip_share * self._way, 0.0)
+        return [
+            Prior(float(np.log1p(-p)), none.shift, none.spread),
+            Prior(float(np.log(p)), -0.5 * lost, np.outer(lost, lost) / 12.0),
+        ]
+
+    def _fit(self, view: View, prior: Prior) -> Fitted:
+        """Rounds of drawing around the last fit and fitting the weights anew."""
+        mu, cov = self._joint.pose + prior.shift, self._joint.pose_cov + prior.spread
+        given = Conditional(view, mu, cov)
+        gate = self._settings.gate_chi2
+        prior_root = np.linalg.cholesky(cov)
+        prior_inverse = np.linalg.inv(prior_root)
+        centre, root, widen, residual, ess = mu, prior_root, 1.0, float("nan"), 0.0
+        for level in ROUNDS:
+            u = self._normals()
+            proposal = root * widen
+            poses = centre + u @ proposal.T
+            white = (poses - mu) @ prior_inverse.T
+            log_f = given.log_likelihood(poses, level * gate) + 0.5 * (
+                np.sum(u * u, axis=1) - np.sum(white * white, axis=1)
+            )
+            curve = log_quadratic.fit(u, log_f)
+            if curve is None:
+                self._counters["fit_failures"] += 1
+                break
+            centre, root = log_quadratic.posterior(centre, proposal, curve[0], curve[1])
+            residual, widen = curve[2], WIDEN
+        w = normalised(log_f)
+        ess = float(1.0 / np.sum(w * w))
+        at = centre[None]
+        inliers = given.distances(at, gate)[0] <= gate
+        heading = bool(given.heading_distance(at)[0] <= gate) and np.isfinite(view.heading_var)
+        white = prior_inverse @ (centre - mu)
+        spread = np.linalg.slogdet(root)[1] - np.linalg.slogdet(prior_root)[1]
+        evidence = float(given.log_likelihood(at, gate)[0] - 0.5 * white @ white + spread)
+        return Fitted(centre, root, evidence, inliers, heading, residual, ess)
+
+    def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
+        """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
+        j = self._joint
+        mean, cov = j.mean.copy(), j.cov.copy()
+        mean[:3] += prior.shift
+        cov[:3, :3] += prior.spread
+        take = np.repeat(fitted.inliers, 2)
+        k = int(np.count_nonzero(fitted.inliers))
+        xy = view.xy[fitted.inliers]
+        c, s = np.cos(fitted.pose[2]), np.sin(fitted.pose[2])
+        arm = np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
+        h = np.zeros((2 * k + int(fitted.heading), 3))
+        h[0 : 2 * k : 2, 0] = h[1 : 2 * k : 2, 1] = 1.0
+        h[0 : 2 * k : 2, 2], h[1 : 2 * k : 2, 2] = -arm[:, 1], arm[:, 0]
+        innovation = np.empty(len(h))
+        off = fitted.pose - mean[:3]
+        off[2] = wrap(float(off[2]))
+        seen = fitted.pose[:2] + arm - view.landmark[fitted.inliers]
+        innovation[: 2 * k] = h[: 2 * k] @ off - seen.ravel()
+        cross = cov[:, :3] @ h.T
+        own_blocks = np.zeros((len(h), len(h)))
+        if self._known is None:
+            used = rows[take]
+            cross[:, : 2 * k] -= cov[:, used]
+            total = h @ cross[:3]
+            total[: 2 * k] -= cross[used]
+        else:
+            total = h @ cross[:3]
+            own_blocks[: 2 * k, : 2 * k] = view.joint[3:, 3:][np.ix_(take, take)]
+        total += own_blocks
+        noise = noise_in_map(float(fitted.pose[2]), view.var[fitted.inliers] * view.inflation)
+        for i, block in enumerate(noise):
+            total[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block
+        if fitted.heading:
+            h[-1, 2] = 1.0
+            cross[:, -1] = cov[:, 2]
+            total[-1, :], total[:, -1] = h[-1] @ cross[:3], h[-1] @ cross[:3]
+            total[-1, -1] += view.heading_var
+            innovation[-1] = wrap(view.heading - float(mean[2]))
+        if len(h):
+            gain = np.linalg.solve(total, cross.T).T
+            mean += gain @ innovation
+            cov -= gain @ cross.T
+        return mean, cov
+
+    def _merge(self, weight: Array, parts: list[tuple[Array, Array]]) -> None:
+        """One Gaussian with the mean and the covariance of the hypotheses together."""
+        j = self._joint
+        mean, cov = parts[0]
+        if len(parts) > 1:
+            means = np.array([m for m, _ in parts])
+            means[:, 2] = means[0, 2] + wrap_array(means[:, 2] - means[0, 2])
+            mean = weight @ means
+            off = (means - mean) * np.sqrt(weight)[:, None]
+            cov = sum((w * c for w, (_, c) in zip(weight, parts, strict=True)), off.T @ off)
+        j.mean, j.cov = mean, 0.5 * (cov + cov.T)
+        j.mean[2] = wrap(float(j.mean[2]))
+
+    def _telemetry(self, view: View, prior: Prior, fitted: Fitted) -> None:
+        self._health = (fitted.ess, fitted.residual)
+        self._nis, self._nis_dof = 0.0, 2 * len(view)
+        if not len(view):
+            return
+        mu = self._joint.pose + prior.shift
+        c, s = np.cos(mu[2]), np.sin(mu[2])
+        arm = np.column_stack([c * view.xy[:, 0] - s * view.xy[:, 1], s * view.xy[:, 0] + c * view.xy[:, 1]])
+        nu = mu[:2] + arm - view.landmark
+        joint = view.joint.copy()
+        joint[:3, :3] += prior.spread
+        total = noise_in_map(float(mu[2]), view.var)
+        h = np.zeros((len(view), 2, 3))
+        h[:, 0, 0] = h[:, 1, 1] = 1.0
+        h[:, 0, 2], h[:, 1, 2] = -arm[:, 1], arm[:, 0]
+        cross = h @ joint[:3, 3:].reshape(3, -1, 2).transpose(1, 0, 2)
+        blocks = joint[3:, 3:].reshape(len(view), 2, len(view), 2)
+        own = blocks[np.arange(len(view)), :, np.arange(len(view))]
+        total = total + h @ joint[:3, :3] @ h.transpose(0, 2, 1) - cross - cross.transpose(0, 2, 1) + own
+        nis = np.einsum("ki,ki->k", nu, np.linalg.solve(total, nu[:, :, None])[:, :, 0])
+        self._nis = float(np.mean(np.minimum(nis, NIS_CAP))) / 2.0
