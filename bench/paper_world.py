@@ -13,13 +13,14 @@ from ceilvo.se2 import compose, inverse, transform, wrap_array
 from ceilvo.types import Array, Ints
 
 ROOM_M = 5.0
-INSET_M = 0.4
+INSET_M = 0.45
 """Distance of the lap from the walls."""
 LAP_STEPS = 225
 SPEED_M_S = 0.35
 DT_S = 0.2
 VIEW_M = 1.6
 FEATURES_PER_SIDE = 4
+FEATURE_MARGIN_M = 0.8
 FEATURE_JITTER_M = 0.3
 TILE_M = 0.6
 LAMP_SHARE, VENT_SHARE = 0.12, 0.05
@@ -33,8 +34,8 @@ class Setting:
 
     Attributes:
         forward_m_per_m, lateral_m_per_m, heading_rad_per_m: standard deviation of a step's odometry per metre of it.
-        slip_per_m: chance per metre that the wheels begin to slip; the robot then moves by (1 - slip_share) of what
-            the wheels say for slip_steps steps.
+        slip_per_m: chance per metre that the wheels begin to slip; for slip_steps steps the robot then moves by
+            (1 - slip_share) of the way that the wheels say, and turns as they say.
         outlier_share, outlier_m: observations shifted by outlier_m in a random direction.
         sigma0_m, sigma2_per_m: sigma(r) = sigma0 + sigma2 r^2, along x and y alike.
         sigma_theta_rad: of the heading observation (R33 of eq. 27).
@@ -130,7 +131,7 @@ def _on_lap(s: float, side: float, radius: float) -> Array:
 
 def room_scene(rng: np.random.Generator) -> Scene:
     """16 features spread over the room; their kind is their identity."""
-    g = np.linspace(0.6, ROOM_M - 0.6, FEATURES_PER_SIDE)
+    g = np.linspace(FEATURE_MARGIN_M, ROOM_M - FEATURE_MARGIN_M, FEATURES_PER_SIDE)
     xy = np.stack(np.meshgrid(g, g), axis=-1).reshape(-1, 2)
     xy = xy + rng.uniform(-FEATURE_JITTER_M, FEATURE_JITTER_M, xy.shape)
     return Scene(xy, np.arange(len(xy), dtype=np.int64))
@@ -176,7 +177,8 @@ def record(
         length = float(np.hypot(*step[:2]))
         if not slipping and rng.random() < setting.slip_per_m * length:
             slipping = setting.slip_steps
-        told = step / (1.0 - setting.slip_share) if slipping else step
+        kept = 1.0 - setting.slip_share if slipping else 1.0
+        told = step / [kept, kept, 1.0]
         slipping = max(slipping - 1, 0)
         truth = compose(truth, step)
         out.append(_sense(setting, scene, truth, told, length, rng))
