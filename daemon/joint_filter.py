@@ -30,8 +30,8 @@ class View:
     """Features of one update with the landmarks that explain them.
 
     xy, var: (K, 2) features in base and their variances; landmark: (K, 2) means in map; joint: (3 + 2 K, 3 + 2 K)
-    covariance of pose and landmarks; heading: measured, with its variance; inflation: of var, because features of a frame
-    share errors.
+    covariance of pose and landmarks; heading: measured, with its variance; inflation: of var, because features of a
+    frame share errors.
     """
 
     xy: Array
@@ -161,7 +161,7 @@ class JointFilter:
         return usable(replace(obs, label=label), 1 << 60)
 
     def _candidates_near(self, xy: Array, gate: float, taken: Ints, told: Ints) -> Ints:
-        """Labels that features without a landmark may belong to: unconfirmed ones, and all if the labels are left to us."""
+        """Labels that features without a landmark may belong to: unconfirmed ones, and all if the labels are ours."""
         if not len(xy):
             return np.empty(0, np.int64)
         open_ = ~self._joint.confirmed if not np.any(told == UNLABELLED) else np.ones(len(self._joint), bool)

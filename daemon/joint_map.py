@@ -19,7 +19,8 @@ _POSE = np.arange(3)
 class JointMap:
     """Mean (3 + 2 W,) and covariance of the pose and the W landmarks in the window, and a table of all landmarks.
 
-    Labels are rows of the table. A row in the window has a slot; its other columns are then out of date until it leaves.
+    Labels are rows of the table. A row in the window has a slot; its other columns are then out of date until it
+    leaves.
     """
 
     def __init__(self, pose: Array, cov: Array) -> None:

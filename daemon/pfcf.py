@@ -11,7 +11,7 @@ from ceilvo.config import Filter
 from ceilvo.daemon import log_quadratic
 from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
 from ceilvo.daemon.particles import normalised
-from ceilvo.se2 import wrap, wrap_array
+from ceilvo.se2 import rotation, wrap, wrap_array
 from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion
 
 ROUNDS = (10.0, 5.0, 1.25)
@@ -56,8 +56,7 @@ class Conditional:
         self.follow = np.linalg.solve(cov, cross.T).T
         noise = noise_in_map(float(mu[2]), view.var * view.inflation)
         self.total = view.joint[3:, 3:] - self.follow @ cross.T
-        for i, block in enumerate(noise):
-            self.total[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block
+        add_blocks(self.total, noise)
         self.lower = np.linalg.cholesky(self.total) if len(view) else np.zeros((0, 0))
         self._inverse = np.linalg.inv(self.lower) if len(view) else self.lower
 
@@ -150,6 +149,9 @@ class Pfcf(JointFilter):
 
     def _absorb(self, view: View, rows: Ints) -> Bools:
         priors = self._priors()
+        self._telemetry(view)
+        if len(priors) > 1 and self._implausible(view, priors[1]):
+            priors = priors[:1]
         fits = [self._fit(view, prior) for prior in priors]
         log_weight = np.array([p.log_weight + f.log_evidence for p, f in zip(priors, fits, strict=True)])
         weight = normalised(log_weight)
@@ -158,7 +160,7 @@ class Pfcf(JointFilter):
         kept = weight > NEGLIGIBLE
         weight = weight * kept / np.sum(weight * kept)
         best = int(np.argmax(weight))
-        self._telemetry(view, priors[best], fits[best])
+        self._health = (fits[best].ess, fits[best].residual)
         parts = [self._posterior(view, rows, p, f) for p, f, k in zip(priors, fits, kept, strict=True) if k]
         self._merge(weight[kept], parts)
         self._way, self._reported_m = np.zeros(2), 0.0
@@ -214,48 +216,34 @@ class Pfcf(JointFilter):
 
     def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
         """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
-        j = self._joint
-        mean, cov = j.mean.copy(), j.cov.copy()
+        mean, cov = self._joint.mean.copy(), self._joint.cov.copy()
         mean[:3] += prior.shift
         cov[:3, :3] += prior.spread
-        take = np.repeat(fitted.inliers, 2)
-        k = int(np.count_nonzero(fitted.inliers))
-        xy = view.xy[fitted.inliers]
-        c, s = np.cos(fitted.pose[2]), np.sin(fitted.pose[2])
-        arm = np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
-        h = np.zeros((2 * k + int(fitted.heading), 3))
-        h[0 : 2 * k : 2, 0] = h[1 : 2 * k : 2, 1] = 1.0
-        h[0 : 2 * k : 2, 2], h[1 : 2 * k : 2, 2] = -arm[:, 1], arm[:, 0]
-        innovation = np.empty(len(h))
+        which = np.flatnonzero(fitted.inliers)
+        take, k = np.repeat(fitted.inliers, 2), 2 * len(which)
+        arm = view.xy[which] @ rotation(float(fitted.pose[2])).T
+        h = np.concatenate([jacobian(arm), [[0.0, 0.0, 1.0]] if fitted.heading else np.empty((0, 3))])
+        if not len(h):
+            return mean, cov
         off = fitted.pose - mean[:3]
-        off[2] = wrap(float(off[2]))
-        seen = fitted.pose[:2] + arm - view.landmark[fitted.inliers]
-        innovation[: 2 * k] = h[: 2 * k] @ off - seen.ravel()
+        off[2] = wrap_array(off[2:])[0]
+        innovation = h @ off
+        innovation[:k] -= (fitted.pose[:2] + arm - view.landmark[which]).ravel()
+        innovation[k:] = wrap_array(view.heading - mean[2:3])[: len(h) - k]
         cross = cov[:, :3] @ h.T
-        own_blocks = np.zeros((len(h), len(h)))
         if self._known is None:
-            used = rows[take]
-            cross[:, : 2 * k] -= cov[:, used]
+            cross[:, :k] -= cov[:, rows[take]]
             total = h @ cross[:3]
-            total[: 2 * k] -= cross[used]
+            total[:k] -= cross[rows[take]]
         else:
             total = h @ cross[:3]
-            own_blocks[: 2 * k, : 2 * k] = view.joint[3:, 3:][np.ix_(take, take)]
-        total += own_blocks
-        noise = noise_in_map(float(fitted.pose[2]), view.var[fitted.inliers] * view.inflation)
-        for i, block in enumerate(noise):
-            total[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block
-        if fitted.heading:
-            h[-1, 2] = 1.0
-            cross[:, -1] = cov[:, 2]
-            total[-1, :], total[:, -1] = h[-1] @ cross[:3], h[-1] @ cross[:3]
-            total[-1, -1] += view.heading_var
-            innovation[-1] = wrap(view.heading - float(mean[2]))
-        if len(h):
-            gain = np.linalg.solve(total, cross.T).T
-            mean += gain @ innovation
-            cov -= gain @ cross.T
-        return mean, cov
+            total[:k, :k] += view.joint[3:, 3:][np.ix_(take, take)]
+        noise = np.zeros((k, k))
+        add_blocks(noise, noise_in_map(float(fitted.pose[2]), view.var[which] * view.inflation))
+        total[:k, :k] += noise
+        total[k:, k:] += view.heading_var
+        gain = np.linalg.solve(total, cross.T).T
+        return mean + gain @ innovation, cov - gain @ cross.T
 
     def _merge(self, weight: Array, parts: list[tuple[Array, Array]]) -> None:
         """One Gaussian with the mean and the covariance of the hypotheses together."""
@@ -270,24 +258,46 @@ class Pfcf(JointFilter):
         j.mean, j.cov = mean, 0.5 * (cov + cov.T)
         j.mean[2] = wrap(float(j.mean[2]))
 
-    def _telemetry(self, view: View, prior: Prior, fitted: Fitted) -> None:
-        self._health = (fitted.ess, fitted.residual)
+    def _implausible(self, view: View, slip: Prior) -> bool:
+        """Whether no amount of slip explains the innovations so much better that it could matter."""
+        nu, _, total = self._predicted(view, view.inflation)
+        way = np.tile(slip.shift[:2], len(view))
+        towards = np.linalg.solve(total, way) if len(view) else way
+        steepness = float(way @ towards)
+        gain = 0.5 * float(nu.ravel() @ towards) ** 2 / steepness if steepness > 0.0 else 0.0
+        return slip.log_weight + gain < np.log(NEGLIGIBLE)
+
+    def _telemetry(self, view: View) -> None:
+        """NIS of every feature at the predicted pose."""
         self._nis, self._nis_dof = 0.0, 2 * len(view)
         if not len(view):
             return
-        mu = self._joint.pose + prior.shift
-        c, s = np.cos(mu[2]), np.sin(mu[2])
-        arm = np.column_stack([c * view.xy[:, 0] - s * view.xy[:, 1], s * view.xy[:, 0] + c * view.xy[:, 1]])
-        nu = mu[:2] + arm - view.landmark
-        joint = view.joint.copy()
-        joint[:3, :3] += prior.spread
-        total = noise_in_map(float(mu[2]), view.var)
-        h = np.zeros((len(view), 2, 3))
-        h[:, 0, 0] = h[:, 1, 1] = 1.0
-        h[:, 0, 2], h[:, 1, 2] = -arm[:, 1], arm[:, 0]
-        cross = h @ joint[:3, 3:].reshape(3, -1, 2).transpose(1, 0, 2)
-        blocks = joint[3:, 3:].reshape(len(view), 2, len(view), 2)
-        own = blocks[np.arange(len(view)), :, np.arange(len(view))]
-        total = total + h @ joint[:3, :3] @ h.transpose(0, 2, 1) - cross - cross.transpose(0, 2, 1) + own
-        nis = np.einsum("ki,ki->k", nu, np.linalg.solve(total, nu[:, :, None])[:, :, 0])
+        nu, _, total = self._predicted(view, 1.0)
+        k = np.arange(len(view))
+        own = total.reshape(len(view), 2, len(view), 2)[k, :, k]
+        nis = np.einsum("ki,ki->k", nu, np.linalg.solve(own, nu[:, :, None])[:, :, 0])
         self._nis = float(np.mean(np.minimum(nis, NIS_CAP))) / 2.0
+
+    def _predicted(self, view: View, inflation: float) -> tuple[Array, Array, Array]:
+        """Innovations (K, 2) in map at the predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
+        pose = self._joint.pose
+        arm = view.xy @ rotation(float(pose[2])).T
+        h = jacobian(arm)
+        cross = h @ view.joint[:3, 3:]
+        total = h @ view.joint[:3, :3] @ h.T - cross - cross.T + view.joint[3:, 3:]
+        add_blocks(total, noise_in_map(float(pose[2]), view.var * inflation))
+        return pose[:2] + arm - view.landmark, h, total
+
+
+def jacobian(arm: Array) -> Array:
+    """(2 K, 3) of features in map by the pose; arm (K, 2) is from the robot to them."""
+    h = np.zeros((2 * len(arm), 3))
+    h[0::2, 0] = h[1::2, 1] = 1.0
+    h[0::2, 2], h[1::2, 2] = -arm[:, 1], arm[:, 0]
+    return h
+
+
+def add_blocks(square: Array, blocks: Array) -> None:
+    """Add (K, 2, 2) to the diagonal of (2 K, 2 K), in place."""
+    k = np.arange(len(blocks))
+    square.reshape(len(blocks), 2, len(blocks), 2)[k, :, k] += blocks

@@ -16,11 +16,11 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.edges import EdgeDetector
+from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.lines import find_lines
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
 from ceilvo.daemon.particles import PoseFilter
-from ceilvo.daemon.pfcf import Pfcf
 from ceilvo.daemon.states import Evidence, StateMachine
 from ceilvo.types import (
     Array,
@@ -64,7 +64,7 @@ class Pipeline:
         self._calibration = calibration
         self._config = config
         self._edges = EdgeDetector(calibration, config.features)
-        self._filter: PoseFilter = Pfcf(config.filter, rng)
+        self._filter: PoseFilter = make_filter(config.filter, rng)
         self._seq = 0
         self._stamp_ns: int | None = None
         self._updated_ns: int | None = None
