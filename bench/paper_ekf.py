@@ -1,4 +1,4 @@
-"""Baseline: joint Kalman filter over pose and landmarks, nearest neighbour within a chi-square gate.
+"""Baseline: joint Kalman filter over pose and landmarks, nearest neighbour within half a tile and a chi-square gate.
 
 Written for the bench alone and as plain as such filters are: one hypothesis, no recovery, no heavy tails. It wants no
 labels: the observations of one frame take their nearest landmarks of the same kind by Mahalanobis distance, each
@@ -12,13 +12,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from ceilvo.daemon.particles import COUNTERS
-from ceilvo.se2 import rotation, wrap
+from ceilvo.se2 import rotation, transform, wrap
 from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion, Observations
 
 GATE = 11.83
 """Chi-square of two degrees of freedom, 99.73 %."""
-NEW_GATE = 25.0
-"""Beyond this from every landmark of its kind an observation is a new one."""
+NEAR_M = 0.30
+"""A landmark farther away is another one: half a tile."""
+NEW_M = 0.40
+"""Farther than this from every landmark of its kind an observation is a new one."""
 CONFIRMED = 3
 FORGET_UPDATES = 20
 
@@ -91,24 +93,25 @@ class EkfNearestNeighbour:
     def _associate(self, obs: Observations) -> tuple[list[tuple[int, int]], list[int]]:
         """Pairs (observation, landmark), best first, and the observations that are far from all."""
         distance = np.full((len(obs), len(self._kind)), np.inf)
+        apart = self._apart(obs)
         for i in range(len(obs)):
-            for j in self._near(obs, i):
+            for j in np.flatnonzero(apart[i] < NEAR_M):
                 h, innovation, r = self._model(obs, i, int(j))
                 s = h @ self._local(int(j)) @ h.T + r
                 distance[i, j] = innovation @ np.linalg.solve(s, innovation)
-        nearest = np.min(distance, axis=1, initial=np.inf)
+        nearest = np.min(apart, axis=1, initial=np.inf)
         pairs, left = [], distance.copy()
         while left.size and np.min(left) < self._gate:
             i, j = (int(k) for k in np.unravel_index(np.argmin(left), left.shape))
             pairs.append((i, j))
             left[i], left[:, j] = np.inf, np.inf
-        return pairs, [i for i in range(len(obs)) if nearest[i] > NEW_GATE]
+        return pairs, [i for i in range(len(obs)) if nearest[i] > NEW_M]
 
-    def _near(self, obs: Observations, i: int) -> Ints:
-        """Landmarks of the same kind within 1.5 m of where the observation falls: the rest cannot pass a gate."""
-        at = self._x[:2] + rotation(self._x[2]) @ obs.xy_base_m[i]
-        off = np.abs(self._x[3:].reshape(-1, 2) - at)
-        return np.flatnonzero((self._kind == obs.kind[i]) & (np.max(off, axis=1, initial=0.0) < 1.5))
+    def _apart(self, obs: Observations) -> Array:
+        """(K, L) m between where an observation falls and the landmarks; infinite for another kind."""
+        at = transform(self._x[:3], obs.xy_base_m)
+        off = at[:, None] - self._x[3:].reshape(-1, 2)
+        return np.where(obs.kind[:, None] == self._kind, np.hypot(off[..., 0], off[..., 1]), np.inf)
 
     def _model(self, obs: Observations, i: int, j: int) -> tuple[Array, Array, Array]:
         """Jacobian (2, 5) by pose and landmark, innovation (2,) and noise (2, 2), in base."""

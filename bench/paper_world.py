@@ -65,7 +65,7 @@ P = Setting("P")
 SETTINGS = {
     "P": P,
     "S0": replace(P, name="S0", slip_per_m=0.0, outlier_share=0.0, assumed=1.0),
-    "S1": replace(P, name="S1", slip_per_m=0.30, slip_steps=6, outlier_share=0.03),
+    "S1": replace(P, name="S1", slip_per_m=0.30, outlier_share=0.03),
 }
 
 
