@@ -206,6 +206,9 @@ class JointFilter:
         apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
         apart[kind[:, None] != j.kind[near]] = np.inf
         fresh = np.min(apart, axis=1, initial=np.inf) > DUPLICATE_SHARE * cfg.association_gate_m
+        if len(near):  # nor where it may be one that is known, seen badly
+            off = apart**2 / (np.max(obs.var_m2[which], axis=1)[:, None] + np.max(j.packed(near)[:, [0, 2]], axis=1))
+            fresh &= np.min(off, axis=1) > CANDIDATE_GATE
         which = which[fresh]
         over = len(j) + len(which) - cfg.max_landmarks
         if over > 0:

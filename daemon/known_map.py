@@ -45,6 +45,24 @@ class KnownMap:
         stop = np.searchsorted(self._sorted, columns * _SIDE + high[1], side="right")
         return np.sort(np.concatenate([self._order[a:b] for a, b in zip(start, stop, strict=True)]))
 
+    def nearest(self, xy_m: Array, kind: Ints, reach_m: float) -> tuple[Ints, Array]:
+        """For each point (Q, 2) the label of the nearest landmark of its kind (Q,), or -1, and its distance [m]."""
+        best, label = np.full(len(xy_m), np.inf), np.full(len(xy_m), -1, np.int64)
+        at, kinds = self.landmarks.xy_map_m, self.landmarks.kind
+        low, high = self._cells(xy_m - reach_m), self._cells(xy_m + reach_m)
+        for column in range(int(np.max(high[:, 0] - low[:, 0], initial=-1)) + 1):
+            x = np.minimum(low[:, 0] + column, high[:, 0]) * _SIDE
+            start = np.searchsorted(self._sorted, x + low[:, 1], side="left")
+            stop = np.searchsorted(self._sorted, x + high[:, 1], side="right")
+            for i in range(int(np.max(stop - start, initial=0))):
+                q = np.flatnonzero(start + i < stop)
+                m = self._order[start[q] + i]
+                d = np.hypot(at[m, 0] - xy_m[q, 0], at[m, 1] - xy_m[q, 1])
+                closer = (d < best[q]) & (kinds[m] == kind[q])
+                best[q[closer]], label[q[closer]] = d[closer], m[closer]
+        label[best > reach_m] = -1
+        return label, best
+
     def repeated(self, labels: Ints) -> tuple[Array, Array]:
         """(K, 2, 1) means and (K, 3, 1) covariances: the same for every particle."""
         return self.landmarks.xy_map_m[labels][:, :, None], self.packed[labels][:, :, None]

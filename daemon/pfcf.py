@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon import log_quadratic
+from ceilvo.daemon.curve_fit import systematic
+from ceilvo.daemon.fastslam import independent, usable
 from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
-from ceilvo.daemon.particles import normalised
+from ceilvo.daemon.known_map import KnownMap
+from ceilvo.daemon.particles import chi_square_bounds, normalised
+from ceilvo.daemon.search import Bank, shifted_scores
+from ceilvo.daemon.tiles import Tiles, lattice, periods
 from ceilvo.se2 import rotation, wrap, wrap_array
-from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion
+from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
 
 ROUNDS = (10.0, 5.0, 1.25)
 """Gates of the rounds of fitting, in units of filter.gate_chi2."""
@@ -115,11 +120,12 @@ class Pfcf(JointFilter):
         self._reported_m = 0.0
         self._slipping = 0.0
         self._health = (float(n), float("nan"))
-        self._redraw()
-
-    def _redraw(self) -> None:
-        root = np.linalg.cholesky(self._joint.pose_cov)
-        self._particles = self._joint.pose + self._normals() @ root.T
+        self._white = self._normals()
+        self._refused = 0
+        self._tiles: tuple[int, KnownMap, Tiles] | None = None
+        self._bank: Bank | None = None
+        if not np.all(np.isfinite(cov)):
+            self._begin_search()
 
     def _normals(self) -> Array:
         """(N, 3) standard normals whose sample mean and covariance are exact."""
@@ -129,12 +135,24 @@ class Pfcf(JointFilter):
         return np.asarray(np.linalg.solve(np.linalg.cholesky(u.T @ u / n), u.T).T, np.float64)
 
     def particles(self) -> tuple[Array, Array]:
-        return self._particles.copy(), np.full(len(self._particles), 1.0 / len(self._particles))
+        n = self._settings.particles
+        if self._bank is not None and len(self._bank):
+            weights = normalised(self._bank.log_weight)
+            pick = systematic(weights, np.random.default_rng(0), n)
+            return self._bank.mean[pick], np.full(n, 1.0 / n)
+        poses = self._joint.pose + self._white @ np.linalg.cholesky(self._joint.pose_cov).T
+        poses[:, 2] = wrap_array(poses[:, 2])
+        return poses, np.full(n, 1.0 / n)
 
     def estimate(self) -> tuple[Array, Array, Depletion]:
         n = self._settings.particles
         ess, residual = self._health
-        health = Depletion(n, ess, n, residual, self._nis, self._nis_dof)
+        if self._bank is not None:
+            health = Depletion(n, ess, n, residual, 0.0, 0, self._bank.weight())
+            pose, cov = self._bank.best() if len(self._bank) else (self._joint.pose.copy(), self._joint.pose_cov.copy())
+            return pose, cov, health
+        sure = 1.0 if self._tiles is None else float(self._tiles[2].weight[0])
+        health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, sure)
         return self._joint.pose.copy(), self._joint.pose_cov.copy(), health
 
     def predict(self, motion: Motion) -> None:
@@ -143,9 +161,66 @@ class Pfcf(JointFilter):
         step = self._joint.pose[:2] - before[:2]
         self._way += step
         self._reported_m += float(np.hypot(*step))
-        self._redraw()
+        if self._bank is not None:
+            self._bank.move(motion)
 
     # -- update
+
+    def update(self, obs: Observations) -> None:
+        """Track; or, lost, search the map until one pose is left."""
+        if self._bank is None:
+            before = self._counters["observations"] - self._counters["outliers"]
+            super().update(obs)
+            believed = self._counters["observations"] - self._counters["outliers"] - before
+            self._watch_tiles(obs)
+            self._watch_loss(obs, believed)
+            return
+        self._counters["updates"] += 1
+        self._bank.update(usable(obs, self._size()))
+        if self._bank.found:
+            self._joint.put_pose(*self._bank.best())
+            self._bank, self._refused, self._slipping = None, 0, 0.0
+            self._way, self._reported_m = np.zeros(2), 0.0
+            self._counters["recoveries"] += 1
+
+    def _watch_loss(self, obs: Observations, believed: int) -> None:
+        """Count updates that contradict the map; too many in a row begin a search."""
+        told = int(np.count_nonzero((obs.label >= 0) | (obs.label == UNLABELLED) & (self._known is not None)))
+        if told:
+            self._refused = self._refused + 1 if 2 * believed < told else 0
+        if self._refused >= self._settings.lost_updates and self._size() >= 3:
+            self._begin_search()
+
+    def _begin_search(self) -> None:
+        known = self._known or KnownMap(self.landmarks())
+        self._bank = Bank(known, self._settings.association_gate_m, self._rng)
+        self._refused, self._tiles = 0, None
+        self._counters["searches"] += 1
+
+    def _watch_tiles(self, obs: Observations) -> None:
+        """Belief in this tile against its neighbours, where association was left to the filter."""
+        free = obs.label == UNLABELLED
+        size = self._size()
+        if not np.any(free) or size < 12:
+            return
+        if self._tiles is None or size > 1.25 * self._tiles[0]:
+            known = self._known or KnownMap(self.landmarks())
+            self._tiles = size, known, Tiles(lattice(periods(known.landmarks)))
+        _, known, tiles = self._tiles
+        if len(tiles.shifts) < 2:
+            return
+        poses = np.tile(self._joint.pose, (len(tiles.shifts), 1))
+        poses[:, :2] += tiles.shifts
+        seen = replace(obs, xy_base_m=obs.xy_base_m[free], var_m2=obs.var_m2[free], kind=obs.kind[free])
+        seen = replace(seen, label=obs.label[free])
+        k = len(seen)
+        inflation = k / independent(k, self._settings.feature_independence, 0.0)
+        score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
+        tiles.weigh(score, self._surprise > chi_square_bounds(self._nis_dof - 2)[1])
+        slip = tiles.slip()
+        if slip is not None and self._known is not None:
+            self._joint.mean[:2] += slip
+            self._counters["tile_slips"] += 1
 
     def _absorb(self, view: View, rows: Ints) -> Bools:
         priors = self._priors()
@@ -164,7 +239,7 @@ class Pfcf(JointFilter):
         parts = [self._posterior(view, rows, p, f) for p, f, k in zip(priors, fits, kept, strict=True) if k]
         self._merge(weight[kept], parts)
         self._way, self._reported_m = np.zeros(2), 0.0
-        self._redraw()
+        self._white = self._normals()
         self._counters["resamplings"] += 1
         return fits[best].inliers
 
@@ -269,7 +344,7 @@ class Pfcf(JointFilter):
 
     def _telemetry(self, view: View) -> None:
         """NIS of every feature at the predicted pose."""
-        self._nis, self._nis_dof = 0.0, 2 * len(view)
+        self._nis, self._nis_dof, self._surprise = 0.0, 2 * len(view), 0.0
         if not len(view):
             return
         nu, _, total = self._predicted(view, 1.0)
@@ -277,6 +352,7 @@ class Pfcf(JointFilter):
         own = total.reshape(len(view), 2, len(view), 2)[k, :, k]
         nis = np.einsum("ki,ki->k", nu, np.linalg.solve(own, nu[:, :, None])[:, :, 0])
         self._nis = float(np.mean(np.minimum(nis, NIS_CAP))) / 2.0
+        self._surprise = float(np.mean(np.sort(nis)[:-1])) / 2.0 if len(nis) > 1 else 0.0
 
     def _predicted(self, view: View, inflation: float) -> tuple[Array, Array, Array]:
         """Innovations (K, 2) in map at the predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""

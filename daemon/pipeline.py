@@ -23,6 +23,7 @@ from ceilvo.daemon.odometry import VisualOdometry
 from ceilvo.daemon.particles import PoseFilter
 from ceilvo.daemon.states import Evidence, StateMachine
 from ceilvo.types import (
+    UNLABELLED,
     Array,
     Crossings,
     Depletion,
@@ -41,6 +42,8 @@ Lap = Callable[[str], None]
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _CONFIRMING = 5
+SURE = 0.9
+"""A pose with less of the belief is one hypothesis among several."""
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -147,10 +150,10 @@ class Pipeline:
             return None
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns = stamp_ns
-        pose, _, _ = self._filter.estimate()
+        pose, _, depletion = self._filter.estimate()
         if self._map_axis_rad is None:
             self._map_axis_rad = float(se2.wrap(crossings.psi_rad + float(pose[2])))
-        return observe(
+        observations = observe(
             crossings,
             self._calibration.noise,
             self._calibration.mount_xy_m,
@@ -159,6 +162,9 @@ class Pipeline:
             cfg,
             self._map_axis_rad,
         )
+        if depletion.mode_weight >= SURE:
+            return observations
+        return replace(observations, label=np.full(len(observations), UNLABELLED))
 
     def _agree(self, observations: Observations) -> bool:
         """Whether a hypothesis is confirmed: most features are where the map has one of their kind, and fit."""
@@ -180,7 +186,15 @@ class Pipeline:
             self._twist = motion.prev_from_curr / dt_s
         seen = 0 if crossings is None else len(crossings)
         verdict = self._states.step(
-            _evidence(stamp_ns, motion, seen, cov, depletion, observations, not self._confirmed)
+            _evidence(
+                stamp_ns,
+                motion,
+                seen,
+                cov,
+                depletion,
+                observations,
+                not self._confirmed or depletion.mode_weight < SURE,
+            )
         )
         self._seq += 1
         return Estimate(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.config import Filter
-from ceilvo.daemon import curve_fit, fastslam
+from ceilvo.daemon import fastslam
 from ceilvo.daemon.particles import effective_size, mean_and_cov
 from ceilvo.daemon.fastslam import FastSlam, independent
 from ceilvo.errors import CeilvoError
@@ -225,10 +225,10 @@ def test_resampling_keeps_the_estimate_and_makes_weights_uniform(method):
     assert health.unique_ancestors < 2000
 
 
-def test_without_a_curve_resampling_is_systematic(monkeypatch):
-    monkeypatch.setattr(curve_fit, "redraw", lambda *_: None)
+def test_without_a_curve_resampling_is_systematic():
     xy = np.random.default_rng(SEED).uniform(-1, 1, (4, 2))
-    f = make(cov=np.diag([4e-5, 4e-5, 1e-5]), known=known_map(xy))
+    f = FastSlam(INDEPENDENT, np.random.default_rng(SEED), redraw=lambda *_: None)
+    f.reset(np.zeros(3), np.diag([4e-5, 4e-5, 1e-5]), known_map(xy))
     before, _ = f.particles()
     f.update(observations(xy, np.arange(4)))
     after, weights = f.particles()
