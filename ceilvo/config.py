@@ -111,7 +111,7 @@ class Filter:
     fit_degree: int = key(4, "pfcf_paper: degree n of the curve of eq. 21", low=1, high=16)
     gate_chi2: float = key(9.0, "pfcf, ukf: squared normalised innovation that is an outlier", low=2.0, high=1e3)
     ukf_gate: bool = key(True, "ukf: refuse outliers")
-    slip_per_m: float = key(0.005, "pfcf: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
+    slip_per_m: float = key(0.02, "pfcf: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
     slip_share: float = key(0.8, "pfcf: how much of the reported way a slip may swallow", low=0.0, high=1.0)
     lost_updates: int = key(8, "pfcf: updates refused in a row that start a search on the map", low=2, high=1000)
     resample_ess_ratio: float = key(

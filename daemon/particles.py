@@ -40,6 +40,8 @@ class PoseFilter(Protocol):
         """What happened since the filter was made, by name; the names are in COUNTERS and all are there."""
 
 
+SURE = 0.9
+"""A pose with a smaller Depletion.mode_weight is one hypothesis among several, and must not be called TRACKING."""
 COUNTERS = (
     "updates",
     "observations",

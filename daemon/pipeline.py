@@ -20,7 +20,7 @@ from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.lines import find_lines
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
-from ceilvo.daemon.particles import PoseFilter
+from ceilvo.daemon.particles import SURE, PoseFilter
 from ceilvo.daemon.states import Evidence, StateMachine
 from ceilvo.types import (
     UNLABELLED,
@@ -42,8 +42,6 @@ Lap = Callable[[str], None]
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _CONFIRMING = 5
-SURE = 0.9
-"""A pose with less of the belief is one hypothesis among several."""
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
