@@ -21,7 +21,7 @@ from ceilvo.bench.paper_world import (
     room_scene,
 )
 from ceilvo.config import States
-from ceilvo.daemon.particles import PoseFilter
+from ceilvo.daemon.particles import SURE, PoseFilter
 from ceilvo.daemon.states import Evidence, StateMachine
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Ints, Landmarks, Motion, Observations, State
 
@@ -147,7 +147,6 @@ def on_a_map(f: PoseFilter, recording: Recording, anywhere: bool) -> Figures:
 def evidence(f: PoseFilter, step: int, seen: int) -> Evidence:
     """What the pipeline would tell the state machine; wheels and vision always give a motion here."""
     _, cov, d = f.estimate()
-    counters = f.counters()
     return Evidence(
         stamp_ns=round((step + 1) * DT_S * 1e9),
         motion_ok=True,
@@ -160,7 +159,7 @@ def evidence(f: PoseFilter, step: int, seen: int) -> Evidence:
         nis_dof=d.nis_dof,
         ess_ratio=d.ess / d.particles,
         landmarks_matched=d.nis_dof // 2,
-        relocalising=counters["searches"] > counters["recoveries"],
+        relocalising=d.mode_weight < SURE,
     )
 
 
