@@ -15,7 +15,7 @@ from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import chi_square_bounds, normalised
 from ceilvo.daemon.search import Bank, shifted_scores
-from ceilvo.daemon.tiles import Tiles, lattice, periods
+from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, Tiles, lattice, periods
 from ceilvo.se2 import rotation, wrap, wrap_array
 from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
 
@@ -152,6 +152,7 @@ class Pfcf(JointFilter):
             pose, cov = self._bank.best() if len(self._bank) else (self._joint.pose.copy(), self._joint.pose_cov.copy())
             return pose, cov, health
         sure = 1.0 if self._tiles is None else float(self._tiles[2].weight[0])
+        sure *= 1.0 - max(self._refused - 1, 0) / self._settings.lost_updates
         health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, sure)
         return self._joint.pose.copy(), self._joint.pose_cov.copy(), health
 
@@ -172,8 +173,9 @@ class Pfcf(JointFilter):
             before = self._counters["observations"] - self._counters["outliers"]
             super().update(obs)
             believed = self._counters["observations"] - self._counters["outliers"] - before
-            self._watch_tiles(obs)
             self._watch_loss(obs, believed)
+            if self._bank is None:
+                self._watch_tiles(obs)
             return
         self._counters["updates"] += 1
         self._bank.update(usable(obs, self._size()))
@@ -216,7 +218,10 @@ class Pfcf(JointFilter):
         k = len(seen)
         inflation = k / independent(k, self._settings.feature_independence, 0.0)
         score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
-        tiles.weigh(score, self._surprise > chi_square_bounds(self._nis_dof - 2)[1])
+        chance = CALM
+        if self._surprise > chi_square_bounds(self._nis_dof - 2)[1]:
+            chance = SURPRISED if self._known is not None else SURPRISED_MAPPING
+        tiles.weigh(score, chance)
         slip = tiles.slip()
         if slip is not None and self._known is not None:
             self._joint.mean[:2] += slip

@@ -12,8 +12,9 @@ REACH_M = 1.6
 BIN_M = 0.04
 PERIODIC = 0.35
 """Share of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
-CALM, SURPRISED = 1e-4, 0.2
-"""Chance per update that the pose is a tile further: always, and when the view surprises."""
+CALM, SURPRISED, SURPRISED_MAPPING = 1e-4, 0.2, 0.01
+"""Chance per update that the pose is a tile further: always, and when the view surprises. A map in the making
+grew along the way of the robot, which ties it to its tile."""
 
 
 def periods(landmarks: Landmarks) -> Array:
@@ -64,9 +65,8 @@ class Tiles:
         self.shifts = shifts
         self.weight: Array = np.eye(1, len(shifts))[0]
 
-    def weigh(self, log_likelihood: Array, surprised: bool) -> None:
-        """(S,) of one view at all shifts."""
-        chance = SURPRISED if surprised else CALM
+    def weigh(self, log_likelihood: Array, chance: float) -> None:
+        """(S,) of one view at all shifts, with the chance that the pose slipped since the last."""
         n = max(len(self.shifts) - 1, 1)
         mixed = (1.0 - chance) * self.weight + chance * (1.0 - self.weight) / n
         self.weight = normalised(np.log(np.maximum(mixed, 1e-300)) + log_likelihood)
