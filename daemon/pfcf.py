@@ -128,11 +128,13 @@ class Pfcf(JointFilter):
             self._begin_search()
 
     def _normals(self) -> Array:
-        """(N, 3) standard normals whose sample mean and covariance are exact."""
+        """(N, 3) standard normals in opposite pairs, so that their mean is exact; an odd one stands in the middle."""
         n = self._settings.particles
-        u = self._rng.standard_normal((n, 3))
-        u -= np.mean(u, axis=0)
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(u.T @ u / n), u.T).T, np.float64)
+        u = np.zeros((n, 3))
+        half = self._rng.standard_normal((n // 2, 3))
+        half *= np.sqrt(0.5 * n / max(np.vdot(half, half) / 3.0, 1.0))
+        u[: n // 2], u[n // 2 : 2 * (n // 2)] = half, -half
+        return u
 
     def particles(self) -> tuple[Array, Array]:
         n = self._settings.particles
@@ -270,8 +272,10 @@ class Pfcf(JointFilter):
         prior_root = np.linalg.cholesky(cov)
         prior_inverse = np.linalg.inv(prior_root)
         centre, root, widen, residual, ess = mu, prior_root, 1.0, float("nan"), 0.0
-        for level in ROUNDS:
-            u = self._normals()
+        u = self._white
+        for i, level in enumerate(ROUNDS):
+            if i:
+                u = self._normals()
             proposal = root * widen
             poses = centre + u @ proposal.T
             white = (poses - mu) @ prior_inverse.T
