@@ -12,6 +12,7 @@ from ceilvo.daemon import log_quadratic
 from ceilvo.daemon.curve_fit import systematic
 from ceilvo.daemon.fastslam import independent, usable
 from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
+from ceilvo.daemon.joint_map import JITTER
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import chi_square_bounds, normalised
 from ceilvo.daemon.search import Bank, shifted_scores
@@ -258,7 +259,7 @@ class Pfcf(JointFilter):
             return [none]
         enter, leave = 1.0 - np.exp(-cfg.slip_per_m * way), 1.0 - np.exp(-way / SLIP_LENGTH_M)
         p = float(np.clip(self._slipping * (1.0 - leave) + (1.0 - self._slipping) * enter, 1e-12, 1.0 - 1e-12))
-        lost = np.append(cfg.slip_share * self._way, 0.0)
+        lost = np.append(cfg.slip_share * self._way * min(1.0, 2.0 * SLIP_LENGTH_M / way), 0.0)
         return [
             Prior(float(np.log1p(-p)), none.shift, none.spread),
             Prior(float(np.log(p)), -0.5 * lost, np.outer(lost, lost) / 12.0),
@@ -271,14 +272,16 @@ class Pfcf(JointFilter):
         gate = self._settings.gate_chi2
         prior_root = np.linalg.cholesky(cov)
         prior_inverse = np.linalg.inv(prior_root)
-        centre, root, widen, residual, ess = mu, prior_root, 1.0, float("nan"), 0.0
-        u = self._white
+        centre, root, widen = self._proposal(view, mu, cov)
+        residual, u = float("nan"), self._white
         for i, level in enumerate(ROUNDS):
             if i:
                 u = self._normals()
             proposal = root * widen
             poses = centre + u @ proposal.T
-            white = (poses - mu) @ prior_inverse.T
+            off = poses - mu
+            off[:, 2] = wrap_array(off[:, 2])
+            white = off @ prior_inverse.T
             log_f = given.log_likelihood(poses, level * gate) + 0.5 * (
                 np.sum(u * u, axis=1) - np.sum(white * white, axis=1)
             )
@@ -293,10 +296,33 @@ class Pfcf(JointFilter):
         at = centre[None]
         inliers = given.distances(at, gate)[0] <= gate
         heading = bool(given.heading_distance(at)[0] <= gate) and np.isfinite(view.heading_var)
-        white = prior_inverse @ (centre - mu)
+        white = prior_inverse @ np.append((centre - mu)[:2], wrap_array((centre - mu)[2:]))
         spread = np.linalg.slogdet(root)[1] - np.linalg.slogdet(prior_root)[1]
         evidence = float(given.log_likelihood(at, gate)[0] - 0.5 * white @ white + spread)
         return Fitted(centre, root, evidence, inliers, heading, residual, ess)
+
+    def _proposal(self, view: View, mu: Array, cov: Array) -> tuple[Array, Array, float]:
+        """Where the first round draws: the prior moved by the features that its own width explains.
+
+        A cloud far wider than the likelihood would have next to no particle where the posterior is.
+        """
+        gate = self._settings.gate_chi2
+        nu, h, total = predicted(view, mu, cov, view.inflation)
+        use = feature_chi2(nu, total) <= gate
+        cross = cov @ h.T - view.joint[:3, 3:]
+        nu, take = -nu.ravel(), np.repeat(use, 2)
+        off = float(wrap_array(view.heading - mu[2:])[0]) if np.isfinite(view.heading_var) else 0.0
+        if np.isfinite(view.heading_var) and off**2 <= gate * (cov[2, 2] + view.heading_var):
+            nu, take = np.append(nu, off), np.append(take, True)
+            wider = np.empty((len(nu), len(nu)))
+            wider[:-1, :-1], wider[-1, -1] = total, cov[2, 2] + view.heading_var
+            wider[-1, :-1] = wider[:-1, -1] = cross[2]
+            total, cross = wider, np.column_stack([cross, cov[:, 2]])
+        if not np.any(take):
+            return mu, np.linalg.cholesky(cov), 1.0
+        gain = np.linalg.solve(total[np.ix_(take, take)], cross[:, take].T).T
+        narrowed = cov - gain @ cross[:, take].T
+        return mu + gain @ nu[take], np.linalg.cholesky(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
 
     def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
         """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
@@ -344,7 +370,7 @@ class Pfcf(JointFilter):
 
     def _implausible(self, view: View, slip: Prior) -> bool:
         """Whether no amount of slip explains the innovations so much better that it could matter."""
-        nu, _, total = self._predicted(view, view.inflation)
+        nu, _, total = predicted(view, self._joint.pose, self._joint.pose_cov, view.inflation)
         way = np.tile(slip.shift[:2], len(view))
         towards = np.linalg.solve(total, way) if len(view) else way
         steepness = float(way @ towards)
@@ -356,22 +382,29 @@ class Pfcf(JointFilter):
         self._nis, self._nis_dof, self._surprise = 0.0, 2 * len(view), 0.0
         if not len(view):
             return
-        nu, _, total = self._predicted(view, 1.0)
-        k = np.arange(len(view))
-        own = total.reshape(len(view), 2, len(view), 2)[k, :, k]
-        nis = np.einsum("ki,ki->k", nu, np.linalg.solve(own, nu[:, :, None])[:, :, 0])
+        nu, _, total = predicted(view, self._joint.pose, self._joint.pose_cov, 1.0)
+        nis = feature_chi2(nu, total)
         self._nis = float(np.mean(np.minimum(nis, NIS_CAP))) / 2.0
         self._surprise = float(np.mean(np.sort(nis)[:-1])) / 2.0 if len(nis) > 1 else 0.0
 
-    def _predicted(self, view: View, inflation: float) -> tuple[Array, Array, Array]:
-        """Innovations (K, 2) in map at the predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
-        pose = self._joint.pose
-        arm = view.xy @ rotation(float(pose[2])).T
-        h = jacobian(arm)
-        cross = h @ view.joint[:3, 3:]
-        total = h @ view.joint[:3, :3] @ h.T - cross - cross.T + view.joint[3:, 3:]
-        add_blocks(total, noise_in_map(float(pose[2]), view.var * inflation))
-        return pose[:2] + arm - view.landmark, h, total
+
+def predicted(view: View, pose: Array, cov: Array, inflation: float) -> tuple[Array, Array, Array]:
+    """Innovations (K, 2) in map at a predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
+    arm = view.xy @ rotation(float(pose[2])).T
+    h = jacobian(arm)
+    cross = h @ view.joint[:3, 3:]
+    total = h @ cov @ h.T - cross - cross.T + view.joint[3:, 3:]
+    add_blocks(total, noise_in_map(float(pose[2]), view.var * inflation))
+    return pose[:2] + arm - view.landmark, h, total
+
+
+def feature_chi2(nu: Array, total: Array) -> Array:
+    """(K,) squared normalised innovation of every feature by itself."""
+    k = np.arange(len(nu))
+    own = total.reshape(len(nu), 2, len(nu), 2)[k, :, k]
+    det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
+    x, y = nu[:, 0], nu[:, 1]
+    return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
 
 
 def jacobian(arm: Array) -> Array:
