@@ -17,7 +17,7 @@ FLATTEST = 0.5
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _I = np.array([p[0] for p in _PAIRS])
 _J = np.array([p[1] for p in _PAIRS])
-_TWICE = np.where(_I == _J, 1.0, 0.5)
+_SHARE = np.where(_I == _J, 0.5, 1.0)
 
 
 def fit(u: Array, log_f: Array) -> tuple[Array, Array, float] | None:
@@ -41,7 +41,7 @@ def fit(u: Array, log_f: Array) -> tuple[Array, Array, float] | None:
     if not np.all(np.isfinite(a)):
         return None
     h = np.empty((3, 3))
-    h[_I, _J] = h[_J, _I] = a[4:] / _TWICE
+    h[_I, _J] = h[_J, _I] = a[4:] / _SHARE
     residual = np.exp(np.minimum(basis @ a, 1.0)) - np.exp(log_f)
     return a[1:4], h, float(np.sqrt(np.mean(residual * residual)))
 

@@ -20,7 +20,7 @@ from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, Tiles, latti
 from ceilvo.se2 import rotation, wrap, wrap_array
 from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
 
-ROUNDS = (10.0, 5.0, 1.25)
+ROUNDS = (10.0, 1.25)
 """Gates of the rounds of fitting, in units of filter.gate_chi2."""
 WIDEN = 1.2
 """Standard deviations of a round's proposal in those of the last fit."""
