@@ -23,7 +23,7 @@ from rich.table import Table
 from ceilvo.bench import mrclam_peers as peers
 from ceilvo.bench import mrclam_run as runs
 from ceilvo.bench.mrclam_data import Run, World, read_run, read_world
-from ceilvo.bench.mrclam_noise import Noise, fit, inflated
+from ceilvo.bench.mrclam_noise import Noise, fit, inflated, odometry_scale, scaled
 from ceilvo.bench.paper_bars import Bar, as_json, plain, table
 from ceilvo.bench.paper_store import Store, fingerprint, run_all
 from ceilvo.errors import CeilvoError, ConfigError
@@ -57,6 +57,7 @@ class Job:
     folder: Path
     noise: Noise
     trials: int
+    scale: tuple[float, float]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -89,6 +90,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--seeds", type=int, default=3, metavar="N", help="repetitions of whole runs (3)")
     p.add_argument("--trials", type=int, default=60, metavar="N", help="starts, and jumps, over all test robots (60)")
     p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes at once; above 1 disturbs times (1)")
+    p.add_argument(
+        "--calibrate-odometry", action="store_true", help="scale odometry as the training robots need it (off: raw)"
+    )
     p.add_argument("--no-peers", action="store_true", help="leave filterpy, particles and stonesoup out")
     p.add_argument("--json", type=Path, default=Path("build/bench/mrclam.json"), metavar="FILE")
     return p
@@ -107,15 +111,17 @@ def experiment(args: argparse.Namespace, folder: Path) -> None:
     if set(train) & set(test):
         raise ConfigError(f"--train {args.train} --test {args.test}: a robot is in both, expected apart")
     training = [read_run(folder, r, world) for r in train]
-    testing = [read_run(folder, r, world) for r in test]
+    scale = odometry_scale(training) if args.calibrate_odometry else (1.0, 1.0)
+    training = [scaled(run, scale) for run in training]
+    testing = [scaled(read_run(folder, r, world), scale) for r in test]
     _warm_up(training[0], world)
     noise, tried = fitted(training, world)
     cells = _cells(args, testing)
-    code = fingerprint(FILES, str(folder.resolve()), repr(noise), str(args.trials), _contents(folder))
+    code = fingerprint(FILES, str(folder.resolve()), repr((noise, scale)), str(args.trials), _contents(folder))
     store = Store(args.json.with_suffix(".jsonl"), code, lambda k: Cell(**k))
-    jobs = {c: Job(c, folder, noise, args.trials // len(testing)) for c in cells}
+    jobs = {c: Job(c, folder, noise, args.trials // len(testing), scale) for c in cells}
     run_all(store, cells, asdict, _Work(jobs), args.jobs)
-    _report(args, folder, [*training, *testing], noise, tried, {c: store.results[c] for c in cells})
+    _report(args, [*training, *testing], noise, scale, tried, {c: store.results[c] for c in cells})
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,7 @@ def _cells(args: argparse.Namespace, testing: Sequence[Run]) -> list[Cell]:
 def measure(job: Job) -> dict[str, Any]:
     """The figures of a cell; an empty dict for a trial that the run has no room for."""
     cell = job.cell
-    world, run = _recording(job.folder, cell.robot)
+    world, run = _recording(job.folder, cell.robot, job.scale)
     if cell.filter in peers.PEERS:
         moments = runs.from_truth(runs.events(run))
         return peers.localise_peer(cell.filter, moments, world, job.noise, cell.particles)
@@ -185,9 +191,9 @@ def measure(job: Job) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=8)
-def _recording(folder: Path, robot: int) -> tuple[World, Run]:
+def _recording(folder: Path, robot: int, scale: tuple[float, float]) -> tuple[World, Run]:
     world = read_world(folder)
-    return world, read_run(folder, robot, world)
+    return world, scaled(read_run(folder, robot, world), scale)
 
 
 def _contents(folder: Path) -> str:
@@ -259,14 +265,16 @@ def bars(results: dict[Cell, dict[str, Any]]) -> list[Bar]:
 
 def _report(
     args: argparse.Namespace,
-    folder: Path,
     used: Sequence[Run],
     noise: Noise,
+    scale: tuple[float, float],
     tried: list[dict[str, float]],
     results: dict[Cell, dict[str, Any]],
 ) -> None:
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
-    skipped = [] if args.no_peers else [m for lib in ("filterpy", "particles", "stonesoup") if (m := peers.missing(lib))]
+    skipped = (
+        [] if args.no_peers else [m for lib in ("filterpy", "particles", "stonesoup") if (m := peers.missing(lib))]
+    )
     document = {
         "settings": {
             "train": args.train,
@@ -275,6 +283,7 @@ def _report(
             "trials": args.trials,
             "particles": args.particles,
             **runs.stated(),
+            "odometry_scale": scale,
             "noise": noise.as_dict(),
             "inflation_tried": tried,
             "filters": {n: asdict(runs.settings(n, args.particles)) for n in runs.FILTERS},

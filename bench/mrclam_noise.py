@@ -17,8 +17,8 @@ WINDOW_S = 1.0
 """Odometry is compared with the truth over windows of this length."""
 NEAR_M = 0.3
 MAD_TO_SIGMA = 1.4826
-SIGMA_FACTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
-ODOMETRY_FACTORS = (1.0, 2.0, 4.0)
+SIGMA_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+ODOMETRY_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
 _MIN_WINDOWS = 20
 
 
@@ -105,6 +105,19 @@ def odometry_errors(runs: Sequence[Run]) -> tuple[Array, Array, Array]:
             f"training runs: found {len(motion)} s of odometry with a truth, expected at least {_MIN_WINDOWS}"
         )
     return motion, error, np.full(len(motion), WINDOW_S)
+
+
+def odometry_scale(runs: Sequence[Run]) -> tuple[float, float]:
+    """What to multiply speed and turn rate by, least squares of the true displacements on those of odometry."""
+    motion, error, _ = odometry_errors(runs)
+    real = motion - error
+    forward, turn = (float(motion[:, i] @ real[:, i] / (motion[:, i] @ motion[:, i])) for i in (0, 2))
+    return forward, turn
+
+
+def scaled(run: Run, scale: tuple[float, float]) -> Run:
+    """The same run with its odometry multiplied."""
+    return replace(run, odometry=run.odometry * [1.0, *scale])
 
 
 def _spread_by_bin(r: Array, off: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.particles import PoseFilter
 from ceilvo.daemon.rigid import rigid_motion
 from ceilvo.se2 import between, transform
-from ceilvo.types import Array, Motion, Observations
+from ceilvo.types import Array, Landmarks, Motion, Observations
 
 GRID_S = 0.5
 """Between observations the filters predict this often."""
@@ -35,6 +35,7 @@ SETTLE_S = 30.0
 JUMP_S = 60.0
 JUMP_MIN_M = 1.0
 """A jump over which the robot moved less than this is no kidnap, and is not tried."""
+AGREES_SIGMAS = 3.0
 FILTERS = ("ukf", "ukf_gated", "pf", "pfcf_paper", "pfcf")
 
 
@@ -96,16 +97,33 @@ def step(f: PoseFilter, event: Event, noise: Noise) -> None:
     """Predict to the moment of an event, then update with its observations, one after the other."""
     f.predict(Motion(event.motion, noise.motion_cov(event.motion, event.seconds), 0, 0.0))
     turned = 0.0
-    along, across = noise.sigmas(event.range_m)
     for i, bearing in enumerate(event.bearing_rad):
+        kind = event.subject[i : i + 1].astype(np.int64)
+        known = f.landmarks()
+        label = labels_of(kind, known)
+        variance = point_variance(noise, float(event.range_m[i]), _expected_m(f, known, int(label[0])))
         _turn(f, float(bearing) - turned)
         turned = float(bearing)
-        r = event.range_m[i]
-        kind = event.subject[i : i + 1].astype(np.int64)
-        variance = np.array([[along[i] ** 2, (r * across[i]) ** 2]])
-        f.update(Observations(np.array([[r, 0.0]]), variance, kind, labels_of(kind, f.landmarks())))
+        f.update(Observations(np.array([[event.range_m[i], 0.0]]), variance, kind, label))
     if turned:
         _turn(f, -turned)
+
+
+def point_variance(noise: Noise, range_m: float, expected_m: float) -> Array:
+    """(1, 2) variance along and across the line of sight of the point that a range and a bearing make.
+
+    Noise grows with the true distance: across, a bearing's error moves the point by distance times error. The best
+    estimate of the distance is what pose and map say, where that agrees with the range; the range itself is noisy.
+    """
+    along, _ = noise.sigmas(np.array([range_m]))
+    agrees = abs(expected_m - range_m) < AGREES_SIGMAS * float(along[0])
+    at = np.array([expected_m if agrees else range_m])
+    along, across = noise.sigmas(at)
+    return np.column_stack([along**2, (at * across) ** 2])
+
+
+def _expected_m(f: PoseFilter, known: Landmarks, label: int) -> float:
+    return float(np.hypot(*(known.xy_map_m[label] - f.estimate()[0][:2]))) if label >= 0 else float("inf")
 
 
 def _turn(f: PoseFilter, angle_rad: float) -> None:
@@ -167,7 +185,9 @@ def slam(f: PoseFilter, run: Run, world: World, noise: Noise) -> dict[str, float
     return {
         "rmse_aligned_m": rms(np.hypot(*(transform(true_from_estimated, estimated[known]) - true[known]).T)),
         "rmse_m": rms(np.hypot(*(estimated[known] - true[known]).T)),
-        "landmark_rmse_aligned_m": rms(np.hypot(*(transform(true_from_estimated, m.xy_map_m) - at).T)) if len(m) else float("nan"),
+        "landmark_rmse_aligned_m": rms(np.hypot(*(transform(true_from_estimated, m.xy_map_m) - at).T))
+        if len(m)
+        else float("nan"),
         "landmarks": float(len(m)),
     }
 
@@ -236,6 +256,7 @@ def stated() -> dict[str, Any]:
     """Everything here that decides figures."""
     return {
         "grid_s": GRID_S,
+        "agrees_sigmas": AGREES_SIGMAS,
         "start_sigma": list(START_SIGMA),
         "found_m": FOUND_M,
         "found_for_s": FOUND_FOR_S,

@@ -201,7 +201,9 @@ def printed(results: tables.Results) -> list[Table]:
             out.append(_table1(results, experiment, setting))
     grid = tables.grid_rows(results)
     if grid:
-        t = Table("setting", "filter", "runs", "failed", "position m", "/ EKF-NN", title="Unlabelled 0.6 m grid, mapped")
+        t = Table(
+            "setting", "filter", "runs", "failed", "position m", "/ EKF-NN", title="Unlabelled 0.6 m grid, mapped"
+        )
         for r in grid:
             t.add_row(
                 r["setting"], r["filter"], str(r["runs"]), str(r["failures"]), str(r["position"]), str(r["to_ekf"])
@@ -216,8 +218,19 @@ def printed(results: tables.Results) -> list[Table]:
 
 def _table1(results: tables.Results, experiment: str, setting: str) -> Table:
     laps = "three laps" if experiment == "laps3" else "one lap"
-    heads = ("position m", "feature m", "pos / pf", "feat / pf", "pos / ukf", "feat / ukf", "pos / gated", "feat / gated")
-    t = Table("filter", *heads, "NEES pos\nmedian mean", "NEES feat\nmean", "paper", title=f"Table 1, {setting}, {laps}")
+    heads = (
+        "position m",
+        "feature m",
+        "pos / pf",
+        "feat / pf",
+        "pos / ukf",
+        "feat / ukf",
+        "pos / gated",
+        "feat / gated",
+    )
+    t = Table(
+        "filter", *heads, "NEES pos\nmedian mean", "NEES feat\nmean", "paper", title=f"Table 1, {setting}, {laps}"
+    )
     figures = ("position", "feature", "position_to_pf", "feature_to_pf", "position_to_ukf", "feature_to_ukf")
     for r in tables.table1(results, experiment, setting):
         paper = "-" if r["paper"] is None or setting != "P" else " / ".join(f"{x:.3f}" for x in r["paper"])

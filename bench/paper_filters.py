@@ -63,5 +63,3 @@ def redraw_without_curve(
     new = spread(*mean_and_cov(poses, weights), len(poses), rng)
     new[:, 2] = wrap_array(new[:, 2])
     return new, float("nan")
-
-
