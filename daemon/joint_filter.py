@@ -49,7 +49,7 @@ class View:
 def noise_in_map(theta: float, var: Array) -> Array:
     """(K, 2, 2) of variances (K, 2) along base x and y."""
     r = rotation(theta)
-    return np.einsum("ij,kj,lj->kil", r, var, r)
+    return np.asarray(np.einsum("ij,kj,lj->kil", r, var, r), np.float64)
 
 
 class JointFilter:
@@ -96,6 +96,7 @@ class JointFilter:
             self._joint.sightings[labels[inliers]] += 1
             self._confirm()
             self._be_born(obs, np.flatnonzero(obs.label == NO_LANDMARK))
+            self._merge_twins(labels[inliers])
             self._joint.bound()
         self._summary = None
 
@@ -193,6 +194,20 @@ class JointFilter:
         return np.empty(0, np.int64) if self._known is not None else self._joint.rows(labels)
 
     # -- landmarks
+
+    def _merge_twins(self, labels: Ints) -> None:
+        """At most one pair per update: two landmarks of one kind whose difference is zero within the gate are one."""
+        j = self._joint
+        labels = labels[labels < len(j)]
+        xy, reach = j.xy(labels), DUPLICATE_SHARE * self._settings.association_gate_m
+        near = self._candidates_near(xy, reach, np.empty(0, np.int64), np.array([UNLABELLED]))
+        apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
+        twins = (apart < reach) & (j.kind[labels][:, None] == j.kind[near]) & (labels[:, None] != near)
+        pairs = np.argwhere(twins)
+        if len(pairs):
+            a, b = int(labels[pairs[0, 0]]), int(near[pairs[0, 1]])
+            keep, drop = (a, b) if (j.sightings[a], b) >= (j.sightings[b], a) else (b, a)
+            self._counters["merges"] += int(j.merge(keep, drop, self._settings.gate_chi2))
 
     def _confirm(self) -> None:
         j, cfg = self._joint, self._settings

@@ -149,6 +149,25 @@ class JointMap:
         self._widen(labels, self.mean[:2] + arm, cross, own)
         return labels
 
+    def merge(self, keep: int, drop: int, gate_chi2: float) -> bool:
+        """Make one of two landmarks by observing that their difference is zero, where that is plausible."""
+        self.bring_in(np.array([keep, drop]))
+        rows = self.rows(np.array([keep, drop]))
+        cross = self.cov[:, rows[:2]] - self.cov[:, rows[2:]]
+        off = self.mean[rows[:2]] - self.mean[rows[2:]]
+        total = cross[rows[:2]] - cross[rows[2:]] + JITTER[0] * np.eye(2)
+        if float(off @ np.linalg.solve(total, off)) > gate_chi2:
+            return False
+        gain = np.linalg.solve(total, cross.T).T
+        self.mean = self.mean - gain @ off
+        self.mean[2] = wrap(float(self.mean[2]))
+        cov = self.cov - gain @ cross.T
+        self.cov = 0.5 * (cov + cov.T)
+        self.sightings[keep] += self.sightings[drop]
+        self.confirmed[keep] |= self.confirmed[drop]
+        self.forget(np.array([drop]))
+        return True
+
     def forget(self, labels: Ints) -> None:
         """Drop landmarks; labels above them move down."""
         if not len(labels):

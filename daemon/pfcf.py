@@ -143,7 +143,7 @@ class Pfcf(JointFilter):
             weights = normalised(self._bank.log_weight)
             pick = systematic(weights, np.random.default_rng(0), n)
             return self._bank.mean[pick], np.full(n, 1.0 / n)
-        poses = self._joint.pose + self._white @ np.linalg.cholesky(self._joint.pose_cov).T
+        poses = self._joint.pose + self._white @ root_of(self._joint.pose_cov).T
         poses[:, 2] = wrap_array(poses[:, 2])
         return poses, np.full(n, 1.0 / n)
 
@@ -270,7 +270,7 @@ class Pfcf(JointFilter):
         mu, cov = self._joint.pose + prior.shift, self._joint.pose_cov + prior.spread
         given = Conditional(view, mu, cov)
         gate = self._settings.gate_chi2
-        prior_root = np.linalg.cholesky(cov)
+        prior_root = root_of(cov)
         prior_inverse = np.linalg.inv(prior_root)
         centre, root, widen = self._proposal(view, mu, cov)
         residual, u = float("nan"), self._white
@@ -319,10 +319,10 @@ class Pfcf(JointFilter):
             wider[-1, :-1] = wider[:-1, -1] = cross[2]
             total, cross = wider, np.column_stack([cross, cov[:, 2]])
         if not np.any(take):
-            return mu, np.linalg.cholesky(cov), 1.0
+            return mu, root_of(cov), 1.0
         gain = np.linalg.solve(total[np.ix_(take, take)], cross[:, take].T).T
         narrowed = cov - gain @ cross[:, take].T
-        return mu + gain @ nu[take], np.linalg.cholesky(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
+        return mu + gain @ nu[take], root_of(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
 
     def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
         """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
@@ -375,7 +375,7 @@ class Pfcf(JointFilter):
         towards = np.linalg.solve(total, way) if len(view) else way
         steepness = float(way @ towards)
         gain = 0.5 * float(nu.ravel() @ towards) ** 2 / steepness if steepness > 0.0 else 0.0
-        return slip.log_weight + gain < np.log(NEGLIGIBLE)
+        return bool(slip.log_weight + gain < np.log(NEGLIGIBLE))
 
     def _telemetry(self, view: View) -> None:
         """NIS of every feature at the predicted pose."""
@@ -405,6 +405,15 @@ def feature_chi2(nu: Array, total: Array) -> Array:
     det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
     x, y = nu[:, 0], nu[:, 1]
     return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
+
+
+def root_of(cov: Array) -> Array:
+    """A root of a covariance, also of one that rounding has made slightly indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(cov)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, JITTER[0])), np.float64)
 
 
 def jacobian(arm: Array) -> Array:

@@ -212,15 +212,15 @@ class Bank:
         poses[:, :, 0] = at[:, :1] - (c * x - s * y)
         poses[:, :, 1] = at[:, 1:] - (s * x + c * y)
         poses[:, :, 2] = wrap_array(theta)
-        poses = poses.reshape(-1, 3)
-        return poses, self._seed_cov(poses, obs, k, (2.0 * np.pi / RING) ** 2)
+        flat: Array = poses.reshape(-1, 3)
+        return flat, self._seed_cov(flat, obs, k, (2.0 * np.pi / RING) ** 2)
 
     def _seed_cov(self, poses: Array, obs: Observations, k: int, heading_var: float | Array) -> Array:
         """Of a pose that turns about the landmark at feature k."""
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         x, y = obs.xy_base_m[k]
         lever = np.column_stack([s * x + c * y, -(c * x - s * y), np.ones(len(poses))])
-        cov = lever[:, :, None] * lever[:, None, :] * np.reshape(heading_var, (-1, 1, 1))
+        cov = np.asarray(lever[:, :, None] * lever[:, None, :] * np.reshape(heading_var, (-1, 1, 1)), np.float64)
         cov[:, :2, :2] += 4.0 * float(np.max(obs.var_m2[k])) * np.eye(2)
         return cov
 

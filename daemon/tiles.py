@@ -47,7 +47,7 @@ def _basis(shifts: Array) -> Array:
         cross = first[0] * second[1] - first[1] * second[0]
         if abs(cross) > 0.5 * float(np.hypot(*first) * np.hypot(*second)):
             return np.array([first, second])
-    return first[None]
+    return np.asarray(first[None], np.float64)
 
 
 def lattice(basis: Array) -> Array:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from ceilvo.config import Filter
 from ceilvo.daemon import fastslam
-from ceilvo.daemon.particles import effective_size, mean_and_cov
 from ceilvo.daemon.fastslam import FastSlam, independent
+from ceilvo.daemon.particles import effective_size, mean_and_cov
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import inverse, rotation, transform, wrap
 from ceilvo.types import Landmarks, Motion, Observations

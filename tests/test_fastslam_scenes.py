@@ -9,8 +9,8 @@ import pytest
 
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
-from ceilvo.daemon.observation import observe
 from ceilvo.daemon.fastslam import FastSlam
+from ceilvo.daemon.observation import observe
 from ceilvo.kinds import quarter_turns, turn_kind
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import Crossings, Motion, Observations

@@ -182,9 +182,7 @@ def room(seed, steps=120):
 
 def test_it_is_honest_about_its_errors():
     pose, landmark = np.array([room(seed) for seed in range(12)]).T
-    print(
-        f"seeds 0-11: pose NEES median {np.median(pose):.2f} (3 dof: 2.37), landmarks {landmark.mean():.2f} (mean 2)"
-    )
+    print(f"seeds 0-11: pose NEES median {np.median(pose):.2f} (3 dof: 2.37), landmarks {landmark.mean():.2f} (mean 2)")
     assert 1.2 < np.median(pose) < 4.0
     assert 1.0 < landmark.mean() < 4.0
 
@@ -199,3 +197,29 @@ def test_heading_noise_alone_turns_about_the_robot():
     _, cov, _ = f.estimate()
     assert cov[2, 2] == pytest.approx(1e-2, rel=0.02)
     np.testing.assert_allclose(f.landmarks().xy_map_m[0], rotation(f.estimate()[0][2]) @ [1.0, 0.0], atol=1e-3)
+
+
+def test_twins_become_one_with_the_information_of_both():
+    j = JointMap(np.zeros(3), np.diag([1e-10, 1e-10, 1e-12]))
+    at = np.array([[1.0, 0.5], [1.006, 0.5], [1.5, 0.5]])
+    j.give_birth(at, np.array([[1e-4, 1e-4], [3e-4, 3e-4], [1e-4, 1e-4]]), np.zeros(3, np.int64), now=1)
+    assert not j.merge(0, 2, 9.0)
+    assert j.merge(0, 1, 9.0)
+    assert len(j) == 2
+    assert j.sightings.tolist() == [2, 1]
+    np.testing.assert_allclose(j.xy(np.arange(2)), [[1.0 + 0.006 / 4, 0.5], [1.5, 0.5]], atol=1e-6)
+    np.testing.assert_allclose(j.packed(np.array([0])), [[0.75e-4, 0.0, 0.75e-4]], rtol=1e-3, atol=1e-8)
+
+
+def test_a_landmark_mapped_twice_is_merged_when_both_are_there():
+    f = make_filter(
+        replace(Filter(), feature_independence=1.0, gate_chi2=9.0, birth_sightings=1), np.random.default_rng(SEED)
+    )
+    twice = np.array([[1.0, 0.0], [1.01, 0.0], [0.0, 1.0]])
+    known = Landmarks(
+        np.arange(3), twice, np.tile(1e-4 * np.eye(2), (3, 1, 1)), np.zeros(3, np.int64), np.array([9, 4, 9])
+    )
+    f.reset(np.zeros(3), np.eye(3) * 1e-8, known)
+    f.update(Observations(twice[[0, 2]], np.full((2, 2), 1e-4), np.zeros(2, np.int64), np.array([0, 2])))
+    assert f.landmarks().ids.tolist() == [0, 2]
+    assert f.counters()["merges"] == 1
