@@ -134,7 +134,7 @@ def particles_bootstrap(moments: Sequence[Event], world: World, noise: Noise, pa
                 total += np.logaddexp(np.log1p(-FLOOR) + inlier, outlier)
             return total
 
-    np.random.seed(1)  # noqa: NPY002: the library resamples with it
+    np.random.seed(1)  # noqa: NPY002  the library resamples with it
     smc = SMC(fk=Model(len(moments)), N=particles, resampling="systematic", ESSrmin=0.5)
 
     def step(event: Event) -> tuple[Array, Array]:

@@ -75,9 +75,9 @@ def table1(results: Results, experiment: str, setting: str) -> list[dict[str, An
                 "feature_to_gated": ratio(results, experiment, setting, (name, "ukf_gated"), "feature_rms_m"),
                 "nees_position_median": float(np.median(nees)),
                 "nees_position_mean": float(np.mean(nees)),
-                "nees_feature_mean": float(
-                    np.mean(_finite(by_seed(results, experiment, setting, name, "feature_nees_mean")))
-                ),
+                "nees_feature_mean": mean_interval(
+                    _finite(by_seed(results, experiment, setting, name, "feature_nees_mean"))
+                ).value,
                 "paper": PAPER_TABLE_1.get(name),
             }
         )

@@ -126,7 +126,7 @@ def _on_lap(s: float, side: float, radius: float) -> Array:
     corner = np.array([x - 0.5 * straight, radius * (1.0 - np.cos(turn)) - 0.5 * side, turn])
     a = 0.5 * np.pi * quarter
     turned = compose(np.array([0.0, 0.0, a]), corner)
-    return np.asarray(turned + [0.5 * ROOM_M, 0.5 * ROOM_M, 0.0], np.float64)
+    return np.asarray(turned + np.array([0.5 * ROOM_M, 0.5 * ROOM_M, 0.0]), np.float64)
 
 
 def room_scene(rng: np.random.Generator) -> Scene:

@@ -34,3 +34,12 @@ def test_every_method_steps_and_is_counted_per_step():
     for method in filter_speed.METHODS:
         for known in (True, False):
             filter_speed.stepper(method, 20, m, near, known)()
+
+
+def test_the_bars_are_read_off_the_figures():
+    at = {m: 100.0 for m in filter_speed.METHODS}
+    document = {
+        "particles": [{"particles": 200, "us": {**at, "pfcf": 290.0}}],
+        "map_ends": {"us": {"100": 100.0, "30000": 116.0}},
+    }
+    assert [b.verdict for b in filter_speed.bars(document)] == ["PASS", "PASS", "MISS"]

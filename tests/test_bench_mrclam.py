@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from ceilvo.bench import mrclam, mrclam_run
+from ceilvo.bench import mrclam, mrclam_noise, mrclam_run
 from ceilvo.bench.mrclam_data import arc, read_run, read_world, robots_in
 from ceilvo.bench.mrclam_noise import Noise, fit, odometry_errors
 from ceilvo.errors import FileFormatError
@@ -175,7 +175,9 @@ def test_noise_is_turned_to_the_line_of_sight(folder):
         assert np.linalg.det(cov) == pytest.approx((0.1 * 3.0 * 0.01) ** 2, rel=0.02)
 
 
-def test_smoke(folder, tmp_path, capsys):
+def test_smoke(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(mrclam_noise, "SIGMA_FACTORS", (1.0,))
+    monkeypatch.setattr(mrclam_noise, "ODOMETRY_FACTORS", (1.0, 2.0))
     out = tmp_path / "m.json"
     arguments = [str(folder), "--train", "1", "--test", "2", "--tasks", "localise", "--filters", "ukf_gated,pf"]
     assert mrclam.main([*arguments, "--particles", "50", "--seeds", "1", "--no-peers", "--json", str(out)]) == 0
