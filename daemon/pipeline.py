@@ -6,7 +6,7 @@ run, a replay and a test do the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -235,6 +235,10 @@ class Pipeline:
 
     def landmarks(self) -> Landmarks:
         return self._filter.landmarks()
+
+    def counters(self) -> Mapping[str, int]:
+        """Of the filter, since the pipeline was made (particles.COUNTERS)."""
+        return self._filter.counters()
 
     def particles(self) -> tuple[Array, Array]:
         return self._filter.particles()

@@ -7,7 +7,7 @@ import numpy as np
 from ceilvo.daemon.particles import normalised
 from ceilvo.types import Array, Landmarks
 
-SAMPLE = 400
+SAMPLE = 144
 REACH_M = 1.6
 BIN_M = 0.04
 PERIODIC = 0.35
@@ -31,9 +31,9 @@ def periods(landmarks: Landmarks) -> Array:
     shifts = off[near]
     if len(shifts) < 8:
         return np.empty((0, 2))
-    votes = np.array([np.sum(np.hypot(*(shifts - s).T) < 1.5 * BIN_M) for s in shifts[: 4 * SAMPLE]])
+    votes = np.array([np.sum(np.hypot(*(shifts - s).T) < 1.5 * BIN_M) for s in shifts[: 2 * SAMPLE]])
     good = votes > PERIODIC * len(at)
-    found = shifts[: 4 * SAMPLE][good]
+    found = shifts[: 2 * SAMPLE][good]
     return _basis(np.array([np.mean(shifts[np.hypot(*(shifts - s).T) < 1.5 * BIN_M], axis=0) for s in found]))
 
 
