@@ -22,7 +22,7 @@ def steppers(near: Array, particles: int, sigma_m: float) -> dict[str, Callable[
     world = World(np.arange(len(near), dtype=np.int64), near, {})
     noise = Noise((sigma_m, 0.0), (sigma_m, 0.0), (0.0, 2e-3), (0.0, 2e-3), (0.0, 0.0, 5e-4))
     moments = _standing(near, sigma_m)
-    out = {}
+    out: dict[str, Callable[[], None]] = {}
     for name, (library, work, gated) in peers.PEERS.items():
         if peers.missing(library) is None:
             out[name] = partial(_run, work, moments, world, noise, particles, gated)

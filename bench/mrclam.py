@@ -275,7 +275,7 @@ def _report(
     skipped = (
         [] if args.no_peers else [m for lib in ("filterpy", "particles", "stonesoup") if (m := peers.missing(lib))]
     )
-    document = {
+    document: dict[str, Any] = {
         "settings": {
             "train": args.train,
             "test": args.test,

@@ -22,7 +22,7 @@ from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.particles import PoseFilter
 from ceilvo.daemon.rigid import rigid_motion
 from ceilvo.se2 import between, transform
-from ceilvo.types import Array, Landmarks, Motion, Observations
+from ceilvo.types import Array, Ints, Landmarks, Motion, Observations
 
 GRID_S = 0.5
 """Between observations the filters predict this often."""
@@ -47,7 +47,7 @@ class Event:
     motion: Array
     seconds: float
     truth: Array
-    subject: Array
+    subject: Ints
     range_m: Array
     bearing_rad: Array
     on_grid: bool

@@ -100,11 +100,12 @@ class EkfNearestNeighbour:
                 s = h @ self._local(int(j)) @ h.T + r
                 distance[i, j] = innovation @ np.linalg.solve(s, innovation)
         nearest = np.min(apart, axis=1, initial=np.inf)
-        pairs, left = [], distance.copy()
+        pairs: list[tuple[int, int]] = []
+        left = distance.copy()
         while left.size and np.min(left) < self._gate:
-            i, j = (int(k) for k in np.unravel_index(np.argmin(left), left.shape))
-            pairs.append((i, j))
-            left[i], left[:, j] = np.inf, np.inf
+            row, column = (int(k) for k in np.unravel_index(np.argmin(left), left.shape))
+            pairs.append((row, column))
+            left[row], left[:, column] = np.inf, np.inf
         return pairs, [i for i in range(len(obs)) if nearest[i] > NEW_M]
 
     def _apart(self, obs: Observations) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.types import Array
+from ceilvo.types import Array, Ints
 
 RESAMPLES = 4000
 LEVEL = 0.95
@@ -45,7 +45,7 @@ def ratio_interval(numerator: Array, denominator: Array) -> Interval:
     return Interval(float(np.mean(a) / np.mean(b)), *_ends(np.mean(a[draws], axis=1) / np.mean(b[draws], axis=1)))
 
 
-def _draws(count: int) -> Array:
+def _draws(count: int) -> Ints:
     return np.random.default_rng(_SEED).integers(count, size=(RESAMPLES, count))
 
 

@@ -37,7 +37,7 @@ def test_every_method_steps_and_is_counted_per_step():
 
 
 def test_the_bars_are_read_off_the_figures():
-    at = {m: 100.0 for m in filter_speed.METHODS}
+    at = dict.fromkeys(filter_speed.METHODS, 100.0)
     document = {
         "particles": [{"particles": 200, "us": {**at, "pfcf": 290.0}}],
         "map_ends": {"us": {"100": 100.0, "30000": 116.0}},

@@ -28,7 +28,7 @@ def write(folder, name, rows, zipped=False):
 
 
 def drive(robot, seconds, rng):
-    """A circle of 1.5 m, with the stated noise; all landmarks are seen every 0.5 s."""
+    """A circle of 1.5 m, with the stated noise; all landmarks are seen every second."""
     dt, v, w = 0.05, 0.3, 0.2
     t = 1000.0 + dt * np.arange(round(seconds / dt))
     poses = [np.array([0.0, -1.5, 0.1 * robot])]
@@ -37,7 +37,7 @@ def drive(robot, seconds, rng):
     poses = np.array(poses)
     told = np.column_stack([t, v + 0.02 * rng.standard_normal(len(t)), w + 0.02 * rng.standard_normal(len(t))])
     seen = []
-    for i in range(0, len(t), 10):
+    for i in range(0, len(t), 20):
         d = LANDMARKS - poses[i, :2]
         r = np.hypot(*d.T)
         far = r + (RANGE[0] + RANGE[1] * r) * rng.standard_normal(len(r))
