@@ -16,7 +16,7 @@ from ceilvo.daemon.joint_map import JITTER
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import chi_square_bounds, normalised
 from ceilvo.daemon.search import Bank, shifted_scores
-from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, Tiles, lattice, periods
+from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, WARY, Tiles, lattice, periods
 from ceilvo.se2 import rotation, wrap, wrap_array
 from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
 
@@ -202,6 +202,15 @@ class Pfcf(JointFilter):
         self._refused, self._tiles = 0, None
         self._counters["searches"] += 1
 
+    def _chance_of_slip(self) -> float:
+        """That the pose is a tile further than at the last view, from how much this one surprises."""
+        dof = self._nis_dof - 2
+        if self._surprise <= chi_square_bounds(dof, 2.0)[1]:
+            return CALM
+        if self._known is None:
+            return SURPRISED_MAPPING
+        return SURPRISED if self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
+
     def _watch_tiles(self, obs: Observations) -> None:
         """Belief in this tile against its neighbours, where association was left to the filter."""
         free = obs.label == UNLABELLED
@@ -221,10 +230,7 @@ class Pfcf(JointFilter):
         k = len(seen)
         inflation = k / independent(k, self._settings.feature_independence, 0.0)
         score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
-        chance = CALM
-        if self._surprise > chi_square_bounds(self._nis_dof - 2)[1]:
-            chance = SURPRISED if self._known is not None else SURPRISED_MAPPING
-        tiles.weigh(score, chance)
+        tiles.weigh(score, self._chance_of_slip())
         slip = tiles.slip()
         if slip is not None and self._known is not None:
             self._joint.mean[:2] += slip
