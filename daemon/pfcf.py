@@ -122,7 +122,7 @@ class Pfcf(JointFilter):
         self._slipping = 0.0
         self._health = (float(n), float("nan"))
         self._white = self._normals()
-        self._refused = 0
+        self._refused, self._surprise = 0, 0.0
         self._tiles: tuple[int, KnownMap, Tiles] | None = None
         self._bank: Bank | None = None
         if not np.all(np.isfinite(cov)):

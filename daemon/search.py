@@ -21,7 +21,7 @@ PAIRS = 4
 OUTLIER = 0.05
 """Share of features that no landmark explains; higher than when tracking, for a search must survive surprises."""
 OUTLIER_DENSITY_PER_M2 = 0.25
-HOPELESS = 1e-5
+HOPELESS = 1e-9
 CONVINCED = 0.999
 AGREE_UPDATES = 5
 """Updates in a row that must be convinced of the same pose."""
