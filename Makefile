@@ -5,7 +5,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
-.PHONY: help run test check config dist test-robot bench-vision bench-real clean
+.PHONY: help run test check config dist test-robot clean
+.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +16,9 @@ help:
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
 	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each)"
 	@echo "make bench-real DATA=d recordings of real ceilings in folder d"
+	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
+	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
+	@echo "make bench-filter      time of a filter's step, as ratios"
 	@echo "make dist              wheel and source archive in dist/"
 	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
@@ -36,6 +40,15 @@ config: $(VENV)/.installed
 
 dist: $(VENV)/.installed-dev
 	$(BIN)/python -m build --outdir dist .
+
+bench-paper: $(VENV)/.installed-bench
+	$(BIN)/ceilvod experiment paper --seeds $(or $(SEEDS),100) --jobs $(or $(JOBS),1)
+
+bench-mrclam: $(VENV)/.installed-bench
+	$(BIN)/ceilvod experiment mrclam $(DATA) --jobs $(or $(JOBS),1)
+
+bench-filter: $(VENV)/.installed-bench
+	$(BIN)/ceilvod experiment speed
 
 test-robot:
 	bash tests/robot/run.sh
@@ -66,4 +79,10 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip
 $(VENV)/.installed-dev: $(VENV)/.installed
 	@echo "installing what the checks need into $(VENV)"
 	@$(PIP) -e '.[dev]' -c constraints.txt
+	@touch $@
+
+# The peers' libraries are extras: where one cannot be installed the benches run without it and say so.
+$(VENV)/.installed-bench: $(VENV)/.installed
+	@echo "installing what the benches compare with into $(VENV)"
+	@$(PIP) -e '.[bench]' -c constraints.txt || $(PIP) matplotlib -c constraints.txt
 	@touch $@

@@ -113,10 +113,18 @@ class Odometry:
 @dataclass(frozen=True)
 class Filter:
     method: str = key(
-        "pfcf", "pfcf = curve-fit resampling (eqs. 21-25), pf = systematic resampling", choices=("pfcf", "pf")
+        "pfcf",
+        "pfcf = particles on one shared map, a curve fitted to their weights; pfcf_paper = eqs. 21-25 to the letter; "
+        "pf = FastSLAM 1.0; ukf = unscented Kalman filter",
+        choices=("pfcf", "pfcf_paper", "pf", "ukf"),
     )
     particles: int = key(100, "number of pose hypotheses", low=10, high=100000)
-    fit_degree: int = key(4, "degree n of the curve of eq. 21", low=2, high=8)
+    fit_degree: int = key(4, "pfcf_paper: degree n of the curve of eq. 21", low=1, high=16)
+    gate_chi2: float = key(9.0, "pfcf, ukf: squared normalised innovation that is an outlier", low=2.0, high=1e3)
+    ukf_gate: bool = key(True, "ukf: refuse outliers")
+    slip_per_m: float = key(0.02, "pfcf: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
+    slip_share: float = key(0.8, "pfcf: how much of the reported way a slip may swallow", low=0.0, high=1.0)
+    lost_updates: int = key(8, "pfcf: updates refused in a row that start a search on the map", low=2, high=1000)
     resample_ess_ratio: float = key(
         0.5, "resample when ESS falls below this share of the particles", low=0.05, high=1.0
     )

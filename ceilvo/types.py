@@ -148,6 +148,11 @@ class WheelMotion:
     cov: Array
 
 
+NO_LANDMARK = -1
+UNLABELLED = -2
+"""Labels of Observations that are not the index of a landmark."""
+
+
 @dataclass(frozen=True, slots=True)
 class Observations:
     """What the filter is updated with.
@@ -156,7 +161,8 @@ class Observations:
         xy_base_m: (K, 2).
         var_m2: (K, 2) diagonal of R along base x and y (eq. 27, squared).
         kind: (K,) crossing kinds turned into the map's quadrant.
-        label: (K,) landmark index, or -1 for a feature that no landmark explains.
+        label: (K,) landmark index, NO_LANDMARK for a feature that no landmark explains, or UNLABELLED where the filter
+            shall find out itself.
         heading_rad, heading_var_rad2: heading in the map from the lines' common direction and R33 of eq. 27; an
             infinite variance means that there is none.
         common_var_m2: the part of var_m2 (mean of both axes) that all features of the frame share.
@@ -191,8 +197,9 @@ class Landmarks:
 @dataclass(frozen=True, slots=True)
 class Depletion:
     """Health of the particle set: effective sample size, distinct ancestors since the last estimate, rms residual of
-    the curve fit (nan when no fit was made), and the mean normalised innovation squared per degree of freedom (1 is
-    expected) with those degrees of freedom."""
+    the curve fit (nan when no fit was made), the mean normalised innovation squared per degree of freedom (1 is
+    expected; particles.chi_square_bounds tells how far from it is chance) with those degrees of freedom, and the share
+    of the belief that is in the reported mode (less than 1: other poses explain the view too)."""
 
     particles: int
     ess: float
@@ -200,6 +207,7 @@ class Depletion:
     fit_residual: float
     nis: float
     nis_dof: int
+    mode_weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

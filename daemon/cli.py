@@ -19,6 +19,7 @@ from ceilvo.config_check import cross_check
 from ceilvo.config_file import calibration_path, load_config
 from ceilvo.config_file import replace as replace_keys
 from ceilvo.daemon import app
+from ceilvo.daemon.app_experiment import EXPERIMENTS, run_experiment
 from ceilvo.daemon.app_replay import replay_recording
 from ceilvo.daemon.app_watch import watch_robots
 from ceilvo.daemon.replay import Outputs
@@ -73,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_replay(commands)
     _add_watch(commands)
     _add_check(commands)
+    _add_experiment(commands)
     return parser
 
 
@@ -141,6 +143,18 @@ def _add_check(commands: Commands) -> None:
     p.set_defaults(do=_check)
 
 
+def _add_experiment(commands: Commands) -> None:
+    p = _command(
+        commands,
+        "experiment",
+        "compare the filters: the paper's experiment, recorded robots, speed",
+        "ceilvod experiment mrclam DIR --train 1,2 --test 3,4,5 --json F",
+    )
+    p.add_argument("name", choices=tuple(EXPERIMENTS), help="; ".join(f"{k}: {v}" for k, v in EXPERIMENTS.items()))
+    p.add_argument("arguments", nargs=argparse.REMAINDER, metavar="...", help="its own; --help lists them")
+    p.set_defaults(do=_experiment)
+
+
 # -- what they do
 
 
@@ -189,6 +203,10 @@ def _check(options: argparse.Namespace) -> int:
             print(f"{options.file}: note: {note}")
         print(f"{options.file}: good; {file} is not there yet, 'calib' writes it")
     return 0
+
+
+def _experiment(options: argparse.Namespace) -> int:
+    return run_experiment(options.name, options.arguments)
 
 
 def _config(options: argparse.Namespace) -> Config:

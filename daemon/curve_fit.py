@@ -78,12 +78,12 @@ def _draw(coefficients: Array, u: Array, rng: np.random.Generator) -> Array | No
     return np.interp(strata, cdf / cdf[-1], edges)
 
 
-def systematic(weights: Array, rng: np.random.Generator) -> Ints:
-    """(N,) ancestors by systematic resampling."""
-    n = len(weights)
+def systematic(weights: Array, rng: np.random.Generator, count: int | None = None) -> Ints:
+    """(count,) ancestors by systematic resampling, as many as there are particles unless said otherwise."""
+    n = len(weights) if count is None else count
     cdf = np.cumsum(weights)
     steps = (np.arange(n) + rng.random()) / n
-    return np.minimum(np.searchsorted(cdf / cdf[-1], steps, side="right"), n - 1).astype(np.int64)
+    return np.minimum(np.searchsorted(cdf / cdf[-1], steps, side="right"), len(weights) - 1).astype(np.int64)
 
 
 def nearest(poses: Array, ancestors: Array, scale: Array, block: int = 1024) -> Ints:

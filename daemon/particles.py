@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -13,14 +14,18 @@ from ceilvo.types import Array, Depletion, Landmarks, Motion, Observations
 class PoseFilter(Protocol):
     """Estimates map_from_base and the map. Poses are (3,) [m, m, rad], covariances (3, 3)."""
 
-    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None) -> None:
-        """Start again at a pose, with a known map or with an empty one."""
+    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
+        """Start again at a pose, with a map or with an empty one.
+
+        known: the map is what it is; nothing is learnt, and its size costs nothing. An infinite covariance says that
+        the pose is not known at all: the filter searches where the map explains what is seen.
+        """
 
     def predict(self, motion: Motion) -> None:
         """Move by the motion since the last call."""
 
     def update(self, obs: Observations) -> None:
-        """Weigh against the map; labels index the landmarks() of this moment."""
+        """Weigh against the map; labels index the landmarks() of this moment (types.NO_LANDMARK, UNLABELLED)."""
 
     def estimate(self) -> tuple[Array, Array, Depletion]:
         """Pose, covariance and health."""
@@ -30,6 +35,30 @@ class PoseFilter(Protocol):
 
     def particles(self) -> tuple[Array, Array]:
         """(N, 3) poses and (N,) weights that sum to one."""
+
+    def counters(self) -> Mapping[str, int]:
+        """What happened since the filter was made, by name; the names are in COUNTERS and all are there."""
+
+
+SURE = 0.9
+"""A pose with a smaller Depletion.mode_weight is one hypothesis among several, and must not be called TRACKING."""
+COUNTERS = (
+    "updates",
+    "observations",
+    "outliers",
+    "rejected_updates",
+    "births",
+    "merges",
+    "resamplings",
+    "fit_failures",
+    "slips",
+    "searches",
+    "recoveries",
+    "tile_slips",
+)
+"""Updates; observations matched to a landmark, and those of them that the gate refused; updates most of whose
+observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
+the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling."""
 
 
 def mean_and_cov(poses: Array, weights: Array) -> tuple[Array, Array]:
@@ -63,3 +92,12 @@ def spread(mean: Array, cov: Array, n: int, rng: np.random.Generator) -> Array:
 def moved(poses: Array, motion: Motion, rng: np.random.Generator) -> Array:
     """(N, 3) poses, each after its own draw of the motion."""
     return compose(poses, spread(motion.prev_from_curr, motion.cov, len(poses), rng))
+
+
+def chi_square_bounds(dof: int, sigmas: float = 3.0) -> tuple[float, float]:
+    """Bounds of a mean of squares of dof standard normals that chance keeps (Wilson and Hilferty 1931)."""
+    if dof <= 0:
+        return 0.0, float("inf")
+    v = 2.0 / (9.0 * dof)
+    low, high = (1.0 - v + k * sigmas * np.sqrt(v) for k in (-1.0, 1.0))
+    return float(max(low, 0.0) ** 3), float(high**3)

@@ -1,287 +1,436 @@
-"""Particle filter with curve fitting (eqs. 17-25): poses as particles, each with its own landmark map."""
+"""The filter of this daemon: pose particles on one shared map, a curve fitted to their weights, gates that close in."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Filter
-from ceilvo.daemon import curve_fit
-from ceilvo.daemon.landmarks import Candidates, ParticleMaps, fused
-from ceilvo.daemon.matching import mutual_nearest
-from ceilvo.daemon.particles import effective_size, mean_and_cov, moved, normalised, spread
-from ceilvo.errors import CeilvoError
-from ceilvo.se2 import rotation, transform, wrap_array
-from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion, Observations
+from ceilvo.daemon import log_quadratic
+from ceilvo.daemon.curve_fit import systematic
+from ceilvo.daemon.fastslam import independent, usable
+from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
+from ceilvo.daemon.joint_map import JITTER
+from ceilvo.daemon.known_map import KnownMap
+from ceilvo.daemon.particles import chi_square_bounds, normalised
+from ceilvo.daemon.search import Bank, shifted_scores
+from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, WARY, Tiles, lattice, periods
+from ceilvo.se2 import rotation, wrap, wrap_array
+from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
 
-OUTLIER_DENSITY_PER_M2 = 0.25
-"""An outlier may lie anywhere on 4 m^2."""
-OUTLIER_DENSITY_PER_RAD = 2.0 / np.pi
-"""A wrong direction may be anywhere in its quarter turn."""
-ESS_FLOOR = 0.1
-"""Share of the particles that one update must leave effective; the likelihood is tempered until it does."""
-CANDIDATE_EXPIRES_UPDATES = 20
-CANDIDATE_GATE = 25.0
-"""Squared normalised distance at which two sightings cannot be of one feature (5 sigma)."""
-DUPLICATE_SHARE = 0.25
-"""No landmark is born nearer to one of its kind than this share of the association gate."""
-NIS_CAP = 50.0
-"""Largest normalised innovation of one observation in the mean: a few false matches are not a lost robot."""
-VAR_FLOOR = 1e-12
-"""m^2 or rad^2: smaller variances are not believed."""
-REGULARISATION = (2e-5, 2e-5, 1e-5)
-"""m, m, rad: noise after resampling, so that no cloud ever collapses to a point."""
-_LOG_2PI = float(np.log(2.0 * np.pi))
+ROUNDS = (10.0, 1.25)
+"""Gates of the rounds of fitting, in units of filter.gate_chi2."""
+WIDEN = 1.2
+"""Standard deviations of a round's proposal in those of the last fit."""
+SLIP_LENGTH_M = 0.3
+"""How long a slip lasts, on average."""
+NEGLIGIBLE = 0.01
+"""A hypothesis of less weight is dropped."""
+Bools = NDArray[np.bool_]
 
 
-class Pfcf:
-    """PoseFilter by particles; method "pf" resamples systematically (FastSLAM 1.0), "pfcf" along the fitted curve."""
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """One hypothesis before the update: its weight, and by how much its pose differs from the joint map's."""
+
+    log_weight: float
+    shift: Array
+    spread: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """One hypothesis after the rounds: pose and root of its covariance, evidence, inliers (K,), and the curve's fit."""
+
+    pose: Array
+    root: Array
+    log_evidence: float
+    inliers: Bools
+    heading: bool
+    residual: float
+    ess: float
+
+
+class Conditional:
+    """p(features | pose) of one hypothesis: the landmarks given the pose are N(m + B (x - mu), C)."""
+
+    def __init__(self, view: View, mu: Array, cov: Array) -> None:
+        self.view, self.mu, self.cov = view, mu, cov
+        cross = view.joint[3:, :3]
+        self.follow = np.linalg.solve(cov, cross.T).T
+        noise = noise_in_map(float(mu[2]), view.var * view.inflation)
+        self.total = view.joint[3:, 3:] - self.follow @ cross.T
+        add_blocks(self.total, noise)
+        self.lower = np.linalg.cholesky(self.total) if len(view) else np.zeros((0, 0))
+        self._inverse = np.linalg.inv(self.lower) if len(view) else self.lower
+
+    def innovations(self, poses: Array) -> Array:
+        """(N, 2 K) features in map minus landmarks, each as the pose has them."""
+        c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        x, y = self.view.xy[:, 0], self.view.xy[:, 1]
+        off = poses - self.mu
+        off[:, 2] = wrap_array(off[:, 2])
+        out = -off @ self.follow.T - self.view.landmark.ravel()
+        out[:, 0::2] += poses[:, :1] + c * x - s * y
+        out[:, 1::2] += poses[:, 1:2] + s * x + c * y
+        return np.asarray(out, np.float64)
+
+    def distances(self, poses: Array, gate: float) -> Array:
+        """(N, K) squared normalised innovations, each given the earlier ones that are within the gate."""
+        nu = self.innovations(poses)
+        white = nu @ self._inverse.T
+        out = white[:, 0::2] ** 2 + white[:, 1::2] ** 2
+        if np.any(out > gate):
+            self._eliminate(nu, white, out, gate)
+        return np.asarray(out, np.float64)
+
+    def _eliminate(self, nu: Array, white: Array, out: Array, gate: float) -> None:
+        """One feature after the other; those beyond the gate do not condition the later ones."""
+        inverse = self._inverse
+        diagonal = [inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(out.shape[1])]
+        for k in range(out.shape[1]):
+            at = slice(2 * k, 2 * k + 2)
+            e = (nu[:, at] - white[:, : 2 * k] @ self.lower[at, : 2 * k].T) @ diagonal[k].T
+            out[:, k] = e[:, 0] ** 2 + e[:, 1] ** 2
+            white[:, at] = e * (out[:, k] <= gate)[:, None]
+
+    def log_likelihood(self, poses: Array, gate: float) -> Array:
+        """(N,) with every term saturated at the gate."""
+        d = self.distances(poses, gate)
+        total = np.sum(np.logaddexp(-0.5 * d, -0.5 * gate), axis=1)
+        return np.asarray(total + np.logaddexp(-0.5 * self.heading_distance(poses), -0.5 * gate), np.float64)
+
+    def heading_distance(self, poses: Array) -> Array:
+        if not np.isfinite(self.view.heading_var):
+            return np.zeros(len(poses))
+        return np.asarray(wrap_array(poses[:, 2] - self.view.heading) ** 2 / self.view.heading_var, np.float64)
+
+
+class Pfcf(JointFilter):
+    """State: N pose particles and one map p(m | x); see docs/filter.md."""
 
     def __init__(self, settings: Filter, rng: np.random.Generator) -> None:
-        self._settings = settings
-        self._rng = rng
-        self.reset(np.zeros(3), np.zeros((3, 3)))
+        super().__init__(settings, rng)
 
-    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None) -> None:
+    def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
+        super().reset(pose, cov, landmarks, known)
         n = self._settings.particles
-        self._poses = spread(np.asarray(pose, np.float64), np.asarray(cov, np.float64), n, self._rng)
-        self._poses[:, 2] = wrap_array(self._poses[:, 2])
-        self._weights = np.full(n, 1.0 / n)
-        self._maps = ParticleMaps(n)
-        self._candidates = Candidates(CANDIDATE_EXPIRES_UPDATES)
-        self._depletion = Depletion(n, float(n), n, float("nan"), 0.0, 0)
-        self._estimate: tuple[Array, Array] | None = None
-        self._summary: Landmarks | None = None
-        if landmarks is not None and len(landmarks):
-            packed = landmarks.cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
-            labels = self._maps.add(
-                np.repeat(landmarks.xy_map_m[:, :, None], n, axis=2),
-                np.repeat(packed[:, :, None], n, axis=2),
-                landmarks.kind,
-                landmarks.sightings,
-                self._settings.max_landmarks,
-                landmarks.ids,
-            )
-            self._maps.refresh(self._weights, labels)
+        self._way = np.zeros(2)
+        self._reported_m = 0.0
+        self._slipping = 0.0
+        self._health = (float(n), float("nan"))
+        self._white = self._normals()
+        self._refused, self._surprise = 0, 0.0
+        self._tiles: tuple[int, KnownMap, Tiles] | None = None
+        self._bank: Bank | None = None
+        if not np.all(np.isfinite(cov)):
+            self._begin_search()
 
-    def predict(self, motion: Motion) -> None:
-        if not (np.all(np.isfinite(motion.prev_from_curr)) and np.all(np.isfinite(motion.cov))):
-            raise CeilvoError(
-                f"filter: motion {motion.prev_from_curr} is not finite, expected metres and radians with a finite "
-                "covariance; report a failed motion with its prediction instead"
-            )
-        self._poses = moved(self._poses, motion, self._rng)
-        self._estimate = None
-
-    def update(self, obs: Observations) -> None:
-        """Weights by eq. 18 (the motion being the proposal, they grow by the likelihood), then map, then resampling."""
-        obs = _usable(obs, len(self._maps))
-        matched = np.flatnonzero(obs.label >= 0)
-        likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
-        self._weights = self._tempered(likelihood + self._heading_log_likelihood(obs))
-        self._estimate = mean_and_cov(self._poses, self._weights)  # before resampling, which only adds noise
-        self._maps.refresh(self._weights, obs.label[matched])
-        self._summary = None
-        unknown = np.concatenate([np.flatnonzero(obs.label < 0), matched[unexplained]])
-        self._consider(obs, unknown, self._estimate[0])
-        ess, ancestors, residual = effective_size(self._weights), len(self._weights), float("nan")
-        if ess < self._settings.resample_ess_ratio * len(self._weights):
-            ancestors, residual = self._resample()
-        self._depletion = Depletion(len(self._weights), ess, ancestors, residual, nis, dof)
-
-    def estimate(self) -> tuple[Array, Array, Depletion]:
-        if self._estimate is None:
-            self._estimate = mean_and_cov(self._poses, self._weights)
-        pose, cov = self._estimate
-        return pose.copy(), cov.copy(), self._depletion
-
-    def landmarks(self) -> Landmarks:
-        if self._summary is None:
-            self._summary = self._maps.summary()
-        return self._summary
+    def _normals(self) -> Array:
+        """(N, 3) standard normals in opposite pairs, so that their mean is exact; an odd one stands in the middle."""
+        n = self._settings.particles
+        u = np.zeros((n, 3))
+        half = self._rng.standard_normal((n // 2, 3))
+        half *= np.sqrt(0.5 * n / max(np.vdot(half, half) / 3.0, 1.0))
+        u[: n // 2], u[n // 2 : 2 * (n // 2)] = half, -half
+        return u
 
     def particles(self) -> tuple[Array, Array]:
-        return self._poses.copy(), self._weights.copy()
+        n = self._settings.particles
+        if self._bank is not None and len(self._bank):
+            weights = normalised(self._bank.log_weight)
+            pick = systematic(weights, np.random.default_rng(0), n)
+            return self._bank.mean[pick], np.full(n, 1.0 / n)
+        poses = self._joint.pose + self._white @ root_of(self._joint.pose_cov).T
+        poses[:, 2] = wrap_array(poses[:, 2])
+        return poses, np.full(n, 1.0 / n)
 
-    def _weigh_and_map(
-        self, obs: Observations, matched: NDArray[np.intp]
-    ) -> tuple[Array, NDArray[np.bool_], float, int]:
-        """Log-likelihood (N,) of the matched observations, which of them the outlier term explains, and their NIS.
+    def estimate(self) -> tuple[Array, Array, Depletion]:
+        n = self._settings.particles
+        ess, residual = self._health
+        if self._bank is not None:
+            health = Depletion(n, ess, n, residual, 0.0, 0, self._bank.weight())
+            pose, cov = self._bank.best() if len(self._bank) else (self._joint.pose.copy(), self._joint.pose_cov.copy())
+            return pose, cov, health
+        sure = 1.0 if self._tiles is None else float(self._tiles[2].weight[0])
+        sure *= 1.0 - max(self._refused - 1, 0) / self._settings.lost_updates
+        health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, sure)
+        return self._joint.pose.copy(), self._joint.pose_cov.copy(), health
 
-        The landmarks of each particle are updated on the way, where they explain what was seen.
-        """
-        if not len(matched):
-            return np.zeros(len(self._weights)), np.zeros(0, bool), 0.0, 0
-        labels = obs.label[matched]
-        mean, cov = self._maps.gather(labels)
-        seen, noise = self._in_map(obs, matched)
-        innovation, innovation_cov = seen - mean, cov + noise
-        nis = self._nis(innovation, innovation_cov)
-        floor = self._settings.outlier_floor
-        inlier = np.log1p(-floor) + gaussian_log(innovation, innovation_cov)
-        outlier = np.log(floor * OUTLIER_DENSITY_PER_M2) if floor > 0.0 else -np.inf
-        wins = inlier > outlier
-        new_mean, new_cov = fused(mean, cov, innovation, innovation_cov)
-        take = wins[:, None, :]
-        self._maps.scatter(labels, np.where(take, new_mean, mean), np.where(take, new_cov, cov))
-        explained = wins @ self._weights > 0.5
-        self._maps.sightings[labels[explained]] += 1
-        variance = 0.5 * float(np.mean((innovation_cov[:, 0] + innovation_cov[:, 2]) @ self._weights))
-        count = independent(len(matched), self._settings.feature_independence, obs.common_var_m2 / variance)
-        log_likelihood = count / len(matched) * np.sum(np.logaddexp(inlier, outlier), axis=0)
-        return log_likelihood, ~explained, nis, 2 * len(matched)
+    def predict(self, motion: Motion) -> None:
+        before = self._joint.pose.copy()
+        super().predict(motion)
+        step = self._joint.pose[:2] - before[:2]
+        self._way += step
+        self._reported_m += float(np.hypot(*step))
+        if self._bank is not None:
+            self._bank.move(motion)
 
-    def _in_map(self, obs: Observations, which: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Observations as each particle places them: (K, 2, N) m and their noise (K, 3, N) packed."""
-        c, s = np.cos(self._poses[:, 2]), np.sin(self._poses[:, 2])
-        x, y = obs.xy_base_m[which, 0, None], obs.xy_base_m[which, 1, None]
-        vx, vy = obs.var_m2[which, 0, None], obs.var_m2[which, 1, None]
-        seen = np.stack([self._poses[:, 0] + c * x - s * y, self._poses[:, 1] + s * x + c * y], axis=1)
-        return seen, np.stack([c * c * vx + s * s * vy, c * s * (vx - vy), s * s * vx + c * c * vy], axis=1)
+    # -- update
 
-    def _nis(self, innovation: Array, innovation_cov: Array) -> float:
-        """Mean normalised innovation squared per degree of freedom at the mean pose and map.
+    def update(self, obs: Observations) -> None:
+        """Track; or, lost, search the map until one pose is left."""
+        if self._bank is None:
+            before = self._counters["observations"] - self._counters["outliers"]
+            super().update(obs)
+            believed = self._counters["observations"] - self._counters["outliers"] - before
+            self._watch_loss(obs, believed)
+            if self._bank is None:
+                self._watch_tiles(obs)
+            return
+        self._counters["updates"] += 1
+        self._bank.update(usable(obs, self._size()))
+        if self._bank.found:
+            self._joint.put_pose(*self._bank.best())
+            self._bank, self._refused, self._slipping = None, 0, 0.0
+            self._way, self._reported_m = np.zeros(2), 0.0
+            self._counters["recoveries"] += 1
 
-        The particles' spread of the innovation is the part that pose and map uncertainty have in it.
-        """
-        mean = innovation @ self._weights
-        off = innovation - mean[:, :, None]
-        spread_cov = np.stack([off[:, 0] * off[:, 0], off[:, 0] * off[:, 1], off[:, 1] * off[:, 1]], axis=1)
-        cov = (innovation_cov + spread_cov) @ self._weights
-        return float(np.mean(np.minimum(mahalanobis(mean, cov), NIS_CAP))) / 2.0
+    def _watch_loss(self, obs: Observations, believed: int) -> None:
+        """Count updates that contradict the map; too many in a row begin a search."""
+        told = int(np.count_nonzero((obs.label >= 0) | (obs.label == UNLABELLED) & (self._known is not None)))
+        if told:
+            self._refused = self._refused + 1 if 2 * believed < told else 0
+        if self._refused >= self._settings.lost_updates and self._size() >= 3:
+            self._begin_search()
 
-    def _heading_log_likelihood(self, obs: Observations) -> Array:
-        var = max(obs.heading_var_rad2, VAR_FLOOR) if obs.heading_var_rad2 > 0.0 else np.inf
-        if not (np.isfinite(var) and np.isfinite(obs.heading_rad)):
-            return np.zeros(len(self._weights))
-        off = wrap_array(self._poses[:, 2] - obs.heading_rad)
-        floor = self._settings.outlier_floor
-        outlier = np.log(floor * OUTLIER_DENSITY_PER_RAD) if floor > 0.0 else -np.inf
-        inlier = np.log1p(-floor) - 0.5 * (off * off / var + np.log(var) + _LOG_2PI)
-        return np.asarray(np.logaddexp(inlier, outlier), np.float64)
+    def _begin_search(self) -> None:
+        known = self._known or KnownMap(self.landmarks())
+        self._bank = Bank(known, self._settings.association_gate_m, self._rng)
+        self._refused, self._tiles = 0, None
+        self._counters["searches"] += 1
 
-    def _tempered(self, log_likelihood: Array) -> Array:
-        """New weights; the likelihood's exponent is lowered until enough particles stay effective."""
-        before = np.log(np.maximum(self._weights, 1e-300))
-        weights = normalised(before + log_likelihood)
-        floor = min(ESS_FLOOR * len(weights), 0.9 * effective_size(self._weights))
-        if effective_size(weights) >= floor:
-            return weights
-        low, high = 0.0, 1.0
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            weights = normalised(before + middle * log_likelihood)
-            low, high = (middle, high) if effective_size(weights) >= floor else (low, middle)
-        return normalised(before + low * log_likelihood)
+    def _chance_of_slip(self) -> float:
+        """That the pose is a tile further than at the last view, from how much this one surprises."""
+        dof = self._nis_dof - 2
+        if self._surprise <= chi_square_bounds(dof, 2.0)[1]:
+            return CALM
+        if self._known is None:
+            return SURPRISED_MAPPING
+        return SURPRISED if self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
 
-    def _consider(self, obs: Observations, unknown: NDArray[np.intp], pose: Array) -> None:
-        """Count sightings of unknown features; those seen often enough become landmarks of every particle."""
-        self._candidates.grow_older()
-        xy, kind = transform(pose, obs.xy_base_m[unknown]), obs.kind[unknown]
-        new = self._not_mapped(xy, kind)
-        xy, kind, unknown = xy[new], kind[new], unknown[new]
-        cov = _turned(obs.var_m2[unknown], float(pose[2]))
-        gate = self._settings.association_gate_m
-        seen, which = mutual_nearest(xy, kind, self._candidates.xy, self._candidates.kind, gate)
-        off = mahalanobis(xy[seen] - self._candidates.xy[which], cov[seen] + self._candidates.cov[which])
-        seen, which = seen[off <= CANDIDATE_GATE], which[off <= CANDIDATE_GATE]
-        first = np.setdiff1d(np.arange(len(kind)), seen)
-        self._candidates.merge(which, xy[seen], cov[seen])
-        self._candidates.append(xy[first], cov[first], kind[first])
-        which = np.concatenate([which, np.arange(len(self._candidates) - len(first), len(self._candidates))])
-        ready = self._candidates.count[which] >= self._settings.birth_sightings
-        if np.any(ready):
-            self._give_birth(obs, unknown[np.concatenate([seen, first])[ready]], which[ready], pose)
+    def _watch_tiles(self, obs: Observations) -> None:
+        """Belief in this tile against its neighbours, where association was left to the filter."""
+        free = obs.label == UNLABELLED
+        size = self._size()
+        if not np.any(free) or size < 12:
+            return
+        if self._tiles is None or size > 1.25 * self._tiles[0]:
+            known = self._known or KnownMap(self.landmarks())
+            self._tiles = size, known, Tiles(lattice(periods(known.landmarks)))
+        _, known, tiles = self._tiles
+        if len(tiles.shifts) < 2:
+            return
+        poses = np.tile(self._joint.pose, (len(tiles.shifts), 1))
+        poses[:, :2] += tiles.shifts
+        seen = replace(obs, xy_base_m=obs.xy_base_m[free], var_m2=obs.var_m2[free], kind=obs.kind[free])
+        seen = replace(seen, label=obs.label[free])
+        k = len(seen)
+        inflation = k / independent(k, self._settings.feature_independence, 0.0)
+        score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
+        tiles.weigh(score, self._chance_of_slip())
+        slip = tiles.slip()
+        if slip is not None and self._known is not None:
+            self._joint.mean[:2] += slip
+            self._counters["tile_slips"] += 1
 
-    def _not_mapped(self, xy: Array, kind: Ints) -> NDArray[np.intp]:
-        if not len(self._maps) or not len(kind):
-            return np.arange(len(kind))
-        known = self.landmarks()
-        apart = np.hypot(xy[:, None, 0] - known.xy_map_m[:, 0], xy[:, None, 1] - known.xy_map_m[:, 1])
-        apart[kind[:, None] != known.kind] = np.inf
-        return np.flatnonzero(np.min(apart, axis=1) > DUPLICATE_SHARE * self._settings.association_gate_m)
+    def _absorb(self, view: View, rows: Ints) -> Bools:
+        priors = self._priors()
+        self._telemetry(view)
+        if len(priors) > 1 and self._implausible(view, priors[1]):
+            priors = priors[:1]
+        fits = [self._fit(view, prior) for prior in priors]
+        log_weight = np.array([p.log_weight + f.log_evidence for p, f in zip(priors, fits, strict=True)])
+        weight = normalised(log_weight)
+        self._slipping = float(weight[1]) if len(weight) > 1 else 0.0
+        self._counters["slips"] += int(self._slipping > 0.5)
+        kept = weight > NEGLIGIBLE
+        weight = weight * kept / np.sum(weight * kept)
+        best = int(np.argmax(weight))
+        self._health = (fits[best].ess, fits[best].residual)
+        parts = [self._posterior(view, rows, p, f) for p, f, k in zip(priors, fits, kept, strict=True) if k]
+        self._merge(weight[kept], parts)
+        self._way, self._reported_m = np.zeros(2), 0.0
+        self._white = self._normals()
+        self._counters["resamplings"] += 1
+        return fits[best].inliers
 
-    def _give_birth(self, obs: Observations, which_obs: NDArray[np.intp], which: NDArray[np.intp], pose: Array) -> None:
-        """Each particle places the feature from its own pose, corrected by what the earlier sightings averaged to."""
-        candidates, n = self._candidates, len(self._weights)
-        seen, _ = self._in_map(obs, which_obs)
-        correction = candidates.xy[which] - transform(pose, obs.xy_base_m[which_obs])
-        labels = self._maps.add(
-            seen + correction[:, :, None],
-            np.repeat(candidates.cov[which][:, :, None], n, axis=2),
-            candidates.kind[which],
-            candidates.count[which],
-            self._settings.max_landmarks,
-        )
-        self._maps.refresh(self._weights, labels)
-        self._summary = None
-        candidates.remove(which)
+    def _priors(self) -> list[Prior]:
+        """The motion as reported, and with a part of it swallowed by slip."""
+        cfg, way = self._settings, self._reported_m
+        none = Prior(0.0, np.zeros(3), np.zeros((3, 3)))
+        if cfg.slip_per_m <= 0.0 or cfg.slip_share <= 0.0 or way <= 0.0:
+            return [none]
+        enter, leave = 1.0 - np.exp(-cfg.slip_per_m * way), 1.0 - np.exp(-way / SLIP_LENGTH_M)
+        p = float(np.clip(self._slipping * (1.0 - leave) + (1.0 - self._slipping) * enter, 1e-12, 1.0 - 1e-12))
+        lost = np.append(cfg.slip_share * self._way * min(1.0, 2.0 * SLIP_LENGTH_M / way), 0.0)
+        return [
+            Prior(float(np.log1p(-p)), none.shift, none.spread),
+            Prior(float(np.log(p)), -0.5 * lost, np.outer(lost, lost) / 12.0),
+        ]
 
-    def _resample(self) -> tuple[int, float]:
-        """Draw equally weighted particles; returns the number of distinct ancestors and the fit's residual."""
-        drawn = None
-        if self._settings.method == "pfcf":
-            drawn = curve_fit.redraw(self._poses, self._weights, self._settings.fit_degree, self._rng)
-        if drawn is None:
-            ancestors, residual = curve_fit.systematic(self._weights, self._rng), float("nan")
-            poses = self._poses[ancestors]
-        else:
-            poses, residual = drawn
-            scale = np.maximum(
-                np.sqrt(np.diagonal(mean_and_cov(self._poses, np.full(len(poses), 1 / len(poses)))[1])), 1e-9
+    def _fit(self, view: View, prior: Prior) -> Fitted:
+        """Rounds of drawing around the last fit and fitting the weights anew."""
+        mu, cov = self._joint.pose + prior.shift, self._joint.pose_cov + prior.spread
+        given = Conditional(view, mu, cov)
+        gate = self._settings.gate_chi2
+        prior_root = root_of(cov)
+        prior_inverse = np.linalg.inv(prior_root)
+        centre, root, widen = self._proposal(view, mu, cov)
+        residual, u = float("nan"), self._white
+        for i, level in enumerate(ROUNDS):
+            if i:
+                u = self._normals()
+            proposal = root * widen
+            poses = centre + u @ proposal.T
+            off = poses - mu
+            off[:, 2] = wrap_array(off[:, 2])
+            white = off @ prior_inverse.T
+            log_f = given.log_likelihood(poses, level * gate) + 0.5 * (
+                np.sum(u * u, axis=1) - np.sum(white * white, axis=1)
             )
-            ancestors = curve_fit.nearest(poses, self._poses, scale)
-        self._poses = poses + self._rng.standard_normal(poses.shape) * REGULARISATION
-        self._poses[:, 2] = wrap_array(self._poses[:, 2])
-        self._weights = np.full(len(poses), 1.0 / len(poses))
-        self._maps.resample(ancestors)
-        return len(np.unique(ancestors)), residual
+            curve = log_quadratic.fit(u, log_f)
+            if curve is None:
+                self._counters["fit_failures"] += 1
+                break
+            centre, root = log_quadratic.posterior(centre, proposal, curve[0], curve[1])
+            residual, widen = curve[2], WIDEN
+        w = normalised(log_f)
+        ess = float(1.0 / np.sum(w * w))
+        at = centre[None]
+        inliers = given.distances(at, gate)[0] <= gate
+        heading = bool(given.heading_distance(at)[0] <= gate) and np.isfinite(view.heading_var)
+        white = prior_inverse @ np.append((centre - mu)[:2], wrap_array((centre - mu)[2:]))
+        spread = np.linalg.slogdet(root)[1] - np.linalg.slogdet(prior_root)[1]
+        evidence = float(given.log_likelihood(at, gate)[0] - 0.5 * white @ white + spread)
+        return Fitted(centre, root, evidence, inliers, heading, residual, ess)
+
+    def _proposal(self, view: View, mu: Array, cov: Array) -> tuple[Array, Array, float]:
+        """Where the first round draws: the prior moved by the features that its own width explains.
+
+        A cloud far wider than the likelihood would have next to no particle where the posterior is.
+        """
+        gate = self._settings.gate_chi2
+        nu, h, total = predicted(view, mu, cov, view.inflation)
+        use = feature_chi2(nu, total) <= gate
+        cross = cov @ h.T - view.joint[:3, 3:]
+        nu, take = -nu.ravel(), np.repeat(use, 2)
+        off = float(wrap_array(view.heading - mu[2:])[0]) if np.isfinite(view.heading_var) else 0.0
+        if np.isfinite(view.heading_var) and off**2 <= gate * (cov[2, 2] + view.heading_var):
+            nu, take = np.append(nu, off), np.append(take, True)
+            wider = np.empty((len(nu), len(nu)))
+            wider[:-1, :-1], wider[-1, -1] = total, cov[2, 2] + view.heading_var
+            wider[-1, :-1] = wider[:-1, -1] = cross[2]
+            total, cross = wider, np.column_stack([cross, cov[:, 2]])
+        if not np.any(take):
+            return mu, root_of(cov), 1.0
+        gain = np.linalg.solve(total[np.ix_(take, take)], cross[:, take].T).T
+        narrowed = cov - gain @ cross[:, take].T
+        return mu + gain @ nu[take], root_of(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
+
+    def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
+        """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
+        mean, cov = self._joint.mean.copy(), self._joint.cov.copy()
+        mean[:3] += prior.shift
+        cov[:3, :3] += prior.spread
+        which = np.flatnonzero(fitted.inliers)
+        take, k = np.repeat(fitted.inliers, 2), 2 * len(which)
+        arm = view.xy[which] @ rotation(float(fitted.pose[2])).T
+        h = np.concatenate([jacobian(arm), [[0.0, 0.0, 1.0]] if fitted.heading else np.empty((0, 3))])
+        if not len(h):
+            return mean, cov
+        off = fitted.pose - mean[:3]
+        off[2] = wrap_array(off[2:])[0]
+        innovation = h @ off
+        innovation[:k] -= (fitted.pose[:2] + arm - view.landmark[which]).ravel()
+        innovation[k:] = wrap_array(view.heading - mean[2:3])[: len(h) - k]
+        cross = cov[:, :3] @ h.T
+        if self._known is None:
+            cross[:, :k] -= cov[:, rows[take]]
+            total = h @ cross[:3]
+            total[:k] -= cross[rows[take]]
+        else:
+            total = h @ cross[:3]
+            total[:k, :k] += view.joint[3:, 3:][np.ix_(take, take)]
+        noise = np.zeros((k, k))
+        add_blocks(noise, noise_in_map(float(fitted.pose[2]), view.var[which] * view.inflation))
+        total[:k, :k] += noise
+        total[k:, k:] += view.heading_var
+        gain = np.linalg.solve(total, cross.T).T
+        return mean + gain @ innovation, cov - gain @ cross.T
+
+    def _merge(self, weight: Array, parts: list[tuple[Array, Array]]) -> None:
+        """One Gaussian with the mean and the covariance of the hypotheses together."""
+        j = self._joint
+        mean, cov = parts[0]
+        if len(parts) > 1:
+            means = np.array([m for m, _ in parts])
+            means[:, 2] = means[0, 2] + wrap_array(means[:, 2] - means[0, 2])
+            mean = weight @ means
+            off = (means - mean) * np.sqrt(weight)[:, None]
+            cov = sum((w * c for w, (_, c) in zip(weight, parts, strict=True)), off.T @ off)
+        j.mean, j.cov = mean, 0.5 * (cov + cov.T)
+        j.mean[2] = wrap(float(j.mean[2]))
+
+    def _implausible(self, view: View, slip: Prior) -> bool:
+        """Whether no amount of slip explains the innovations so much better that it could matter."""
+        nu, _, total = predicted(view, self._joint.pose, self._joint.pose_cov, view.inflation)
+        way = np.tile(slip.shift[:2], len(view))
+        towards = np.linalg.solve(total, way) if len(view) else way
+        steepness = float(way @ towards)
+        gain = 0.5 * float(nu.ravel() @ towards) ** 2 / steepness if steepness > 0.0 else 0.0
+        return bool(slip.log_weight + gain < np.log(NEGLIGIBLE))
+
+    def _telemetry(self, view: View) -> None:
+        """NIS of every feature at the predicted pose."""
+        self._nis, self._nis_dof, self._surprise = 0.0, 2 * len(view), 0.0
+        if not len(view):
+            return
+        nu, _, total = predicted(view, self._joint.pose, self._joint.pose_cov, 1.0)
+        nis = feature_chi2(nu, total)
+        self._nis = float(np.mean(np.minimum(nis, NIS_CAP))) / 2.0
+        self._surprise = float(np.mean(np.sort(nis)[:-1])) / 2.0 if len(nis) > 1 else 0.0
 
 
-def independent(features: int, power: float, correlation: float) -> float:
-    """How many independent features K features of one frame are worth.
-
-    K crossings are made of far fewer lines, so they count as K^power; of those a share `correlation` of the variance
-    is common to all, which leaves n / (1 + (n - 1) correlation) (Kish's design effect).
-    """
-    n = float(features**power)
-    return n / (1.0 + max(n - 1.0, 0.0) * min(max(correlation, 0.0), 1.0))
-
-
-def gaussian_log(innovation: Array, cov: Array) -> Array:
-    """log N(innovation; 0, cov): (K, 2, ...) and packed (K, 3, ...) to (K, ...)."""
-    det = cov[:, 0] * cov[:, 2] - cov[:, 1] * cov[:, 1]
-    return np.asarray(-0.5 * (mahalanobis(innovation, cov) + np.log(det)) - _LOG_2PI, np.float64)
+def predicted(view: View, pose: Array, cov: Array, inflation: float) -> tuple[Array, Array, Array]:
+    """Innovations (K, 2) in map at a predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
+    arm = view.xy @ rotation(float(pose[2])).T
+    h = jacobian(arm)
+    cross = h @ view.joint[:3, 3:]
+    total = h @ cov @ h.T - cross - cross.T + view.joint[3:, 3:]
+    add_blocks(total, noise_in_map(float(pose[2]), view.var * inflation))
+    return pose[:2] + arm - view.landmark, h, total
 
 
-def mahalanobis(innovation: Array, cov: Array) -> Array:
-    """Squared: (K, 2, ...) and packed (K, 3, ...) to (K, ...)."""
-    x, y = innovation[:, 0], innovation[:, 1]
-    xx, xy, yy = cov[:, 0], cov[:, 1], cov[:, 2]
-    return np.asarray((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy), np.float64)
+def feature_chi2(nu: Array, total: Array) -> Array:
+    """(K,) squared normalised innovation of every feature by itself."""
+    k = np.arange(len(nu))
+    own = total.reshape(len(nu), 2, len(nu), 2)[k, :, k]
+    det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
+    x, y = nu[:, 0], nu[:, 1]
+    return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
 
 
-def _turned(var: Array, theta: float) -> Array:
-    """(M, 3) packed covariances in map from (M, 2) variances in base."""
-    r = rotation(theta)
-    return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])
+def root_of(cov: Array) -> Array:
+    """A root of a covariance, also of one that rounding has made slightly indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(cov)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, JITTER[0])), np.float64)
 
 
-def _usable(obs: Observations, landmarks: int) -> Observations:
-    """Without rows that are not finite or have no variance; a landmark seen twice or not there is unknown."""
-    good = np.all(np.isfinite(obs.xy_base_m), axis=1) & np.all(np.isfinite(obs.var_m2) & (obs.var_m2 > 0.0), axis=1)
-    label = obs.label[good].copy()
-    label[label >= landmarks] = -1
-    first = np.unique(label, return_index=True)[1]
-    repeated = np.ones(len(label), bool)
-    repeated[first] = False
-    label[repeated] = -1
-    return Observations(
-        obs.xy_base_m[good],
-        np.maximum(obs.var_m2[good], VAR_FLOOR),
-        obs.kind[good],
-        label,
-        obs.heading_rad,
-        obs.heading_var_rad2,
-        obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
-    )
+def jacobian(arm: Array) -> Array:
+    """(2 K, 3) of features in map by the pose; arm (K, 2) is from the robot to them."""
+    h = np.zeros((2 * len(arm), 3))
+    h[0::2, 0] = h[1::2, 1] = 1.0
+    h[0::2, 2], h[1::2, 2] = -arm[:, 1], arm[:, 0]
+    return h
+
+
+def add_blocks(square: Array, blocks: Array) -> None:
+    """Add (K, 2, 2) to the diagonal of (2 K, 2 K), in place."""
+    k = np.arange(len(blocks))
+    square.reshape(len(blocks), 2, len(blocks), 2)[k, :, k] += blocks

@@ -6,7 +6,7 @@ run, a replay and a test do the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +16,15 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.confirmation import Confirmation, rivals
 from ceilvo.daemon.crossings import cross
+from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
-from ceilvo.daemon.particles import PoseFilter
-from ceilvo.daemon.pfcf import Pfcf
+from ceilvo.daemon.particles import SURE, PoseFilter
 from ceilvo.daemon.states import Evidence, StateMachine
 from ceilvo.daemon.tracking import LineFinder
 from ceilvo.types import (
+    NO_LANDMARK,
+    UNLABELLED,
     Array,
     Crossings,
     Depletion,
@@ -64,7 +66,7 @@ class Pipeline:
         self._calibration = calibration
         self._config = config
         self._lines = LineFinder(calibration, config.features)
-        self._filter: PoseFilter = Pfcf(config.filter, rng)
+        self._filter: PoseFilter = make_filter(config.filter, rng)
         cfg = config.filter
         self._process = np.diag([cfg.process_xy_m**2, cfg.process_xy_m**2, cfg.process_theta_rad**2])
         self._seq = 0
@@ -149,10 +151,13 @@ class Pipeline:
         if due:
             self._travel_m = self._turn_rad = 0.0
             self._updated_ns = stamp_ns
-        pose, _, _ = self._filter.estimate()
+        pose, _, depletion = self._filter.estimate()
         if self._map_axis_rad is None:
             self._map_axis_rad = float(se2.wrap(crossings.psi_rad + float(pose[2])))
-        return self._seen_from(pose, crossings)
+        observations = self._seen_from(pose, crossings)
+        if depletion.mode_weight >= SURE:
+            return observations
+        return replace(observations, label=np.full(len(observations), UNLABELLED))
 
     def _seen_from(self, pose: Array, crossings: Crossings) -> Observations:
         """Crossings as observations of the map, were the robot at a pose."""
@@ -188,7 +193,15 @@ class Pipeline:
             self._twist = motion.prev_from_curr / dt_s
         seen = 0 if crossings is None else len(crossings)
         verdict = self._states.step(
-            _evidence(stamp_ns, motion, seen, cov, depletion, observations, self._hypothesis is not None)
+            _evidence(
+                stamp_ns,
+                motion,
+                seen,
+                cov,
+                depletion,
+                observations,
+                self._hypothesis is not None or depletion.mode_weight < SURE,
+            )
         )
         self._seq += 1
         return Estimate(
@@ -232,6 +245,10 @@ class Pipeline:
     def landmarks(self) -> Landmarks:
         return self._filter.landmarks()
 
+    def counters(self) -> Mapping[str, int]:
+        """Of the filter, since the pipeline was made (particles.COUNTERS)."""
+        return self._filter.counters()
+
     def particles(self) -> tuple[Array, Array]:
         return self._filter.particles()
 
@@ -271,7 +288,7 @@ class Pipeline:
 
 
 def _explained(observations: Observations) -> Observations:
-    o, known = observations, observations.label >= 0
+    o, known = observations, observations.label != NO_LANDMARK
     return replace(o, xy_base_m=o.xy_base_m[known], var_m2=o.var_m2[known], kind=o.kind[known], label=o.label[known])
 
 

@@ -3,13 +3,17 @@
 - ceilvo imports no sibling.
 - drivers and the stages in daemon import ceilvo and their own folder; daemon/app*.py alone join stages to drivers,
   and daemon/cli.py calls app.
-- Only app_simulation (for --simulate), calib, bench and tests import sim; nobody imports calib or bench.
+- Only app_simulation (for --simulate), calib, bench and tests import sim; nobody imports calib.
+- Nobody imports bench but daemon/app_experiment.py, which is how `ceilvod experiment` comes to the benches; it loads
+  them when they are asked for (import_module in a function), so that a robot's daemon never does.
 - The stages, which are daemon/pipeline.py and all that it imports, have no clock, I/O, logging or threads.
 """
 
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -28,6 +32,7 @@ ALLOWED = {
 EXCEPTIONS = {
     **{f"daemon/{p.name}": {"drivers"} for p in (ROOT / "daemon").glob("app*.py")},
     "daemon/app_simulation.py": {"drivers", "sim"},
+    "daemon/app_experiment.py": {"drivers", "bench"},
 }
 
 APP_CALLERS = ("daemon/cli.py", "daemon/app", "bench/")
@@ -121,6 +126,12 @@ def test_the_stages_are_found() -> None:
     assert "daemon/cli.py" not in STAGES
 
 
+def test_benches_are_loaded_only_when_asked_for() -> None:
+    code = "import sys, ceilvo.daemon.cli; print(*(m for m in sys.modules if m.startswith('ceilvo.bench')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
 def test_folders_are_flat() -> None:
     """A sub-package that pyproject.toml does not list would be missing from the wheel without a word."""
     nested = [p for p in sources() if len(p.relative_to(ROOT).parts) != 2]
@@ -159,6 +170,7 @@ def test_a_forbidden_import_is_caught(path: str, source: str) -> None:
 
 PERMITTED = [
     ("daemon/app.py", "from ceilvo.drivers.ports import Camera\nimport threading"),
+    ("daemon/app_experiment.py", "def f():\n    importlib.import_module('ceilvo.bench.paper')"),
     ("daemon/app_simulation.py", "from ceilvo.sim import ceiling\nfrom ceilvo.daemon.app import Plan"),
     ("daemon/cli.py", "from ceilvo.daemon.app import App\nimport time"),
     ("daemon/lines.py", "import numpy as np\nfrom ceilvo.types import Lines\nfrom ceilvo.daemon.edges import x"),

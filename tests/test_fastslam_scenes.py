@@ -9,8 +9,8 @@ import pytest
 
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
+from ceilvo.daemon.fastslam import FastSlam
 from ceilvo.daemon.observation import observe
-from ceilvo.daemon.pfcf import Pfcf
 from ceilvo.kinds import quarter_turns, turn_kind
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import Crossings, Motion, Observations
@@ -63,14 +63,14 @@ class Eye:
         return Crossings(xy, xy, np.zeros((len(xy), 2, 2)), kind, psi, 0.001, zero, zero, np.zeros((2, 2)))
 
 
-def drive(seed, method="pfcf", outliers=0.0, heading=False, luck=1.0):
+def drive(seed, method="pfcf_paper", outliers=0.0, heading=False, luck=1.0):
     """Errors of the filter and of odometry alone at the end of a lap, m, and the mean NIS.
 
     luck: true odometry noise over the assumed one.
     """
     rng = np.random.default_rng(seed)
     settings = replace(Filter(), method=method)
-    f = Pfcf(settings, np.random.default_rng(seed + 1000))
+    f = FastSlam(settings, np.random.default_rng(seed + 1000))
     f.reset(START, np.diag([1e-8, 1e-8, 1e-10]))
     eye = Eye(rng, *ceiling(rng), outliers)
     truth = odometry = START
@@ -94,10 +94,10 @@ def rms(values):
 @pytest.mark.parametrize(
     ("method", "outliers", "heading", "luck"),
     [
-        ("pfcf", 0.0, False, 1.0),
-        ("pfcf", 0.03, True, 1.0),
+        ("pfcf_paper", 0.0, False, 1.0),
+        ("pfcf_paper", 0.03, True, 1.0),
         ("pf", 0.0, False, 1.0),
-        ("pfcf", 0.0, False, 0.1),  # odometry ten times better than it says: nothing to gain, only to spoil
+        ("pfcf_paper", 0.0, False, 0.1),  # odometry ten times better than it says: nothing to gain, only to spoil
     ],
 )
 def test_accurate_odometry_gets_better_not_worse(method, outliers, heading, luck):
@@ -143,7 +143,7 @@ def coarse(seed):
 def score(seed, points, steps, method):
     """rms position error over the lap and rms landmark error at its end, m; association is known (kind = identity)."""
     settings = replace(Filter(), method=method, feature_independence=1.0, association_gate_m=1.0)
-    f = Pfcf(settings, np.random.default_rng(seed + 1000))
+    f = FastSlam(settings, np.random.default_rng(seed + 1000))
     f.reset(START, np.diag([1e-8, 1e-8, 1e-8]))
     errors = []
     for truth, motion, kind, xy, heading in steps:
@@ -162,7 +162,7 @@ def test_curve_fit_beats_systematic_resampling_in_the_paper_s_regime():
     table = []
     for seed in seeds:
         points, steps = coarse(seed)
-        table.append([score(seed, points, steps, method) for method in ("pfcf", "pf")])
+        table.append([score(seed, points, steps, method) for method in ("pfcf_paper", "pf")])
     (pfcf, pfcf_map), (pf, pf_map) = np.mean(table, axis=0)
     wins = int(np.sum(np.array(table)[:, 0, 0] < np.array(table)[:, 1, 0]))
     print(
@@ -176,7 +176,7 @@ def test_curve_fit_beats_systematic_resampling_in_the_paper_s_regime():
 def test_a_standing_robot_stays_where_it_is():
     rng = np.random.default_rng(3)
     points, kind = rng.uniform(-1.5, 1.5, (25, 2)), np.arange(25)
-    f = Pfcf(Filter(), np.random.default_rng(4))
+    f = FastSlam(Filter(), np.random.default_rng(4))
     f.reset(np.zeros(3), np.eye(3) * 1e-10)
     for _ in range(400):
         f.predict(Motion(np.zeros(3), np.diag(30 * FRAME_SIGMA**2), 30, 0.001))

@@ -1,0 +1,102 @@
+"""Results of single runs as JSON lines, so that a bench that was interrupted goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+import ceilvo.bench
+import ceilvo.daemon
+
+Key = TypeVar("Key")
+Result = dict[str, Any]
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Store(Generic[Key]):
+    """One line per run: its key, its figures, and the fingerprint of the code and data that made it.
+
+    Lines of another fingerprint, and a last line that was cut short, are passed over.
+    """
+
+    def __init__(self, path: Path, fingerprint: str, key: Callable[[Mapping[str, Any]], Key]) -> None:
+        self._path = path
+        self._fingerprint = fingerprint
+        self.results: dict[Key, Result] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            for line in path.read_text().splitlines():
+                row = _parsed(line)
+                if row is not None and row["code"] == fingerprint:
+                    self.results[key(row["key"])] = row["figures"]
+
+    def add(self, key: Key, as_dict: Mapping[str, Any], figures: Result) -> None:
+        self.results[key] = figures
+        line = json.dumps({"code": self._fingerprint, "key": dict(as_dict), "figures": figures})
+        with self._path.open("a") as file:
+            file.write(("" if _ends_well(self._path) else "\n") + line + "\n")
+
+
+def _ends_well(path: Path) -> bool:
+    """Whether the file is empty or ends with a line's end."""
+    with path.open("rb") as file:
+        if not file.seek(0, os.SEEK_END):
+            return True
+        file.seek(-1, os.SEEK_END)
+        return file.read() == b"\n"
+
+
+def _parsed(line: str) -> Result | None:
+    try:
+        row = json.loads(line)
+    except json.JSONDecodeError:
+        return None
+    return row if isinstance(row, dict) and {"code", "key", "figures"} <= row.keys() else None
+
+
+def fingerprint(bench_files: Sequence[str], *more: str) -> str:
+    """Of the daemon's stages, the named files of bench, and whatever else decides the figures."""
+    digest = hashlib.sha256()
+    daemon, bench = (Path(p.__path__[0]) for p in (ceilvo.daemon, ceilvo.bench))
+    stages = [p for p in sorted(daemon.glob("*.py")) if not p.name.startswith(("app", "cli", "screen", "overlay"))]
+    for path in [*stages, *(bench / name for name in bench_files)]:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for text in more:
+        digest.update(text.encode() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def run_all(
+    store: Store[Key],
+    keys: Iterable[Key],
+    as_dict: Callable[[Key], Mapping[str, Any]],
+    work: Callable[[Key], Result],
+    jobs: int,
+) -> None:
+    """Run what the store does not hold yet, with a progress bar; work must be importable where jobs > 1."""
+    todo = [k for k in keys if k not in store.results]
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
+    bars = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*bars, console=Console(stderr=True)) as progress:
+        task = progress.add_task("runs", total=len(todo))
+        if jobs == 1:
+            for key in todo:
+                store.add(key, as_dict(key), work(key))
+                progress.advance(task)
+            return
+        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+            futures = {pool.submit(work, key): key for key in todo}
+            for done in as_completed(futures):
+                key = futures[done]
+                store.add(key, as_dict(key), done.result())
+                progress.advance(task)
