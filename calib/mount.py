@@ -1,0 +1,313 @@
+"""Where the camera sits on the robot: its offset and yaw in base from a spin on the spot and a straight run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo import se2
+from ceilvo.calib import bundle
+from ceilvo.calib.ceiling_view import GridView, spacing
+from ceilvo.calib.projection import GridSample, grid_residual, grid_samples, with_intrinsics_error
+from ceilvo.camera import CameraModel
+from ceilvo.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+SPIN, RUN = "spin", "run"
+MIN_TURN_RAD = float(np.radians(200.0))
+MIN_RUN_M = 0.8
+_MIN_FRAMES = 12
+_MOST_FRAMES = 45
+_BLOCKS = 8
+
+
+@dataclass(frozen=True)
+class Step:
+    """One picture of the experiment: SPIN or RUN, what it shows, the wheels' cumulative pose if known."""
+
+    label: str
+    view: GridView
+    wheels: Array | None = None
+
+
+@dataclass(frozen=True)
+class Mount:
+    """What came out.
+
+    Attributes:
+        xy_m: (2,) camera in base; yaw_rad: of camera in base; sigma: (3,) of x, y, yaw, and cov (3, 3).
+        turned_rad, run_m: how far the robot turned and ran.
+        spin_rms_m, run_rms_m: residuals of both.
+        wheel_scale, wheel_scale_sigma: true over reported distance, None without wheels; wheel_turn the same of the turn.
+        spin_xy_m: (N, 2) the camera's path in the spin, centred, for a plot; run_xy_m: (M, 2) the base's in the run.
+    """
+
+    xy_m: Array
+    yaw_rad: float
+    cov: Array
+    turned_rad: float
+    run_m: float
+    spin_rms_m: float
+    run_rms_m: float
+    wheel_scale: float | None
+    wheel_scale_sigma: float | None
+    wheel_turn: float | None
+    spin_xy_m: Array
+    run_xy_m: Array
+
+    @property
+    def sigma(self) -> Array:
+        return np.sqrt(np.diag(self.cov))
+
+
+def calibrate(
+    camera: CameraModel,
+    steps: list[Step],
+    tile_m: float,
+    level: Array,
+    intrinsics_cov: Array | None = None,
+) -> Mount:
+    """Offset and yaw from pictures under a tiled ceiling, in order of time.
+
+    Args:
+        tile_m: side of a tile.
+        level: (3,) roll, pitch, height of calib.projection.
+        intrinsics_cov: of the lens; None = taken as known.
+
+    Raises:
+        CalibrationError: too little turning or running, or the grid was lost on the way.
+    """
+    spin, run = ([s for s in steps if s.label == label] for label in (SPIN, RUN))
+    for name, part in ((SPIN, spin), (RUN, run)):
+        if len(part) < _MIN_FRAMES:
+            raise CalibrationError(f"mount: found {len(part)} usable pictures of the {name}, {_MIN_FRAMES} needed")
+    share, _ = spacing([s.view for s in steps[:: max(1, len(steps) // 20)]])
+    if not np.isfinite(share):
+        raise CalibrationError("mount: found no regular grid in the pictures; is the ceiling tiled?")
+    tracks = [_samples(part, share) for part in (spin, run)]
+
+    def solve(other: CameraModel, fixed: Array | None = None) -> _Solution:
+        return _solve(other, tracks, tile_m, level, fixed)
+
+    best = solve(camera)
+    _check(best)
+    cov = _spread(best)
+    cov = with_intrinsics_error(lambda c: solve(c, best.level).values, camera, intrinsics_cov, cov)
+    scale, scale_sigma, turn = _wheels(spin, run, best, tracks)
+    return Mount(
+        xy_m=best.values[:2],
+        yaw_rad=float(best.values[2]),
+        cov=cov,
+        turned_rad=float(np.ptp(best.spin[:, 2])),
+        run_m=best.run_m,
+        spin_rms_m=float(np.sqrt(np.mean(best.spin_off**2))),
+        run_rms_m=float(np.sqrt(np.mean(best.run_off**2))),
+        wheel_scale=scale,
+        wheel_scale_sigma=scale_sigma,
+        wheel_turn=turn,
+        spin_xy_m=best.spin[:, :2] - best.spin[:, :2].mean(axis=0),
+        run_xy_m=best.run_base - best.run_base[0],
+    )
+
+
+@dataclass(frozen=True)
+class _Track:
+    """Samples of one part that are on the grid, and which steps they are."""
+
+    samples: list[GridSample]
+    rows: list[int]
+
+
+def _samples(part: list[Step], share: float) -> _Track:
+    rows, samples = [], []
+    for i, s in enumerate(grid_samples([p.view for p in part], share)):
+        if s is not None:
+            rows.append(i)
+            samples.append(s)
+    if len(samples) < _MIN_FRAMES:
+        raise CalibrationError(
+            f"mount: found the grid in {len(samples)} of {len(part)} pictures of the {part[0].label}, "
+            f"{_MIN_FRAMES} needed; stay under a regular part of the ceiling"
+        )
+    return _Track(samples, rows)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """values: x, y, yaw; level: roll, pitch, height as refined; camera poses in the lattice and residuals."""
+
+    values: Array
+    level: Array
+    spin: Array
+    run: Array
+    spin_off: Array
+    run_off: Array
+    run_base: Array
+    run_m: float
+
+
+def _solve(camera: CameraModel, tracks: list[_Track], tile_m: float, level: Array, fixed: Array | None) -> _Solution:
+    """Tilt and height are refined on a part of the pictures, each picture's pose follows, then the two experiments."""
+    every = [s for t in tracks for s in t.samples]
+    some = every[:: max(1, -(-len(every) // _MOST_FRAMES))]
+    starts = np.array([[*(s.start[:2] * tile_m), s.start[2]] for s in some])
+
+    def residuals(i: int, p: Array, view: Array) -> Array:
+        return grid_residual(camera, some[i], tile_m, p, view)
+
+    level = bundle.solve(residuals, level if fixed is None else fixed, starts, huber=3.0, rounds=12).shared
+    spin, run = (_poses(camera, t.samples, tile_m, level) for t in tracks)
+    q, spin_off = _spin(spin)
+    yaw, run_off, base, run_m = _run(run, q)
+    xy = se2.rotation(yaw) @ q
+    return _Solution(np.array([*xy, yaw]), level, spin, run, spin_off, run_off, base, run_m)
+
+
+def _poses(camera: CameraModel, samples: list[GridSample], tile_m: float, level: Array) -> Array:
+    """(N, 3) camera in one lattice, continuous: what a picture cannot tell is which tile, and which quarter turn."""
+    out = np.zeros((len(samples), 3))
+    velocity = np.zeros(2)
+    for i, sample in enumerate(samples):
+        start = np.array([[*(sample.start[:2] * tile_m), sample.start[2]]])
+
+        def residuals(_: int, __: Array, view: Array, sample: GridSample = sample) -> Array:
+            return grid_residual(camera, sample, tile_m, level, view)
+
+        pose = bundle.solve(residuals, np.zeros(0), start, huber=3.0, rounds=12).views[0]
+        if i:
+            pose = _nearest(pose, out[i - 1], velocity, tile_m)
+            velocity = pose[:2] - out[i - 1, :2]
+        out[i] = pose
+    return out
+
+
+def _nearest(pose: Array, before: Array, velocity: Array, tile_m: float) -> Array:
+    """The pose in the lattice of the picture before."""
+    quarter = np.round((before[2] - pose[2]) / (0.5 * np.pi))
+    xy = se2.rotation(0.5 * np.pi * float(quarter)) @ pose[:2]
+    xy += np.round((before[:2] + velocity - xy) / tile_m) * tile_m
+    return np.array([*xy, pose[2] + quarter * 0.5 * np.pi])
+
+
+def _spin(poses: Array) -> tuple[Array, Array]:
+    """The camera's offset in its own axes, and (N, 2) residuals: it moves on a circle about the base's origin."""
+    n = len(poses)
+    a = np.zeros((2 * n, 4))
+    a[0::2, 0] = a[1::2, 1] = 1.0
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    a[0::2, 2], a[0::2, 3], a[1::2, 2], a[1::2, 3] = c, -s, s, c
+    b = poses[:, :2].ravel()
+    x = np.linalg.lstsq(a, b, rcond=None)[0]
+    return x[2:], np.asarray((b - a @ x).reshape(-1, 2))
+
+
+def _run(poses: Array, q: Array) -> tuple[float, Array, Array, float]:
+    """Yaw of the camera, residuals (N, 2), path of base (N, 2) and its length: base moves along its own x."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    base = poses[:, :2] - np.column_stack([c * q[0] - s * q[1], s * q[0] + c * q[1]])
+    middle = 0.5 * (poses[1:, 2] + poses[:-1, 2])
+    heading = np.column_stack([np.cos(middle), np.sin(middle)])
+    step = np.diff(base, axis=0)
+    turned = _angle(np.sum(step * heading), np.sum(heading[:, 0] * step[:, 1] - heading[:, 1] * step[:, 0]))
+    for _ in range(3):
+        along = np.sum(step * (heading @ se2.rotation(turned).T), axis=1)
+        u = np.concatenate([np.zeros((1, 2)), np.cumsum(along[:, None] * heading, axis=0)])
+        du, db = u - u.mean(axis=0), base - base.mean(axis=0)
+        turned = _angle(np.sum(du * db), np.sum(du[:, 0] * db[:, 1] - du[:, 1] * db[:, 0]))
+    off = db - du @ se2.rotation(turned).T
+    # base's x axis is seen turned by `turned` from the camera's, so the camera is turned by the opposite in base
+    return se2.wrap(-turned), off, base, float(np.hypot(*(base[-1] - base[0])))
+
+
+def _angle(cosine: float, sine: float) -> float:
+    return float(np.arctan2(sine, cosine))
+
+
+def _check(s: _Solution) -> None:
+    turned, run = float(np.ptp(s.spin[:, 2])), s.run_m
+    if turned < MIN_TURN_RAD:
+        raise CalibrationError(
+            f"mount: found a spin of {np.degrees(turned):.0f} deg, at least {np.degrees(MIN_TURN_RAD):.0f} needed; "
+            "turn the robot once round on the spot"
+        )
+    if run < MIN_RUN_M:
+        raise CalibrationError(f"mount: found a run of {run:.2f} m, at least {MIN_RUN_M} needed; drive straight on")
+
+
+def _spread(s: _Solution) -> Array:
+    """(3, 3) of x, y, yaw from the residuals, neighbours counting as one: they err together."""
+    n = len(s.spin)
+    c, sn = np.cos(s.spin[:, 2]), np.sin(s.spin[:, 2])
+    a = np.zeros((2 * n, 4))
+    a[0::2, 0] = a[1::2, 1] = 1.0
+    a[0::2, 2], a[0::2, 3], a[1::2, 2], a[1::2, 3] = c, -sn, sn, c
+    q_cov = _block_cov(a, s.spin_off)[2:, 2:]
+    yaw = float(s.values[2])
+    u = s.run_base - s.run_base.mean(axis=0)
+    across = np.column_stack([-u[:, 1], u[:, 0]])
+    m = len(u)
+    b = np.zeros((2 * m, 3))
+    b[0::2, 0] = b[1::2, 1] = 1.0
+    b[:, 2] = across.ravel()
+    yaw_var = _block_cov(b, s.run_off)[2, 2]
+    rot = se2.rotation(yaw)
+    lever = np.array([-s.values[1], s.values[0]])
+    cov = np.zeros((3, 3))
+    cov[:2, :2] = rot @ q_cov @ rot.T + yaw_var * np.outer(lever, lever)
+    cov[:2, 2] = cov[2, :2] = yaw_var * lever
+    cov[2, 2] = yaw_var
+    return cov
+
+
+def _block_cov(a: Array, off: Array) -> Array:
+    """Of a least squares' solution: the larger of independent rows and of rows that are alike within blocks."""
+    inverse = np.linalg.inv(a.T @ a)
+    r = off.ravel()
+    white = inverse * float(r @ r) / max(len(r) - a.shape[1], 1)
+    meat = np.zeros_like(inverse)
+    for rows in np.array_split(np.arange(len(r)), _BLOCKS):
+        score = a[rows].T @ r[rows]
+        meat += np.outer(score, score)
+    block = inverse @ meat @ inverse * _BLOCKS / max(_BLOCKS - a.shape[1], 1)
+    grow = np.sqrt(np.maximum(np.diag(block) / np.maximum(np.diag(white), 1e-300), 1.0))
+    return np.asarray(white * np.outer(grow, grow))
+
+
+def _wheels(
+    spin: list[Step], run: list[Step], s: _Solution, tracks: list[_Track]
+) -> tuple[float | None, float | None, float | None]:
+    """True over reported: distance with its sigma, and turn."""
+    told = [spin[i].wheels for i in tracks[0].rows], [run[i].wheels for i in tracks[1].rows]
+    if any(w is None for part in told for w in part):
+        return None, None, None
+    turns, way = (np.array(part, np.float64) for part in told)
+    true_step = np.hypot(*np.diff(s.run_base, axis=0).T)
+    told_step = np.hypot(*np.diff(way[:, :2], axis=0).T)
+    if told_step.sum() < 0.1 * s.run_m:
+        return None, None, None
+    scale = s.run_m / float(np.hypot(*(way[-1, :2] - way[0, :2])))
+    parts = [
+        float(t.sum() / max(w.sum(), 1e-9))
+        for t, w in zip(np.array_split(true_step, 5), np.array_split(told_step, 5), strict=True)
+    ]
+    turned = float(np.ptp(np.unwrap(turns[:, 2])))
+    return scale, float(np.std(parts, ddof=1) / np.sqrt(5)), float(np.ptp(s.spin[:, 2])) / turned if turned > 1 else None
+
+
+def problems(m: Mount) -> list[str]:
+    """What keeps the result from a PASS, with what to do."""
+    out = []
+    if m.sigma[:2].max() > 0.005:
+        out.append(f"the offset is known to {1e3 * m.sigma[:2].max():.1f} mm only, 5 needed: turn on the spot, once round")
+    if m.sigma[2] > np.radians(0.3):
+        out.append(f"the yaw is known to {np.degrees(m.sigma[2]):.2f} deg only, 0.3 needed: a longer, straighter run")
+    if m.spin_rms_m > 0.02:
+        out.append(f"the robot wandered by {1e3 * m.spin_rms_m:.0f} mm in the spin, 20 allowed: turn on the spot")
+    if m.run_rms_m > 0.02:
+        out.append(f"the run was off a straight line by {1e3 * m.run_rms_m:.0f} mm, 20 allowed: drive without slip")
+    if m.wheel_scale is not None and not 0.9 < m.wheel_scale < 1.1:
+        out.append(f"the wheels report {1 / m.wheel_scale:.3f} of the way driven: check their diameter in the base")
+    return out
