@@ -77,8 +77,8 @@ def parameters_of(camera: CameraModel) -> Array:
     return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
 
 
-def calibrate(shots: list[Shot], size: tuple[int, int], model: str) -> Intrinsics:
-    """Fit one model; shots far worse than the rest are dropped, with reason.
+def calibrate(shots: list[Shot], size: tuple[int, int], model: str, *, keep_all: bool = False) -> Intrinsics:
+    """Fit one model; shots far worse than the rest are dropped, with reason, unless all are to be kept.
 
     Args:
         size: width, height px.
@@ -95,7 +95,7 @@ def calibrate(shots: list[Shot], size: tuple[int, int], model: str) -> Intrinsic
         limit = _OUTLIER * float(np.median(rms))
         worst = int(np.argmax(rms))
         room = len(dropped) < _MOST_DROPPED * len(shots) and len(kept) > MIN_SHOTS
-        if rms[worst] <= limit or not room:
+        if keep_all or rms[worst] <= limit or not room:
             break
         dropped.append((kept[worst].name, f"residual {rms[worst]:.2f} px, the others have {np.median(rms):.2f} px"))
         del kept[worst]
@@ -321,13 +321,15 @@ def _monotone(camera: CameraModel) -> bool:
     return bool(np.all(np.hypot(*(back - corners).T) < 0.5))
 
 
-def fit_best(shots: list[Shot], size: tuple[int, int], model: str = "auto") -> tuple[Intrinsics, dict[str, float]]:
+def fit_best(
+    shots: list[Shot], size: tuple[int, int], model: str = "auto", *, keep_all: bool = False
+) -> tuple[Intrinsics, dict[str, float]]:
     """The chosen model's fit and the held-out rms of each model tried (none when the model was given)."""
     if model != "auto":
-        return calibrate(shots, size, model), {}
-    first = calibrate(shots, size, "pinhole")  # outliers are none of the models' business
+        return calibrate(shots, size, model, keep_all=keep_all), {}
+    first = calibrate(shots, size, "pinhole", keep_all=keep_all)  # outliers are none of the models' business
     usable = list(first.shots) if first.rms_px < 3.0 else shots
     chosen, scores = choose_model(usable, size)
-    fit = calibrate(usable, size, chosen)
+    fit = calibrate(usable, size, chosen, keep_all=keep_all)
     gone = {name for name, _ in fit.dropped} | {s.name for s in fit.shots}
     return replace(fit, dropped=fit.dropped + tuple(d for d in first.dropped if d[0] not in gone)), scores

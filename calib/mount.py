@@ -244,7 +244,7 @@ def _spread(s: _Solution) -> Array:
     a = np.zeros((2 * n, 4))
     a[0::2, 0] = a[1::2, 1] = 1.0
     a[0::2, 2], a[0::2, 3], a[1::2, 2], a[1::2, 3] = c, -sn, sn, c
-    q_cov = _block_cov(a, s.spin_off)[2:, 2:]
+    q_cov = _block_cov(a, s.spin_off)[2:, 2:] + _wander_var(s.spin[:, 2], s.spin_off) * np.eye(2)
     yaw = float(s.values[2])
     u = s.run_base - s.run_base.mean(axis=0)
     across = np.column_stack([-u[:, 1], u[:, 0]])
@@ -260,6 +260,16 @@ def _spread(s: _Solution) -> Array:
     cov[:2, 2] = cov[2, :2] = yaw_var * lever
     cov[2, 2] = yaw_var
     return cov
+
+
+def _wander_var(heading: Array, off: Array) -> float:
+    """Variance of each coordinate of the offset from a robot that does not turn exactly on the spot.
+
+    Wandering that goes round once with the robot looks the same as an offset; how much of it there is follows from
+    the wandering that goes round twice, three times, or backwards.
+    """
+    z = off[:, 0] + 1j * off[:, 1]
+    return float(np.mean([abs(np.mean(z * np.exp(-1j * k * heading))) ** 2 for k in (-2, -1, 2, 3)]) / 2.0)
 
 
 def _block_cov(a: Array, off: Array) -> Array:
