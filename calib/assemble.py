@@ -83,7 +83,7 @@ def assemble(session: Session) -> Calibration | None:
         notes.append("offset and yaw of the camera not measured: 'calib mount' is to be done")
     if sigma is None:
         notes.append("noise not measured: 'calib sigma' is to be done")
-    rotation = mount_rotation(float(yaw), projection["roll_rad"], projection["pitch_rad"])
+    rotation = mount_rotation(float(yaw or 0.0), projection["roll_rad"], projection["pitch_rad"])
     meta: dict[str, Any] = {
         "intrinsics": {k: lens[k] for k in ("model", "sigma", "rms_px")},
         "projection": {k: projection[k] for k in ("sigma", "rms_px")},

@@ -149,7 +149,7 @@ class BoardFinder:
         if self._detector is None:
             return np.zeros(0, np.int64), np.zeros((0, 2))
         corners, ids, _, _ = self._detector.detectBoard(gray)
-        if ids is None or corners is None:
+        if np.size(ids) == 0 or np.ndim(corners) == 0:  # None in some versions
             return np.zeros(0, np.int64), np.zeros((0, 2))
         return np.asarray(ids, np.int64).reshape(-1), np.asarray(corners, np.float64).reshape(-1, 2)
 

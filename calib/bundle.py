@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +89,9 @@ def _cost(residuals: Residuals, x: Array, v: Array, scale: float) -> float:
     total = 0.0
     for i in range(len(v)):
         r = np.abs(residuals(i, x, v[i]))
-        total += float(np.sum(np.where(r <= scale, r * r, 2.0 * scale * r - scale * scale if np.isfinite(scale) else 0)))
+        total += float(
+            np.sum(np.where(r <= scale, r * r, 2.0 * scale * r - scale * scale if np.isfinite(scale) else 0))
+        )
     return total
 
 
@@ -100,12 +103,16 @@ def _blocks(residuals: Residuals, x: Array, v: Array, scale: float) -> list[_Blo
     out = []
     for i in range(len(v)):
         r = residuals(i, x, v[i])
-        a = _jacobian(lambda p, i=i: residuals(i, p, v[i]), x)
-        b = _jacobian(lambda p, i=i: residuals(i, x, p), v[i])
+        a = _jacobian(partial(_vary_shared, residuals, i, v[i]), x)
+        b = _jacobian(partial(residuals, i, x), v[i])
         w = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
         aw, bw = a * w[:, None], b * w[:, None]
         out.append((aw.T @ a, bw.T @ b, aw.T @ b, aw.T @ r, bw.T @ r))
     return out
+
+
+def _vary_shared(residuals: Residuals, view: int, own: Array, shared: Array) -> Array:
+    return residuals(view, shared, own)
 
 
 def _jacobian(f: Callable[[Array], Array], p: Array) -> Array:
@@ -140,9 +147,9 @@ def _step(blocks: list[_Block], info: Array, off: Array, damping: float) -> tupl
 def _finish(residuals: Residuals, x: Array, v: Array, scale: float, info: Array) -> BundleFit:
     parts = tuple(residuals(i, x, v[i]) for i in range(len(v)))
     s, meat, n, rss = info.copy(), np.zeros_like(info), 0, 0.0
+    blocks = _blocks(residuals, x, v, scale)
     for i, r in enumerate(parts):
-        (block,) = _blocks(lambda _, p, q, i=i: residuals(i, p, q), x, v[i : i + 1], scale)
-        aa, bb, ab, ga, gb = block
+        aa, bb, ab, ga, gb = blocks[i]
         inverse = np.linalg.pinv(bb)
         s += aa - ab @ inverse @ ab.T
         score = ga - ab @ inverse @ gb

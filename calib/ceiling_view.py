@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.board import edge_width_px, light_problem
-from ceilvo.calibration import Calibration, NoiseCurves, projection_matrix
+from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.config import Features
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.edges import EdgeDetector
 from ceilvo.daemon.lines import find_lines
+from ceilvo.types import Lines
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -60,8 +61,6 @@ class CeilingReader:
 
     def __init__(self, camera: CameraModel, tilt_rad: tuple[float, float] | None = None) -> None:
         """tilt_rad: roll, pitch as ceilvo.calibration.mount_rotation takes them, None = to be found."""
-        from ceilvo.calibration import mount_rotation
-
         self._camera = camera
         self._camera_from_level = np.eye(3) if tilt_rad is None else mount_rotation(0.0, *tilt_rad)
         self._features = replace(Features(), tilt_prior_deg=10.0 if tilt_rad is None else 1.0)
@@ -89,6 +88,7 @@ class CeilingReader:
         return view
 
     def _look(self, gray: Gray) -> GridView:
+        lines: Lines | None = None
         for _ in range(_ROUNDS):
             lines = find_lines(self._edges(gray), self._features, self._provisional.level_view.focal_px)
             if lines is None:
@@ -99,6 +99,8 @@ class CeilingReader:
             turn = cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]
             self._camera_from_level = self._camera_from_level @ turn.T
             self._prepare()
+        if lines is None:
+            return _none("no two straight joints seen")
         found = cross(lines, self._provisional, self._features)
         grooves = found.kind == GROOVES
         if np.count_nonzero(grooves) < _MIN_CROSSINGS:

@@ -62,7 +62,8 @@ def check(calibration: Calibration, stands: list[Stand]) -> Check:
         )
     if tilt_off > tilt_limit:
         stale.append(
-            f"the camera leans {np.degrees(tilt_off):.2f} deg differently, {np.degrees(tilt_limit):.2f} allowed: knocked?"
+            f"the camera leans {np.degrees(tilt_off):.2f} deg differently, "
+            f"{np.degrees(tilt_limit):.2f} allowed: was it knocked?"
         )
     if now.rms_px > RMS_PX:
         stale.append(f"the grid fits to {now.rms_px:.2f} px only, {RMS_PX:g} allowed: the lens or its focus changed")

@@ -15,7 +15,6 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration, sign_calibration, write_calibration
 from ceilvo.errors import CeilvoError
 
-
 if TYPE_CHECKING:
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]
 

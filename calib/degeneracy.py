@@ -33,7 +33,7 @@ def _problems(xyz: Array, uv: Array, size: tuple[int, int], known_lens: bool) ->
         return
     need = 4 if known_lens else 6
     if len(xyz) < need:
-        yield f"{len(xyz)} points, at least {need} needed {'with a known lens' if known_lens else 'without a known lens'}"
+        yield f"{len(xyz)} points, at least {need} needed with{'' if known_lens else 'out'} a known lens"
         return
     yield from _same(xyz, uv, need)
     yield from _outside(uv, size)
@@ -145,9 +145,7 @@ def _general(xyz: Array, uv: Array) -> Iterator[str]:
     p = p / max(float(np.sqrt(np.mean(p**2))), 1e-12)
     h = np.column_stack([x, np.ones(len(x))])
     zero = np.zeros_like(h)
-    rows = np.concatenate(
-        [np.column_stack([h, zero, -p[:, :1] * h]), np.column_stack([zero, h, -p[:, 1:] * h])]
-    )
+    rows = np.concatenate([np.column_stack([h, zero, -p[:, :1] * h]), np.column_stack([zero, h, -p[:, 1:] * h])])
     s = np.linalg.svd(rows, compute_uv=False)
     if s[10] < _CUBIC * s[0]:
-        yield "the points and the camera lie on one curve (a twisted cubic or lines through the camera): move some points"
+        yield "the points and the camera lie on one curve (a twisted cubic, or lines through the camera): move some"

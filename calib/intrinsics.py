@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib import bundle
-from ceilvo.calib.board import Board
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -69,8 +69,9 @@ class Intrinsics:
 
 def camera_of(model: str, p: Array, size: tuple[int, int]) -> CameraModel:
     """The camera of a parameter vector fx, fy, cx, cy, distortion."""
-    kind = "fisheye" if model == "fisheye" else "pinhole"
-    return CameraModel(kind, size[0], size[1], *(float(v) for v in p[:4]), tuple(float(k) for k in p[4:]))  # type: ignore[arg-type]
+    kind: Literal["pinhole", "fisheye"] = "fisheye" if model == "fisheye" else "pinhole"
+    fx, fy, cx, cy = (float(v) for v in p[:4])
+    return CameraModel(kind, size[0], size[1], fx, fy, cx, cy, tuple(float(k) for k in p[4:]))
 
 
 def parameters_of(camera: CameraModel) -> Array:
@@ -88,7 +89,7 @@ def calibrate(shots: list[Shot], size: tuple[int, int], model: str, *, keep_all:
     """
     if len(shots) < MIN_SHOTS:
         raise CalibrationError(f"intrinsics: found {len(shots)} usable pictures, expected at least {MIN_SHOTS}")
-    kept, dropped = list(shots), []
+    kept, dropped = list(shots), list[tuple[str, str]]()
     while True:
         fit = _fit(kept, size, model)
         rms = _rms_each(fit)
@@ -115,7 +116,9 @@ def calibrate(shots: list[Shot], size: tuple[int, int], model: str, *, keep_all:
     )
 
 
-def choose_model(shots: list[Shot], size: tuple[int, int], models: tuple[str, ...] = MODELS) -> tuple[str, dict[str, float]]:
+def choose_model(
+    shots: list[Shot], size: tuple[int, int], models: tuple[str, ...] = MODELS
+) -> tuple[str, dict[str, float]]:
     """The simplest model that predicts shots left out of the fit nearly as well as any, and rms_px of each.
 
     Raises:
@@ -283,7 +286,9 @@ def coverage(shots: list[Shot], size: tuple[int, int]) -> Coverage:
     return Coverage(cells, float(np.mean(cells > 0)), reach, int(np.sum(np.array(tilts) >= 15.0)), ratio)
 
 
-def coverage_picture(shots: list[Shot], size: tuple[int, int], gray: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+def coverage_picture(
+    shots: list[Shot], size: tuple[int, int], gray: NDArray[np.uint8] | None = None
+) -> NDArray[np.uint8]:
     """(H, W, 3) the picture with every corner so far, empty parts shaded."""
     w, h = size
     image = np.full((h, w, 3), 60, np.uint8) if gray is None else cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) // 2
@@ -302,14 +307,18 @@ def problems(fit: Intrinsics, covered: Coverage, limit_px: float = 0.5) -> list[
     """What keeps the result from a PASS, with what to do."""
     out = list(covered.missing())
     if fit.rms_px > limit_px:
-        out.append(f"rms is {fit.rms_px:.2f} px, at most {limit_px:g} expected: flat board? right size? sharp pictures?")
+        out.append(
+            f"rms is {fit.rms_px:.2f} px, at most {limit_px:g} expected: flat board? right size? sharp pictures?"
+        )
     f_sigma = max(fit.sigma[0] / fit.camera.fx_px, fit.sigma[1] / fit.camera.fy_px)
     if f_sigma > 0.003:
         out.append(f"the focal length is known to {100 * f_sigma:.2f} % only, 0.3 needed: more pictures, leaning")
     if max(fit.sigma[2:4]) > 2.0:
         out.append(f"the principal point is known to {max(fit.sigma[2:4]):.1f} px only, 2 needed: more pictures")
     if not _monotone(fit.camera):
-        out.append("the distortion folds the picture's corners over: pictures with the board in the corners are missing")
+        out.append(
+            "the distortion folds the picture's corners over: pictures with the board in the corners are missing"
+        )
     return out
 
 

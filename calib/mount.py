@@ -41,7 +41,7 @@ class Mount:
         xy_m: (2,) camera in base; yaw_rad: of camera in base; sigma: (3,) of x, y, yaw, and cov (3, 3).
         turned_rad, run_m: how far the robot turned and ran.
         spin_rms_m, run_rms_m: residuals of both.
-        wheel_scale, wheel_scale_sigma: true over reported distance, None without wheels; wheel_turn the same of the turn.
+        wheel_scale, wheel_scale_sigma: true over reported distance, None without wheels; wheel_turn: of the turn.
         spin_xy_m: (N, 2) the camera's path in the spin, centred, for a plot; run_xy_m: (M, 2) the base's in the run.
     """
 
@@ -201,7 +201,7 @@ def _spin(poses: Array) -> tuple[Array, Array]:
     a[0::2, 2], a[0::2, 3], a[1::2, 2], a[1::2, 3] = c, -s, s, c
     b = poses[:, :2].ravel()
     x = np.linalg.lstsq(a, b, rcond=None)[0]
-    return x[2:], np.asarray((b - a @ x).reshape(-1, 2))
+    return np.asarray(x[2:], np.float64), np.asarray((b - a @ x).reshape(-1, 2))
 
 
 def _run(poses: Array, q: Array) -> tuple[float, Array, Array, float]:
@@ -304,14 +304,20 @@ def _wheels(
         for t, w in zip(np.array_split(true_step, 5), np.array_split(told_step, 5), strict=True)
     ]
     turned = float(np.ptp(np.unwrap(turns[:, 2])))
-    return scale, float(np.std(parts, ddof=1) / np.sqrt(5)), float(np.ptp(s.spin[:, 2])) / turned if turned > 1 else None
+    return (
+        scale,
+        float(np.std(parts, ddof=1) / np.sqrt(5)),
+        float(np.ptp(s.spin[:, 2])) / turned if turned > 1 else None,
+    )
 
 
 def problems(m: Mount) -> list[str]:
     """What keeps the result from a PASS, with what to do."""
     out = []
     if m.sigma[:2].max() > 0.005:
-        out.append(f"the offset is known to {1e3 * m.sigma[:2].max():.1f} mm only, 5 needed: turn on the spot, once round")
+        out.append(
+            f"the offset is known to {1e3 * m.sigma[:2].max():.1f} mm only, 5 needed: turn on the spot, once round"
+        )
     if m.sigma[2] > np.radians(0.3):
         out.append(f"the yaw is known to {np.degrees(m.sigma[2]):.2f} deg only, 0.3 needed: a longer, straighter run")
     if m.spin_rms_m > 0.02:

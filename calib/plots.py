@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sys
 from collections.abc import Mapping, Sequence
@@ -11,10 +12,9 @@ import numpy as np
 
 from ceilvo.calib.session import Session
 
-try:
+Figure: Any = None
+with contextlib.suppress(ImportError):  # an extra, not a dependency
     from matplotlib.figure import Figure
-except ImportError:  # an extra, not a dependency
-    Figure = None
 
 MISSING = "plots left out: matplotlib is not installed (pip install 'ceilvo[calib]')"
 

@@ -66,7 +66,9 @@ def _number(path: Path, line: int, column: str, text: str | None) -> float:
     return value
 
 
-def in_metres(path: Path, table: dict[str, Array], columns: tuple[str, ...], units: str | None, ask: Ask) -> dict[str, Array]:
+def in_metres(
+    path: Path, table: dict[str, Array], columns: tuple[str, ...], units: str | None, ask: Ask
+) -> dict[str, Array]:
     """The table with lengths in metres; what looks like millimetres is asked about, never guessed.
 
     Args:

@@ -125,7 +125,8 @@ def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array) -> Mounting:
             best = fit
     if best is None:
         raise CalibrationError(
-            "projection: found no camera that looks up at these points; are columns swapped, is Z up and 0 on the ceiling?"
+            "projection: found no camera that looks up at these points; are columns swapped, is Z up and 0 on the "
+            "ceiling?"
         )
     roll, pitch, height, yaw, x, y = (float(v) for v in best.shared)
     residual = best.residuals[0].reshape(-1, 2)
@@ -180,7 +181,7 @@ def with_intrinsics_error(
         return cov
     values, vectors = np.linalg.eigh(intrinsics_cov)
     p, size = parameters_of(camera), (camera.width_px, camera.height_px)
-    total = cov.copy()
+    total = np.array(cov, np.float64)
     for value, vector in zip(values, vectors.T, strict=True):
         if value <= 0:
             continue
@@ -302,7 +303,9 @@ def plausible(m: Mounting, size: tuple[int, int], limit_px: float = 1.0) -> list
     out = []
     tilt = float(np.degrees(np.hypot(m.roll_rad, m.pitch_rad)))
     if not 0.3 <= m.height_m <= 30.0:
-        out.append(f"the ceiling is {m.height_m:.2f} m above the camera, 0.3 to 30 expected: right tile size? right units?")
+        out.append(
+            f"the ceiling is {m.height_m:.2f} m above the camera, 0.3 to 30 expected: right tile size? right units?"
+        )
     if tilt > 15.0:
         out.append(f"the camera leans by {tilt:.1f} deg, at most 15 expected: straighten it")
     if m.rms_px > limit_px:

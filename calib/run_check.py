@@ -28,7 +28,7 @@ def add(commands: Commands) -> None:
     p = commands.add_parser(
         STEP,
         help="6. is a calibration still good? in less than a minute",
-        description="Drive or push the robot about under the tiled ceiling; a dozen pictures are compared with the file.",
+        description="Push the robot about under the tiled ceiling; a dozen pictures are compared with the file.",
         epilog="example: calib check --config /etc/ceilvo/config.yaml --calibration /etc/ceilvo/calibration.yaml",
     )
     session_options(p)
@@ -57,7 +57,11 @@ def run(args: argparse.Namespace) -> int:
     session.save(STEP, _result(found, str(file)))
     bad = [f"stale, because {reason}" for reason in found.stale]
     code = conclude(STEP, _rows(found), bad, args)
-    print("still good" if not bad else "what to do: 'calib projection', 'calib mount' and 'calib sigma' again, with --force")
+    print(
+        "still good"
+        if not bad
+        else "what to do: 'calib projection', 'calib mount' and 'calib sigma' again, with --force"
+    )
     return code
 
 

@@ -26,7 +26,16 @@ from ceilvo.calib.intrinsics import (
 )
 from ceilvo.calib.session import Session
 from ceilvo.calib.sources import Picture
-from ceilvo.calib.steps import Progress, bench_of, check_size, conclude, pictures, session_of, session_options, source_options
+from ceilvo.calib.steps import (
+    Progress,
+    bench_of,
+    check_size,
+    conclude,
+    pictures,
+    session_of,
+    session_options,
+    source_options,
+)
 from ceilvo.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -119,7 +128,11 @@ def _collect(
             if not reason:
                 sighting = finder(picture.gray)
                 reason = sighting.reason
-                if sighting.ok and source.info.live and not _is_new(board, shots, sighting.ids, sighting.uv_px, picture):
+                if (
+                    sighting.ok
+                    and source.info.live
+                    and not _is_new(board, shots, sighting.ids, sighting.uv_px, picture)
+                ):
                     progress.tell(f"{len(shots)} taken; move the board")
                     continue
             if reason:
@@ -132,7 +145,13 @@ def _collect(
             else:
                 h, w = picture.gray.shape
                 size = (w, h)
-                record = {"name": picture.name, "width_px": w, "height_px": h, "ids": sighting.ids, "uv_px": sighting.uv_px}
+                record = {
+                    "name": picture.name,
+                    "width_px": w,
+                    "height_px": h,
+                    "ids": sighting.ids,
+                    "uv_px": sighting.uv_px,
+                }
                 session.add_sample(STEP, record)
                 shots.append(Shot(picture.name, board.corners_m[sighting.ids], sighting.uv_px))
                 covered = coverage(shots, size)
@@ -191,7 +210,10 @@ def _rows(fit: Intrinsics, scores: dict[str, float], covered: str) -> list[tuple
         ("lens model", fit.model + ("" if not scores else " chosen; rms of pictures left out: " + _scores(scores))),
         ("focal length", f"{c.fx_px:.3f} +- {s[0]:.3f}, {c.fy_px:.3f} +- {s[1]:.3f} px"),
         ("principal point", f"{c.cx_px:.3f} +- {s[2]:.3f}, {c.cy_px:.3f} +- {s[3]:.3f} px"),
-        ("distortion", ", ".join(f"{n} {k:.5f} +- {e:.5f}" for n, k, e in zip(NAMES[fit.model], c.distortion, s[4:], strict=True))),
+        (
+            "distortion",
+            ", ".join(f"{n} {k:.5f} +- {e:.5f}" for n, k, e in zip(NAMES[fit.model], c.distortion, s[4:], strict=True)),
+        ),
         ("pictures", f"{len(fit.shots)} used, {len(fit.dropped)} dropped"),
         ("rms", f"{fit.rms_px:.3f} px; worst picture {fit.shot_rms_px.max():.3f} px"),
         ("coverage", covered),

@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
         STEP,
         help="3. where the camera sits on the robot, from a turn on the spot and a straight run",
         description="First turn the robot once round on the spot, then drive it two metres straight ahead.",
-        epilog="example: calib mount --device /dev/video0; recorded: --images DIR with the folders spin/ and run/ in it",
+        epilog="example: calib mount --device /dev/video0; recorded: --images DIR with folders spin/ and run/ in it",
     )
     session_options(p)
     source_options(p)
@@ -116,7 +116,11 @@ def _result(m: Mount) -> dict[str, Any]:
 
 def _rows(m: Mount) -> list[tuple[str, str]]:
     s = m.sigma
-    wheels = "not known" if m.wheel_scale is None else f"{m.wheel_scale:.4f} +- {m.wheel_scale_sigma:.4f} true over reported way"
+    wheels = (
+        "not known"
+        if m.wheel_scale is None
+        else f"{m.wheel_scale:.4f} +- {m.wheel_scale_sigma:.4f} true over reported way"
+    )
     if m.wheel_turn is not None:
         wheels += f", {m.wheel_turn:.4f} of the turn"
     return [

@@ -52,9 +52,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude(STEP, _rows(found, extra), bad, args)
 
 
-def _grid(
-    args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any
-) -> tuple[Mounting, dict[str, Any]]:
+def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any) -> tuple[Mounting, dict[str, Any]]:
     tile_m = tile_of(args)
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
     got = collect(args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES)

@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 STEP = "report"
 _SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera")
-_STYLE = """body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
-table{border-collapse:collapse;margin:.5rem 0}td,th{border:1px solid #ccc;padding:.2rem .6rem;text-align:left;vertical-align:top}
-.PASS{background:#2a7d2a;color:#fff;padding:.1rem .5rem}.FAIL{background:#b3261e;color:#fff;padding:.1rem .5rem}
-.none{background:#888;color:#fff;padding:.1rem .5rem}img,svg{max-width:100%;height:auto}pre{background:#f4f4f4;padding:.6rem}"""
+_STYLE = (
+    "body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}"
+    "table{border-collapse:collapse;margin:.5rem 0}"
+    "td,th{border:1px solid #ccc;padding:.2rem .6rem;text-align:left;vertical-align:top}"
+    ".PASS,.FAIL,.none{color:#fff;padding:.1rem .5rem}.PASS{background:#2a7d2a}.FAIL{background:#b3261e}"
+    ".none{background:#888}img,svg{max-width:100%;height:auto}pre{background:#f4f4f4;padding:.6rem}"
+)
 
 
 def add(commands: Commands) -> None:
@@ -61,7 +64,9 @@ def report(session: Session) -> str:
     """
     results = {step: session.result(step) for step in STEPS}
     if not any(results.values()):
-        raise CalibrationError(f"{session.folder}: found no result in it, expected a session; run 'calib intrinsics' first")
+        raise CalibrationError(
+            f"{session.folder}: found no result in it, expected a session; run 'calib intrinsics' first"
+        )
     parts = [_section(session, step, result) for step, result in results.items()]
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Commissioning: {_e(session.folder.name)}</title>"
@@ -129,5 +134,6 @@ def _picture(path: Path) -> str:
         return f"<figure>{path.read_text(encoding='utf-8')}<figcaption>{_e(path.stem)}</figcaption></figure>"
     if path.suffix == ".png":
         data = base64.b64encode(path.read_bytes()).decode()
-        return f"<figure><img alt='{_e(path.stem)}' src='data:image/png;base64,{data}'><figcaption>{_e(path.stem)}</figcaption></figure>"
+        image = f"<img alt='{_e(path.stem)}' src='data:image/png;base64,{data}'>"
+        return f"<figure>{image}<figcaption>{_e(path.stem)}</figcaption></figure>"
     return ""

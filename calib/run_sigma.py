@@ -11,14 +11,14 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calib import plots
 from ceilvo.calib.assemble import assemble, update_file
+from ceilvo.calib.ceiling_view import GridView
 from ceilvo.calib.points_file import ask_on_terminal, in_metres, read_table
 from ceilvo.calib.session import Session
 from ceilvo.calib.sigma import Curve, Errors, Noise, fit, problems
+from ceilvo.calib.sources import Picture
 from ceilvo.calib.stand import Stand, errors_against_grid
 from ceilvo.calib.steps import bench_of, conclude, session_of, session_options, source_options
 from ceilvo.calib.views import Collection, Seen, collect
-from ceilvo.calib.ceiling_view import GridView
-from ceilvo.calib.sources import Picture
 from ceilvo.calibration import Calibration
 from ceilvo.errors import CalibrationError
 
@@ -189,7 +189,10 @@ def _rows(n: Noise, samples: int, how: str) -> list[tuple[str, str]]:
         for k in (0, len(c.r_m) // 2, -1):
             rows.append(("", f"r {c.r_m[k]:.2f} m: 95 % band {1e3 * c.low_m[k]:.2f} to {1e3 * c.high_m[k]:.2f} mm"))
     rows.append(("sigma_theta", f"{np.degrees(n.sigma_theta_rad):.4f} +- {np.degrees(n.sigma_theta_sigma):.4f} deg"))
-    rows.append(("mean error", f"{1e3 * n.bias_m[0]:+.2f} +- {1e3 * n.bias_sigma_m[0]:.2f}, {1e3 * n.bias_m[1]:+.2f} +- {1e3 * n.bias_sigma_m[1]:.2f} mm"))
+    bias = ", ".join(f"{1e3 * b:+.2f} +- {1e3 * e:.2f}" for b, e in zip(n.bias_m, n.bias_sigma_m, strict=True))
+    rows.append(("mean error", f"{bias} mm"))
     low, high = n.x.r_m[0], n.x.r_m[-1]
-    rows.append(("elsewhere", f"below {low:.2f} m held, beyond {high:.2f} m growing in proportion to r, never shrinking"))
+    rows.append(
+        ("elsewhere", f"below {low:.2f} m held, beyond {high:.2f} m growing in proportion to r, never shrinking")
+    )
     return rows

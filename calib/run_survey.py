@@ -10,7 +10,16 @@ import cv2
 import numpy as np
 
 from ceilvo.calib.session import Session
-from ceilvo.calib.steps import Progress, bench_of, check_size, conclude, pictures, session_of, session_options, source_options
+from ceilvo.calib.steps import (
+    Progress,
+    bench_of,
+    check_size,
+    conclude,
+    pictures,
+    session_of,
+    session_options,
+    source_options,
+)
 from ceilvo.calib.survey import Survey, flicker
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
@@ -30,7 +39,7 @@ def add(commands: Commands) -> None:
     p = commands.add_parser(
         STEP,
         help="5. is the ceiling good enough? drive through the room once",
-        description="Drive or push the robot once through all of the room; Ctrl-C ends the drive and gives the verdict.",
+        description="Drive or push the robot once through all of the room; Ctrl-C ends it and gives the verdict.",
         epilog="example: calib survey --config /etc/ceilvo/config.yaml",
     )
     session_options(p)

@@ -160,8 +160,8 @@ class Session:
             yield
         except OSError as e:
             raise CalibrationError(
-                f"{path}: cannot be written ({e.strerror}); what was taken so far is kept in {self.folder}: make room or "
-                "check its rights, then run the same command to go on"
+                f"{path}: cannot be written ({e.strerror}); what was taken so far is kept in {self.folder}: make room "
+                "or check its rights, then run the same command to go on"
             ) from None
 
 

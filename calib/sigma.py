@@ -138,7 +138,7 @@ def _enough(errors: Errors, circle: NDArray[np.int64]) -> None:
         )
     for name, e in (("x", errors.dx_m), ("y", errors.dy_m), ("theta", errors.dtheta_rad)):
         if not np.isfinite(e).all() or float(np.abs(e).max()) < 1e-9:
-            raise CalibrationError(f"sigma: found errors in {name} that are all zero or not numbers; is the column right?")
+            raise CalibrationError(f"sigma: found errors in {name} that are zero or no numbers: right column?")
 
 
 def _scatter(r: Array, e: Array, circle: NDArray[np.int64]) -> tuple[Array, Array, Array]:
@@ -233,9 +233,13 @@ def problems(noise: Noise) -> list[str]:
         if wide > 2.5:
             out.append(f"sigma_{name} is known to a factor of {wide:.1f} only, 2.5 allowed: more samples a circle")
         if polyval(curve.r_m, curve.coefficients).max() > 0.15:
-            out.append(f"sigma_{name} reaches {1e3 * curve.high_m.max():.0f} mm, 150 allowed: were the poses measured well?")
+            out.append(
+                f"sigma_{name} reaches {1e3 * curve.high_m.max():.0f} mm, 150 allowed: were the poses measured well?"
+            )
         if abs(bias) > 5.0 * sigma and abs(bias) > 0.01:
             out.append(f"errors in {name} have a mean of {1e3 * bias:+.0f} mm: check the mount and the measured poses")
     if noise.sigma_theta_rad > np.radians(3.0):
-        out.append(f"sigma_theta is {np.degrees(noise.sigma_theta_rad):.1f} deg, at most 3 expected: check the headings")
+        out.append(
+            f"sigma_theta is {np.degrees(noise.sigma_theta_rad):.1f} deg, at most 3 expected: check the headings"
+        )
     return out

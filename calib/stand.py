@@ -77,8 +77,8 @@ def _one(calibration: Calibration, stand: Stand, share: float, tile_m: float) ->
         d = np.hypot(*(seen[0][:, None] - other[None]).transpose(2, 0, 1))
         j = d.argmin(axis=1)
         seen.append(np.where((d[np.arange(len(j)), j] < near)[:, None], other[j], np.nan))
-    xy = np.nanmean(np.stack(seen), axis=0)
-    grid = first.index * tile_m
+    xy = np.asarray(np.nanmean(np.stack(seen), axis=0), np.float64)
+    grid = first.index.astype(np.float64) * tile_m
     good = np.ones(len(xy), bool)
     for _ in range(3):
         fit = rigid_motion(grid[good], xy[good])
@@ -89,7 +89,8 @@ def _one(calibration: Calibration, stand: Stand, share: float, tile_m: float) ->
     if n < 6:
         return None
     psi = np.mean([np.exp(4j * v.psi_rad) for v in stand.views])
-    _, yaw = calibration.camera_from_base, np.arctan2(calibration.camera_from_base.T[1, 0], calibration.camera_from_base.T[0, 0])
+    b = calibration.camera_from_base.T
+    yaw = np.arctan2(b[1, 0], b[0, 0])
     direction = float(np.angle(psi)) / 4.0 + float(yaw)
     turn = float(np.angle(np.exp(4j * (direction - fit[2])))) / 4.0
     return xy[good], off[good] * np.sqrt(2 * n / (2 * n - 3)), turn

@@ -152,16 +152,20 @@ class Survey:
                 colour = (200, 80, 40)
             cv2.rectangle(image, (int(x), int(y)), (int(x + px_per_cell - 2), int(y + px_per_cell - 2)), colour, -1)
             text = f"{np.median(c.crossings):.0f}"
-            cv2.putText(image, text, (int(x) + 5, int(y) + px_per_cell - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3, 1)
+            cv2.putText(
+                image, text, (int(x) + 5, int(y) + px_per_cell - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3, 1
+            )
         if len(self.path) > 1:
             p = np.array(self.path)[:, :2] / CELL_M
             uv = np.column_stack([(p[:, 0] - low[0]) * px_per_cell, (high[1] - p[:, 1]) * px_per_cell])
-            cv2.polylines(image, [np.round(uv).astype(np.int32).reshape(-1, 1, 2)], False, (255, 255, 255), 1, cv2.LINE_AA)
+            cv2.polylines(
+                image, [np.round(uv).astype(np.int32).reshape(-1, 1, 2)], False, (255, 255, 255), 1, cv2.LINE_AA
+            )
         return image
 
 
 def ambiguity(crossings: Crossings, tile_m: float) -> float:
-    """Share of crossings that have one of their kind a tile on, in the direction where that is most; 1 = a pure grid."""
+    """Share of crossings that have one of their kind a tile on, where that is most; 1 = a pure grid."""
     xy, kind = crossings.xy_base_m, crossings.kind
     low, high = xy.min(axis=0) - _MATCH_M, xy.max(axis=0) + _MATCH_M
     worst = 0.0

@@ -106,15 +106,15 @@ def collect(
     if not out.seen:
         reasons = {reason for _, reason in out.rejected}
         raise CalibrationError(
-            f"{step}: found no usable picture among {len(out.rejected)} ({'; '.join(sorted(reasons)[:3]) or 'none came'}); "
-            "see the reasons above"
+            f"{step}: found no usable picture among {len(out.rejected)} ("
+            f"{'; '.join(sorted(reasons)[:3]) or 'none came'}); see the reasons above"
         )
     progress.note(f"{len(out.seen)} pictures used, {len(out.rejected)} rejected")
     return out
 
 
 def moved(out: Collection, view: GridView, picture: Picture) -> bool:
-    """A live view is worth keeping when the ceiling has moved in it by a twentieth of the picture, or turned by 5 deg."""
+    """A live view is worth keeping when the ceiling moved in it by 4 % of the picture, or turned by 5 deg."""
     if not out.seen:
         return True
     last = out.seen[-1].view

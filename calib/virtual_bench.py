@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -123,7 +124,7 @@ def _smooth(rng: np.random.Generator, n: int) -> Array:
 def _wheels(poses: list[Array]) -> list[Array]:
     """Cumulative odometry of wheels that report WHEEL_SCALE of the way, from the first pose."""
     out = [np.zeros(3)]
-    for a, b in zip(poses[:-1], poses[1:], strict=True):
+    for a, b in itertools.pairwise(poses):
         step = se2.between(a, b)
         out.append(se2.compose(out[-1], np.array([*(WHEEL_SCALE * step[:2]), step[2]])))
     return out

@@ -87,7 +87,11 @@ def board_poses(camera: CameraModel, board: Board, count: int, rng: np.random.Ge
         t = where - rot @ centre
         uv = camera.pixels(xyz @ rot.T + t)
         room = 6.0
-        if np.isfinite(uv).all() and (uv > room).all() and (uv < [camera.width_px - room, camera.height_px - room]).all():
+        if (
+            np.isfinite(uv).all()
+            and (uv > room).all()
+            and (uv < [camera.width_px - room, camera.height_px - room]).all()
+        ):
             made += 1
             yield np.concatenate([np.ravel(cv2.Rodrigues(rot)[0]), t])
 
