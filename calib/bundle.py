@@ -15,6 +15,7 @@ Residuals = Callable[[int, Array, Array], Array]
 
 _ROUNDS = 60
 _STEP = 1e-6
+_RESCALES = 3
 
 
 @dataclass(frozen=True)
@@ -56,14 +57,29 @@ def solve(
     start = np.asarray(shared, np.float64)
     x, v = start.copy(), np.array(views, np.float64)
     info = np.zeros((len(x), len(x))) if prior_info is None else prior_info
-    damping, scale = 1e-4, _scale(residuals, x, v, huber)
-    cost = _cost(residuals, x, v, scale) + float((x - start) @ info @ (x - start))
+    scale = _scale(residuals, x, v, huber)
+    for _ in range(1 if huber is None else _RESCALES):
+        x, v = _descend(residuals, x, v, scale, (start, info), rounds)
+        scale = _scale(residuals, x, v, huber)
+    return _finish(residuals, x, v, scale, info)
+
+
+def _descend(
+    residuals: Residuals, x: Array, v: Array, scale: float, prior: tuple[Array, Array], rounds: int
+) -> tuple[Array, Array]:
+    """Down to a minimum with the scale held, so that the cost is one; prior is start and information."""
+    start, info = prior
+
+    def cost_of(p: Array, q: Array) -> float:
+        return _cost(residuals, p, q, scale) + float((p - start) @ info @ (p - start))
+
+    damping, cost = 1e-4, cost_of(x, v)
     for _ in range(rounds):
         blocks = _blocks(residuals, x, v, scale)
-        improved = False
+        improved, trial = False, cost
         for _ in range(12):
             dx, dv = _step(blocks, info, x - start, damping)
-            trial = _cost(residuals, x + dx, v + dv, scale) + float((x + dx - start) @ info @ (x + dx - start))
+            trial = cost_of(x + dx, v + dv)
             if np.isfinite(trial) and trial <= cost:
                 improved = True
                 break
@@ -74,11 +90,11 @@ def solve(
         x, v, damping = x + dx, v + dv, max(damping / 10.0, 1e-12)
         if gain <= 1e-14 * max(cost, 1e-300) or cost < 1e-24:
             break
-    return _finish(residuals, x, v, scale, info)
+    return x, v
 
 
 def _scale(residuals: Residuals, x: Array, v: Array, huber: float | None) -> float:
-    """Where residuals begin to count linearly, infinite without huber; from the start, so that the cost is one."""
+    """Where residuals begin to count linearly, infinite without huber."""
     if huber is None:
         return np.inf
     every = np.concatenate([residuals(i, x, v[i]) for i in range(len(v))])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ MIN_RUN_M = 0.8
 _MIN_FRAMES = 12
 _MOST_FRAMES = 45
 _BLOCKS = 8
+_OUTLIER, _OUTLIER_PX = 4.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -158,7 +160,7 @@ def _solve(camera: CameraModel, tracks: list[_Track], tile_m: float, level: Arra
     def residuals(i: int, p: Array, view: Array) -> Array:
         return grid_residual(camera, some[i], tile_m, p, view)
 
-    level = bundle.solve(residuals, level if fixed is None else fixed, starts, huber=3.0, rounds=12).shared
+    level = bundle.solve(residuals, level if fixed is None else fixed, starts, huber=2.0, rounds=12).shared
     spin, run = (_poses(camera, t.samples, tile_m, level) for t in tracks)
     q, spin_off = _spin(spin)
     yaw, run_off, base, run_m = _run(run, q)
@@ -172,16 +174,26 @@ def _poses(camera: CameraModel, samples: list[GridSample], tile_m: float, level:
     velocity = np.zeros(2)
     for i, sample in enumerate(samples):
         start = np.array([[*(sample.start[:2] * tile_m), sample.start[2]]])
-
-        def residuals(_: int, __: Array, view: Array, sample: GridSample = sample) -> Array:
-            return grid_residual(camera, sample, tile_m, level, view)
-
-        pose = bundle.solve(residuals, np.zeros(0), start, huber=3.0, rounds=12).views[0]
+        fit = bundle.solve(
+            partial(_lattice_off, camera, sample, tile_m, level), np.zeros(0), start, huber=2.0, rounds=10
+        )
+        pose = fit.views[0]
+        off = np.abs(fit.residuals[0].reshape(-1, 2)).max(axis=1)
+        good = off < max(_OUTLIER * 1.4826 * float(np.median(off)), _OUTLIER_PX)
+        if np.count_nonzero(good) >= 4 and not good.all():
+            kept = replace(sample, index=sample.index[good], uv_px=sample.uv_px[good])
+            pose = bundle.solve(partial(_lattice_off, camera, kept, tile_m, level), np.zeros(0), pose[None]).views[0]
         if i:
             pose = _nearest(pose, out[i - 1], velocity, tile_m)
             velocity = pose[:2] - out[i - 1, :2]
         out[i] = pose
     return out
+
+
+def _lattice_off(
+    camera: CameraModel, sample: GridSample, tile_m: float, level: Array, _: int, __: Array, view: Array
+) -> Array:
+    return grid_residual(camera, sample, tile_m, level, view)
 
 
 def _nearest(pose: Array, before: Array, velocity: Array, tile_m: float) -> Array:

@@ -129,7 +129,8 @@ def _enough(errors: Errors, circle: NDArray[np.int64]) -> None:
     if counts.min() < MIN_PER_CIRCLE:
         at = float(np.mean(errors.r_m[circle == int(np.argmin(counts))]))
         raise CalibrationError(
-            f"sigma: found {counts.min()} samples at r = {at:.2f} m, at least {MIN_PER_CIRCLE} needed; measure more there"
+            f"sigma: found {counts.min()} samples at r = {at:.2f} m, "
+            f"at least {MIN_PER_CIRCLE} needed; measure more there"
         )
     if len(errors.dtheta_rad) < MIN_PER_CIRCLE:
         raise CalibrationError(
