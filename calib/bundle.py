@@ -15,7 +15,7 @@ Residuals = Callable[[int, Array, Array], Array]
 
 _ROUNDS = 60
 _STEP = 1e-6
-_RESCALES = 3
+_RESCALES = 10
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ def solve(
     scale = _scale(residuals, x, v, huber)
     for _ in range(1 if huber is None else _RESCALES):
         x, v = _descend(residuals, x, v, scale, (start, info), rounds)
-        scale = _scale(residuals, x, v, huber)
+        before, scale = scale, _scale(residuals, x, v, huber)
+        if scale > 0.8 * before:
+            break
     return _finish(residuals, x, v, scale, info)
 
 

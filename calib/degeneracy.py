@@ -39,7 +39,7 @@ def _problems(xyz: Array, uv: Array, size: tuple[int, int], known_lens: bool) ->
     yield from _outside(uv, size)
     yield from _shape(xyz, need, known_lens)
     yield from _picture(uv, size)
-    yield from _handedness(xyz, uv, known_lens)
+    yield from _handedness(xyz, uv)
     if not known_lens:
         yield from _general(xyz, uv)
 
@@ -123,7 +123,7 @@ def _picture(uv: Array, size: tuple[int, int]) -> Iterator[str]:
         )
 
 
-def _handedness(xyz: Array, uv: Array, known_lens: bool) -> Iterator[str]:
+def _handedness(xyz: Array, uv: Array) -> Iterator[str]:
     """Seen from below, base x to base y turns as the picture's u to v does (docs/coordinates.md)."""
     ground = np.column_stack([xyz[:, :2], np.ones(len(xyz))])
     if np.linalg.matrix_rank(ground, tol=1e-6 * np.linalg.norm(ground)) < 3:
@@ -133,7 +133,7 @@ def _handedness(xyz: Array, uv: Array, known_lens: bool) -> Iterator[str]:
     explained = 1.0 - float(np.sum(left**2)) / float(np.sum((uv - uv.mean(axis=0)) ** 2))
     if explained > 0.8 and np.linalg.det(affine) < 0:
         yield "the picture is a mirror image of the points: x and y, or u and v, are swapped or have the wrong sign"
-    elif explained < 0.3 and known_lens:
+    elif explained < 0.6:
         yield "the pixels have nothing to do with the points: is the list sorted the same way?"
 
 
