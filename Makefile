@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
-.PHONY: help run test check config dist test-robot bench-vision bench-real clean
+.PHONY: help run test check config dist test-robot bench-vision bench-real bench-calib clean
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
 	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each)"
 	@echo "make bench-real DATA=d recordings of real ceilings in folder d"
+	@echo "make bench-calib       commissioning over 50 simulated rigs and 400 noise experiments (half an hour)"
 	@echo "make dist              wheel and source archive in dist/"
 	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
@@ -36,6 +37,12 @@ config: $(VENV)/.installed
 
 dist: $(VENV)/.installed-dev
 	$(BIN)/python -m build --outdir dist .
+
+bench-calib: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.calib.study sigma --count 100
+	$(BIN)/python -m ceilvo.calib.study drift --count 3
+	$(BIN)/python -m ceilvo.calib.study stale --count 4
+	$(BIN)/python -m ceilvo.calib.study rigs --count 50
 
 test-robot:
 	bash tests/robot/run.sh

@@ -192,8 +192,9 @@ def edge_width_px(gray: Gray) -> float:
 
 def other_board(gray: Gray) -> str:
     """The size of a chessboard that is in the picture, as "7 x 5", "" when there is none."""
-    found = cv2.findChessboardCornersSBWithMeta(gray, (3, 3), flags=cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE)
-    meta = found[2] if found[0] else None
-    if meta is None or np.ndim(meta) != 2:
-        return ""
-    return f"{np.shape(meta)[1]} x {np.shape(meta)[0]}"
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+    sizes = ((c, r) for c in range(12, 2, -1) for r in range(c, 2, -1))
+    for c, r in sizes:  # the largest first: a part of a board is a board as well
+        if cv2.findChessboardCorners(gray, (c, r), flags=flags)[0]:
+            return f"{c} x {r}"
+    return ""

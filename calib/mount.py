@@ -91,13 +91,10 @@ def calibrate(
         raise CalibrationError("mount: found no regular grid in the pictures; is the ceiling tiled?")
     tracks = [_samples(part, share) for part in (spin, run)]
 
-    def solve(other: CameraModel, fixed: Array | None = None) -> _Solution:
-        return _solve(other, tracks, tile_m, level, fixed)
-
-    best = solve(camera)
+    best = _solve(camera, tracks, tile_m, level)
     _check(best)
     cov = _spread(best)
-    cov = with_intrinsics_error(lambda c: solve(c, best.level).values, camera, intrinsics_cov, cov)
+    cov = with_intrinsics_error(lambda c: _again(c, best, tile_m), camera, intrinsics_cov, cov)
     scale, scale_sigma, turn = _wheels(spin, run, best, tracks)
     return Mount(
         xy_m=best.values[:2],
@@ -139,10 +136,13 @@ def _samples(part: list[Step], share: float) -> _Track:
 
 @dataclass(frozen=True)
 class _Solution:
-    """values: x, y, yaw; level: roll, pitch, height as refined; camera poses in the lattice and residuals."""
+    """values: x, y, yaw; level: roll, pitch, height as refined; tracks without outliers, each picture's own pose, and
+    the camera's poses in one lattice; residuals of both experiments."""
 
     values: Array
     level: Array
+    tracks: list[_Track]
+    own: list[Array]
     spin: Array
     run: Array
     spin_off: Array
@@ -151,42 +151,81 @@ class _Solution:
     run_m: float
 
 
-def _solve(camera: CameraModel, tracks: list[_Track], tile_m: float, level: Array, fixed: Array | None) -> _Solution:
+def _solve(camera: CameraModel, tracks: list[_Track], tile_m: float, level: Array) -> _Solution:
     """Tilt and height are refined on a part of the pictures, each picture's pose follows, then the two experiments."""
     every = [s for t in tracks for s in t.samples]
     some = every[:: max(1, -(-len(every) // _MOST_FRAMES))]
     starts = np.array([[*(s.start[:2] * tile_m), s.start[2]] for s in some])
+    level = _level(camera, some, tile_m, level, starts, huber=2.0).shared
+    own, clean = [], []
+    for track in tracks:
+        poses, samples = _poses(camera, track.samples, tile_m, level)
+        own.append(poses)
+        clean.append(_Track(samples, track.rows))
+    return _experiments(level, clean, own, tile_m)
 
+
+def _level(
+    camera: CameraModel, some: list[GridSample], tile_m: float, level: Array, starts: Array, huber: float | None
+) -> bundle.BundleFit:
     def residuals(i: int, p: Array, view: Array) -> Array:
         return grid_residual(camera, some[i], tile_m, p, view)
 
-    level = bundle.solve(residuals, level if fixed is None else fixed, starts, huber=2.0, rounds=12).shared
-    spin, run = (_poses(camera, t.samples, tile_m, level) for t in tracks)
+    return bundle.solve(residuals, level, starts, huber=huber, rounds=12 if huber else 3)
+
+
+def _again(camera: CameraModel, best: _Solution, tile_m: float) -> Array:
+    """The values with a slightly different lens, from the best solution and without its outliers."""
+    every = [s for t in best.tracks for s in t.samples]
+    poses = np.concatenate(best.own)
+    step = max(1, -(-len(every) // _MOST_FRAMES))
+    level = _level(camera, every[::step], tile_m, best.level, poses[::step], huber=None).shared
+    own = []
+    for track, before in zip(best.tracks, best.own, strict=True):
+        fits = [
+            bundle.solve(partial(_lattice_off, camera, s, tile_m, level), np.zeros(0), p[None], rounds=3).views[0]
+            for s, p in zip(track.samples, before, strict=True)
+        ]
+        own.append(np.array(fits))
+    return _experiments(level, best.tracks, own, tile_m).values
+
+
+def _experiments(level: Array, tracks: list[_Track], own: list[Array], tile_m: float) -> _Solution:
+    spin, run = (_continuous(poses, tile_m) for poses in own)
     q, spin_off = _spin(spin)
     yaw, run_off, base, run_m = _run(run, q)
     xy = se2.rotation(yaw) @ q
-    return _Solution(np.array([*xy, yaw]), level, spin, run, spin_off, run_off, base, run_m)
+    return _Solution(np.array([*xy, yaw]), level, tracks, own, spin, run, spin_off, run_off, base, run_m)
 
 
-def _poses(camera: CameraModel, samples: list[GridSample], tile_m: float, level: Array) -> Array:
-    """(N, 3) camera in one lattice, continuous: what a picture cannot tell is which tile, and which quarter turn."""
-    out = np.zeros((len(samples), 3))
-    velocity = np.zeros(2)
+def _poses(
+    camera: CameraModel, samples: list[GridSample], tile_m: float, level: Array
+) -> tuple[Array, list[GridSample]]:
+    """(N, 3) camera in each picture's own lattice, and the samples without crossings that do not belong to it."""
+    out, clean = np.zeros((len(samples), 3)), []
     for i, sample in enumerate(samples):
         start = np.array([[*(sample.start[:2] * tile_m), sample.start[2]]])
         fit = bundle.solve(
             partial(_lattice_off, camera, sample, tile_m, level), np.zeros(0), start, huber=2.0, rounds=10
         )
-        pose = fit.views[0]
         off = np.abs(fit.residuals[0].reshape(-1, 2)).max(axis=1)
         good = off < max(_OUTLIER * 1.4826 * float(np.median(off)), _OUTLIER_PX)
+        kept, out[i] = sample, fit.views[0]
         if np.count_nonzero(good) >= 4 and not good.all():
             kept = replace(sample, index=sample.index[good], uv_px=sample.uv_px[good])
-            pose = bundle.solve(partial(_lattice_off, camera, kept, tile_m, level), np.zeros(0), pose[None]).views[0]
-        if i:
-            pose = _nearest(pose, out[i - 1], velocity, tile_m)
-            velocity = pose[:2] - out[i - 1, :2]
-        out[i] = pose
+        out[i] = bundle.solve(
+            partial(_lattice_off, camera, kept, tile_m, level), np.zeros(0), out[i][None], rounds=6
+        ).views[0]
+        clean.append(kept)
+    return out, clean
+
+
+def _continuous(own: Array, tile_m: float) -> Array:
+    """The poses in one lattice: what a picture cannot tell is which tile it is, and which quarter turn."""
+    out, velocity = own.copy(), np.zeros(2)
+    for i in range(1, len(out)):
+        out[i] = _nearest(own[i], out[i - 1], velocity, tile_m)
+        velocity = out[i, :2] - out[i - 1, :2]
     return out
 
 

@@ -98,7 +98,7 @@ LAYOUTS: list[tuple[str, Array, Array, bool, str]] = [
     ("one lower only", ONE_LOWER, project(RIG, ONE_LOWER), False, "all points but 1 are in one plane"),
     ("cluster", CLUSTER, project(RIG, CLUSTER), True, "% of the picture"),
     ("mirrored", GOOD * [1, -1, 1], GOOD_UV, True, "mirror image"),
-    ("outside", GOOD, GOOD_UV + [400, 0], True, "outside the picture"),
+    ("outside", GOOD, np.add(GOOD_UV, [400, 0]), True, "outside the picture"),
     ("shuffled", FLAT, project(RIG, FLAT)[[3, 7, 1, 9, 5, 0, 8, 2, 6, 4]], True, "nothing to do with the points"),
     ("edge on", GOOD, np.column_stack([GOOD_UV[:, 0], np.full(10, 200.0)]), True, "one line in the picture"),
     ("not a number", GOOD, GOOD_UV * [1, np.nan], True, "not a number"),
@@ -160,14 +160,23 @@ def test_metres_that_were_said_are_believed(tmp_path: Path) -> None:
     [
         (table(GOOD, GOOD_UV, "u_px,v_px,z_m,x_m,y_m").replace("-", ""), "swapped|looks like millimetres|metres"),
         (table(GOOD, 0.001 * GOOD_UV), "u_px and v_px reach only"),
-        (table(GOOD + [0, 0, 2.5], GOOD_UV), "expected 0 on the ceiling"),
+        (table(np.add(GOOD, [0, 0, 2.5]), GOOD_UV), "expected 0 on the ceiling"),
         ("x_m,y_m,u_px\n1,2,3\n", "column 'v_px' is missing"),
         ("x_m,y_m,z_m,u_px,v_px\n1,2,0,,4\n", "line 2: u_px: found '', expected a number"),
         ("x_m,y_m,z_m,u_px,v_px\n1,2,0,nan,4\n", "expected a number"),
         ("x_m,y_m,z_m,u_px,v_px\n", "no row under the header"),
         ("", "column 'x_m' is missing, found nothing"),
     ],
-    ids=["columns swapped", "pixels in metres", "heights above the floor", "missing", "empty", "nan", "bare", "nothing"],
+    ids=[
+        "columns swapped",
+        "pixels in metres",
+        "heights above the floor",
+        "missing",
+        "empty",
+        "nan",
+        "bare",
+        "nothing",
+    ],
 )
 def test_a_bad_list_is_refused_with_its_reason(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(CalibrationError, match=reason):
