@@ -222,7 +222,8 @@ def _poses(
 
 def _continuous(own: Array, tile_m: float) -> Array:
     """The poses in one lattice: what a picture cannot tell is which tile it is, and which quarter turn."""
-    out, velocity = own.copy(), np.zeros(2)
+    out: Array = own.copy()
+    velocity = np.zeros(2)
     for i in range(1, len(out)):
         out[i] = _nearest(own[i], out[i - 1], velocity, tile_m)
         velocity = out[i, :2] - out[i - 1, :2]

@@ -383,12 +383,10 @@ def test_a_damaged_result_is_named(tmp_path: Path) -> None:
         Session(tmp_path).result("mount")
 
 
-CHESSBOARD = (
-    Path(os.environ.get("CEILVO_DATA", str(Path(__file__).resolve().parents[2] / "shared" / "data"))) / "chessboard"
-)
+CHESSBOARD = Path(os.environ.get("CEILVO_DATA", "data")) / "chessboard"
 
 
-@pytest.mark.skipif(not CHESSBOARD.is_dir(), reason="recordings are not there (CEILVO_DATA)")
+@pytest.mark.skipif(not CHESSBOARD.is_dir(), reason="CEILVO_DATA does not name the recordings")
 def test_the_published_chessboard_is_reproduced(run: Run, tmp_path: Path) -> None:
     """OpenCV's left_intrinsics.yml was made with windows of 11 px, which reach the neighbouring corners."""
     code, _, err = intrinsics(run, CHESSBOARD, "--window-px", "11", "--keep-all")
@@ -400,7 +398,7 @@ def test_the_published_chessboard_is_reproduced(run: Run, tmp_path: Path) -> Non
     assert r["rms_px"] <= 0.42
 
 
-@pytest.mark.skipif(not CHESSBOARD.is_dir(), reason="recordings are not there (CEILVO_DATA)")
+@pytest.mark.skipif(not CHESSBOARD.is_dir(), reason="CEILVO_DATA does not name the recordings")
 def test_windows_that_the_squares_allow_halve_the_residual(run: Run, tmp_path: Path) -> None:
     code, _, err = intrinsics(run, CHESSBOARD)
     assert code == 0, err
