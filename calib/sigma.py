@@ -20,6 +20,8 @@ CONFIDENCE = 0.95
 _FOLDS = 5
 _DRAWS = 4000
 _FLOOR_M = 1e-5
+_SMALL_M = 1e-3
+"""Smaller sigmas need not be known to a factor: the crossings' own covariance is added to them."""
 _BINS = 8
 
 
@@ -230,7 +232,7 @@ def problems(noise: Noise) -> list[str]:
     """What keeps the result from a PASS, with what to do."""
     out = []
     for name, curve, bias, sigma in zip("xy", (noise.x, noise.y), noise.bias_m, noise.bias_sigma_m, strict=True):
-        wide = float(np.max(curve.high_m / np.maximum(polyval(curve.r_m, curve.coefficients), _FLOOR_M)))
+        wide = float(np.max(curve.high_m / np.maximum(polyval(curve.r_m, curve.coefficients), _SMALL_M)))
         if wide > 2.5:
             out.append(f"sigma_{name} is known to a factor of {wide:.1f} only, 2.5 allowed: more samples a circle")
         if polyval(curve.r_m, curve.coefficients).max() > 0.15:
