@@ -161,7 +161,7 @@ def spacing(views: list[GridView]) -> tuple[float, float]:
     peaks = np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:])) + 1
     if len(peaks) == 0:
         return float("nan"), 0.0
-    best = peaks[score[peaks] >= 0.9 * score[peaks].max()].max()
+    best = peaks[score[peaks] >= 0.8 * score[peaks].max()].max()
     return float(s[best]), float(score[best])
 
 

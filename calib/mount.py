@@ -23,6 +23,8 @@ MIN_RUN_M = 0.8
 _MIN_FRAMES = 12
 _MOST_FRAMES = 45
 _BLOCKS = 8
+_PLACE_FLOOR_M = 1e-4
+"""A picture's place is never known better: errors that all pictures of a run share do not show in its scatter."""
 _OUTLIER, _OUTLIER_PX = 4.0, 0.3
 
 
@@ -304,7 +306,7 @@ def _spread(s: _Solution) -> Array:
     b = np.zeros((2 * m, 3))
     b[0::2, 0] = b[1::2, 1] = 1.0
     b[:, 2] = across.ravel()
-    yaw_var = _block_cov(b, s.run_off)[2, 2]
+    yaw_var = _block_cov(b, s.run_off)[2, 2] + 2.0 * (_PLACE_FLOOR_M / s.run_m) ** 2
     rot = se2.rotation(yaw)
     lever = np.array([-s.values[1], s.values[0]])
     cov = np.zeros((3, 3))

@@ -19,6 +19,7 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 
 _REGULAR = 0.6
+_ON_GRID = 0.4
 _HUBER = 3.0
 _MODEL_OF = {("fisheye", 4): "fisheye", ("pinhole", 8): "pinhole8", ("pinhole", 5): "pinhole"}
 
@@ -240,6 +241,12 @@ def from_grid(
     samples = [s for s in grid_samples(views, share) if s is not None]
     if not samples:
         raise CalibrationError("projection: found no picture with six crossings on the grid; take others")
+    on_grid = sum(len(s.index) for s in samples) / sum(len(v.xy) for v in views)
+    if on_grid < _ON_GRID:
+        raise CalibrationError(
+            f"projection: found only {100 * on_grid:.0f} % of the crossings on the grid, "
+            f"{100 * _ON_GRID:.0f} % expected; is it the ceiling's tile that --tile-m names? take pictures with fewer lamps in them"
+        )
     start = np.array([*tilt_rad, tile_m / share])
     fit, samples = _grid_fit(camera, samples, tile_m, start)
 
