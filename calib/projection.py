@@ -245,7 +245,7 @@ def from_grid(
     if on_grid < _ON_GRID:
         raise CalibrationError(
             f"projection: found only {100 * on_grid:.0f} % of the crossings on the grid, "
-            f"{100 * _ON_GRID:.0f} % expected; is it the ceiling's tile that --tile-m names? are there fewer lamps elsewhere?"
+            f"{100 * _ON_GRID:.0f} % expected; is --tile-m the ceiling's tile? are there fewer lamps elsewhere?"
         )
     start = np.array([*tilt_rad, tile_m / share])
     fit, samples = _grid_fit(camera, samples, tile_m, start)
