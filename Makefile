@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
-.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter
+.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-calib
 .DEFAULT_GOAL := help
 
 help:
@@ -19,6 +19,7 @@ help:
 	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
 	@echo "make bench-filter      time of a filter's step, as ratios"
+	@echo "make bench-calib       commissioning over 50 simulated rigs and 400 noise experiments (half an hour)"
 	@echo "make dist              wheel and source archive in dist/"
 	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
@@ -27,7 +28,7 @@ run: $(VENV)/.installed
 	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS))
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
@@ -49,6 +50,12 @@ bench-mrclam: $(VENV)/.installed-bench
 
 bench-filter: $(VENV)/.installed-bench
 	$(BIN)/ceilvod experiment speed
+
+bench-calib: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.calib.study sigma --count 100
+	$(BIN)/python -m ceilvo.calib.study drift --count 3
+	$(BIN)/python -m ceilvo.calib.study stale --count 4
+	$(BIN)/python -m ceilvo.calib.study rigs --count 50
 
 test-robot:
 	bash tests/robot/run.sh

@@ -1,4 +1,4 @@
-"""The command `calib`: what there is of commissioning so far."""
+"""The command `calib`: from a camera in a box to a robot that knows its errors, step by step."""
 
 from __future__ import annotations
 
@@ -6,27 +6,45 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ceilvo.calib import run_check, run_intrinsics, run_mount, run_projection, run_report, run_sigma, run_survey
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration, sign_calibration, write_calibration
 from ceilvo.errors import CeilvoError
 
+if TYPE_CHECKING:
+    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
+
+STEPS = (run_intrinsics, run_projection, run_mount, run_sigma, run_survey, run_check, run_report)
+_INTERRUPTED = 130
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Exit code: 0, 1 for a failure, 2 for wrong use, 78 for a wrong calibration."""
+    """Exit code: 0 = PASS, 1 = FAIL or a failure, 2 = wrong use, 78 = wrong input, 130 = interrupted."""
     args = _parser().parse_args(argv)
     try:
         return int(args.run(args))
     except CeilvoError as e:
         print(e, file=sys.stderr)
         return e.exit_code
+    except KeyboardInterrupt:
+        kept = f"; what was taken so far is kept in {args.session}" if hasattr(args, "session") else ""
+        print(f"\nstopped{kept}; the same command goes on from there", file=sys.stderr)
+        return _INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="calib", description="Commissioning of a ceiling camera.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser = argparse.ArgumentParser(
+        prog="calib",
+        description="Commissioning of a ceiling camera: the numbered commands, one after the other.",
+        epilog="practice without any hardware: calib intrinsics --simulate, and so on; each command says which is next",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
+    for step in STEPS:
+        step.add(commands)
 
     show = commands.add_parser("show", help="check a calibration and print its figures")
     show.add_argument("file", type=Path)

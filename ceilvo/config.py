@@ -113,7 +113,7 @@ class Odometry:
 @dataclass(frozen=True)
 class Filter:
     method: str = key(
-        "pfcf",
+        "pfcf_paper",
         "pfcf = particles on one shared map, a curve fitted to their weights; pfcf_paper = eqs. 21-25 to the letter; "
         "pf = FastSLAM 1.0; ukf = unscented Kalman filter",
         choices=("pfcf", "pfcf_paper", "pf", "ukf"),

@@ -13,6 +13,8 @@ import numpy as np
 from ceilvo.daemon.estimator import Estimator
 from ceilvo.daemon.screen import BaseLink as ScreenBase
 from ceilvo.daemon.screen import Snapshot
+from ceilvo.daemon.staleness import StalenessMonitor
+from ceilvo.daemon.states import UNUSABLE
 from ceilvo.daemon.summary import RunStatistics
 from ceilvo.drivers.base_link import BaseLink
 from ceilvo.drivers.capture import CaptureLoop
@@ -42,6 +44,7 @@ class Report:
         self._truth, self._clock = truth, clock
         self._started_ns = clock()
         self._stats = RunStatistics(seed)
+        self._staleness = StalenessMonitor()
         self._lock = threading.Lock()
         self._path: deque[Array] = deque(maxlen=_PATH_POINTS)
 
@@ -56,6 +59,10 @@ class Report:
         with self._lock:
             self._stats.add(estimate, truth)
             self._stats.add_latency("photon_to_published", published_ms)
+            if estimate.state in UNUSABLE:
+                self._staleness.reset()
+            elif estimate.motion.ok:
+                self._staleness.add(estimate.stamp_ns, estimate.depletion.nis, estimate.depletion.nis_dof)
         if not self._path or np.hypot(*(estimate.pose - self._path[-1])[:2]) > _PATH_STEP_M:
             self._path.append(estimate.pose)
 
@@ -63,7 +70,7 @@ class Report:
         """Every counter of the process, by name, for the health message."""
         capture, last = self._capture.counters(), self._estimator.last
         with self._lock:
-            fps, latency = self._stats.fps, self._stats.latency()
+            fps, latency, stale = self._stats.fps, self._stats.latency(), self._staleness.last
         out: dict[str, object] = {
             "estimate_age_s": None if last is None else 1e-9 * (self._clock() - last.stamp_ns),
             "fps": fps,
@@ -76,6 +83,9 @@ class Report:
             "camera_losses": capture.losses,
             "camera_reopens": capture.reopens,
             "camera_error": capture.last_error,
+            "calibration_stale": stale.stale,
+            "calibration_stale_reason": stale.reason,
+            "calibration_mean_nis": stale.mean_nis if np.isfinite(stale.mean_nis) else None,
             "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
         }
         if self._base is not None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.app import Plan
 from ceilvo.sim.base import SimBase
@@ -17,8 +18,19 @@ from ceilvo.sim.world import World, WorldSpec
 
 
 @contextmanager
-def simulation(config: Config, seed: int, seconds: float | None, summary_file: Path, screen: bool) -> Iterator[Plan]:
-    """The plan of a simulated robot; its base lives as long as the context."""
+def simulation(
+    config: Config,
+    seed: int,
+    seconds: float | None,
+    summary_file: Path,
+    screen: bool,
+    calibration: Calibration | None = None,
+) -> Iterator[Plan]:
+    """The plan of a simulated robot; its base lives as long as the context.
+
+    Args:
+        calibration: what the daemon believes; None = the truth.
+    """
     world = World(WorldSpec(seed=seed))
     _ = world.renderer  # drawn now: it takes a second of processor time, in which the base would not be heard
     base = SimBase(
@@ -43,7 +55,7 @@ def simulation(config: Config, seed: int, seconds: float | None, summary_file: P
         )
         yield Plan(
             config,
-            world.calibration,
+            calibration or world.calibration,
             SimCamera(world, config.camera.rate_hz),
             truth=lambda stamp_ns: world.truth_at(world.seconds(stamp_ns)),
             room_m=(0.0, 0.0, room_m, room_m),

@@ -98,6 +98,9 @@ def _add_run(commands: Commands) -> None:
     p.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds of frames, with a summary")
     p.add_argument("--summary", type=Path, metavar="FILE", help=f"figures as JSON (simulating: {DEFAULT_SUMMARY})")
     p.add_argument("--seed", type=int, default=1, metavar="N", help="which simulated world (default: 1)")
+    p.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="instead of the config's, or of the simulated truth"
+    )
     p.set_defaults(do=_run)
 
 
@@ -163,7 +166,8 @@ def _run(options: argparse.Namespace) -> int:
         return _run_simulated(options)
     path = options.config or DEFAULT_CONFIG
     config = load_config(path, options.set)
-    calibration = _checked(config, read_calibration(calibration_path(config, path)), path)
+    file = options.calibration or calibration_path(config, path)
+    calibration = _checked(config, read_calibration(file), path)
     _log_to_stderr(config.service.log_level)
     return app.run(app.plan_real(config, calibration, options.seconds, options.summary))
 
@@ -175,7 +179,9 @@ def _run_simulated(options: argparse.Namespace) -> int:
     cross_check(config, None, "config")
     terminal = sys.stdout.isatty()
     _log_to_stderr("error" if terminal else config.service.log_level)
-    with simulation(config, options.seed, options.seconds, options.summary or DEFAULT_SUMMARY, screen=True) as plan:
+    believed = None if options.calibration is None else read_calibration(options.calibration)
+    summary = options.summary or DEFAULT_SUMMARY
+    with simulation(config, options.seed, options.seconds, summary, screen=True, calibration=believed) as plan:
         return app.run(plan)
 
 

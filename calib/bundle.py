@@ -1,0 +1,182 @@
+"""Least squares with parameters shared by all views and parameters of each view (bundle adjustment, Schur form)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Residuals = Callable[[int, Array, Array], Array]
+"""(view, shared parameters, the view's parameters) -> (N,) residuals in units of their noise or in px."""
+
+_ROUNDS = 60
+_STEP = 1e-6
+_RESCALES = 10
+
+
+@dataclass(frozen=True)
+class BundleFit:
+    """What came out.
+
+    Attributes:
+        shared: (P,) parameters of all views.
+        views: (V, Q) parameters of each view.
+        cov: (P, P) of shared, from the residuals' own scatter, each residual independent.
+        cluster_cov: (P, P) the same with residuals independent between views only.
+        residuals: of each view, not weighted.
+        rms: of all residuals that count, with their degrees of freedom.
+    """
+
+    shared: Array
+    views: Array
+    cov: Array
+    cluster_cov: Array
+    residuals: tuple[Array, ...]
+    rms: float
+
+
+def solve(
+    residuals: Residuals,
+    shared: Array,
+    views: Array,
+    *,
+    prior_info: Array | None = None,
+    huber: float | None = None,
+    rounds: int = _ROUNDS,
+) -> BundleFit:
+    """Levenberg-Marquardt from a start.
+
+    Args:
+        prior_info: (P, P) information about the start values of shared, in units of residuals^-2.
+        huber: residuals beyond this many robust standard deviations count linearly.
+    """
+    start = np.asarray(shared, np.float64)
+    x, v = start.copy(), np.array(views, np.float64)
+    info = np.zeros((len(x), len(x))) if prior_info is None else prior_info
+    scale = _scale(residuals, x, v, huber)
+    for _ in range(1 if huber is None else _RESCALES):
+        x, v = _descend(residuals, x, v, scale, (start, info), rounds)
+        before, scale = scale, _scale(residuals, x, v, huber)
+        if scale > 0.8 * before:
+            break
+    return _finish(residuals, x, v, scale, info)
+
+
+def _descend(
+    residuals: Residuals, x: Array, v: Array, scale: float, prior: tuple[Array, Array], rounds: int
+) -> tuple[Array, Array]:
+    """Down to a minimum with the scale held, so that the cost is one; prior is start and information."""
+    start, info = prior
+
+    def cost_of(p: Array, q: Array) -> float:
+        return _cost(residuals, p, q, scale) + float((p - start) @ info @ (p - start))
+
+    damping, cost = 1e-4, cost_of(x, v)
+    for _ in range(rounds):
+        blocks = _blocks(residuals, x, v, scale)
+        improved, trial = False, cost
+        for _ in range(12):
+            dx, dv = _step(blocks, info, x - start, damping)
+            trial = cost_of(x + dx, v + dv)
+            if np.isfinite(trial) and trial <= cost:
+                improved = True
+                break
+            damping *= 8.0
+        if not improved:
+            break
+        gain, cost = cost - trial, trial
+        x, v, damping = x + dx, v + dv, max(damping / 10.0, 1e-12)
+        if gain <= 1e-14 * max(cost, 1e-300) or cost < 1e-24:
+            break
+    return x, v
+
+
+def _scale(residuals: Residuals, x: Array, v: Array, huber: float | None) -> float:
+    """Where residuals begin to count linearly, infinite without huber."""
+    if huber is None:
+        return np.inf
+    every = np.concatenate([residuals(i, x, v[i]) for i in range(len(v))])
+    return huber * max(1.4826 * float(np.median(np.abs(every))), 1e-9)
+
+
+def _cost(residuals: Residuals, x: Array, v: Array, scale: float) -> float:
+    total = 0.0
+    for i in range(len(v)):
+        r = np.abs(residuals(i, x, v[i]))
+        total += float(
+            np.sum(np.where(r <= scale, r * r, 2.0 * scale * r - scale * scale if np.isfinite(scale) else 0))
+        )
+    return total
+
+
+_Block = tuple[Array, Array, Array, Array, Array]
+
+
+def _blocks(residuals: Residuals, x: Array, v: Array, scale: float) -> list[_Block]:
+    """For each view: shared and own normal matrices, coupling, and gradients."""
+    out = []
+    for i in range(len(v)):
+        r = residuals(i, x, v[i])
+        a = _jacobian(partial(_vary_shared, residuals, i, v[i]), x)
+        b = _jacobian(partial(residuals, i, x), v[i])
+        w = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
+        aw, bw = a * w[:, None], b * w[:, None]
+        out.append((aw.T @ a, bw.T @ b, aw.T @ b, aw.T @ r, bw.T @ r))
+    return out
+
+
+def _vary_shared(residuals: Residuals, view: int, own: Array, shared: Array) -> Array:
+    return residuals(view, shared, own)
+
+
+def _jacobian(f: Callable[[Array], Array], p: Array) -> Array:
+    """Central differences."""
+    columns = []
+    for k in range(len(p)):
+        h = _STEP * max(abs(p[k]), 1.0 if abs(p[k]) > 1e-3 else 0.1)
+        up, down = p.copy(), p.copy()
+        up[k] += h
+        down[k] -= h
+        columns.append((f(up) - f(down)) / (2.0 * h))
+    return np.column_stack(columns) if columns else np.zeros((len(f(p)), 0))
+
+
+def _step(blocks: list[_Block], info: Array, off: Array, damping: float) -> tuple[Array, Array]:
+    p = len(info)
+    s = info.copy()
+    g = info @ off
+    s[np.diag_indices(p)] += damping * np.maximum(sum(np.diag(b[0]) for b in blocks), 1e-12)
+    inner = []
+    for aa, bb, ab, ga, gb in blocks:
+        bb = bb + np.diag(damping * np.maximum(np.diag(bb), 1e-12))
+        inverse = np.linalg.pinv(bb)
+        s += aa - ab @ inverse @ ab.T
+        g += ga - ab @ inverse @ gb
+        inner.append(inverse)
+    dx = -np.linalg.lstsq(s, g, rcond=None)[0]
+    dv = [-inverse @ (gb + ab.T @ dx) for (_, _, ab, _, gb), inverse in zip(blocks, inner, strict=True)]
+    return dx, np.array(dv).reshape(len(blocks), -1)
+
+
+def _finish(residuals: Residuals, x: Array, v: Array, scale: float, info: Array) -> BundleFit:
+    parts = tuple(residuals(i, x, v[i]) for i in range(len(v)))
+    s, meat, n, rss = info.copy(), np.zeros_like(info), 0, 0.0
+    blocks = _blocks(residuals, x, v, scale)
+    for i, r in enumerate(parts):
+        aa, bb, ab, ga, gb = blocks[i]
+        inverse = np.linalg.pinv(bb)
+        s += aa - ab @ inverse @ ab.T
+        score = ga - ab @ inverse @ gb
+        meat += np.outer(score, score)
+        kept = r[np.abs(r) <= scale]
+        n, rss = n + len(kept), rss + float(kept @ kept)
+    dof = max(n - v.size - len(x), 1)
+    bread = np.linalg.pinv(s, hermitian=True)
+    views = len(v)
+    small = views / max(views - 1, 1)  # few clusters understate the scatter
+    cluster = bread @ meat @ bread * small
+    return BundleFit(x, v, bread * rss / dof, cluster, parts, float(np.sqrt(rss / dof)))

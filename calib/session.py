@@ -1,0 +1,191 @@
+"""The commissioning session: a folder with every sample taken and every step's result, so that work can be resumed.
+
+    SESSION/
+      intrinsics.samples.jsonl   one accepted sample a line, the first line says what they are samples of
+      intrinsics/                pictures of the step
+      intrinsics.json            the step's result
+      calibration.yaml           put together from the results, as soon as there are enough of them
+
+Results are written whole or not at all; one that is there is replaced only by force, and kept as .bak.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ceilvo.errors import CalibrationError
+from ceilvo.files import write_atomic
+
+STEPS = ("intrinsics", "projection", "mount", "sigma", "survey", "check")
+CALIBRATION = "calibration.yaml"
+
+
+class Session:
+    """One commissioning in one folder, which is made on the first write.
+
+    Every write raises CalibrationError when the disk refuses; what was there before stays.
+    """
+
+    def __init__(self, folder: Path, *, force: bool = False) -> None:
+        self.folder = folder
+        self.force = force
+
+    @property
+    def calibration_file(self) -> Path:
+        return self.folder / CALIBRATION
+
+    def result(self, step: str) -> dict[str, Any] | None:
+        """The step's result, None when it has not been done.
+
+        Raises:
+            CalibrationError: the file is damaged.
+        """
+        path = self.folder / f"{step}.json"
+        try:
+            value = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as e:
+            raise CalibrationError(f"{path}: cannot be read ({e}); run 'calib {step}' again with --force") from None
+        if not isinstance(value, dict):
+            raise CalibrationError(f"{path}: found no result in it; run 'calib {step}' again with --force")
+        return value
+
+    def need(self, step: str, reason: str) -> dict[str, Any]:
+        """The step's result, which must be there."""
+        result = self.result(step)
+        if result is None:
+            raise CalibrationError(
+                f"{self.folder}: found no result of '{step}', {reason} needs it; run 'calib {step}' first"
+            )
+        return result
+
+    def begin(self, step: str) -> None:
+        """Refuse a step that has its result already, unless forced; then the samples of that result are put aside."""
+        if self.result_there(step):
+            if not self.force:
+                raise CalibrationError(
+                    f"{self.folder / step}.json: found the result of an earlier run, expected none; "
+                    "pass --force to do the step again (the old result is kept as .bak)"
+                )
+            self.set_aside(step)
+
+    def result_there(self, step: str) -> bool:
+        return (self.folder / f"{step}.json").exists()
+
+    def save(self, step: str, result: Mapping[str, Any]) -> Path:
+        """Write a step's result; one that was there is kept as .bak."""
+        path = self.folder / f"{step}.json"
+        with self._writing(path):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if path.exists():
+                write_atomic(path.with_name(path.name + ".bak"), path.read_bytes())
+            write_atomic(path, json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
+        return path
+
+    def write(self, name: str, data: bytes | str) -> Path:
+        """A picture or a table that goes with a result."""
+        path = self.folder / name
+        with self._writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, data)
+        return path
+
+    # -- samples
+
+    def samples(self, step: str, subject: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Samples of an interrupted run, in order; [] at the start.
+
+        Args:
+            subject: what the samples are of (board, camera, source); it must be that of the earlier run.
+
+        Raises:
+            CalibrationError: the earlier run was of something else, and no force.
+        """
+        path = self._samples_file(step)
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except FileNotFoundError:
+            lines = []
+        except OSError as e:
+            raise CalibrationError(f"{path}: cannot be read ({e.strerror})") from None
+        records = list(_whole_lines(lines))
+        wanted = plain(subject)
+        if records and records[0] == wanted:
+            return records[1:]
+        if records and not self.force:
+            differs = [k for k in wanted if records[0].get(k) != wanted[k]]
+            raise CalibrationError(
+                f"{path}: found samples of another {' and '.join(differs) or 'kind'} "
+                f"({', '.join(str(records[0].get(k)) for k in differs)}), expected "
+                f"{', '.join(str(wanted[k]) for k in differs)}; go on as before, or pass --force to start again"
+            )
+        self.set_aside(step)
+        self._append(path, wanted)
+        return []
+
+    def add_sample(self, step: str, sample: Mapping[str, Any]) -> None:
+        """Kept on disk before anything else happens to it."""
+        self._append(self._samples_file(step), plain(sample))
+
+    def set_aside(self, step: str) -> None:
+        """Keep the samples so far as .bak and start without."""
+        path = self._samples_file(step)
+        if path.exists():
+            with self._writing(path):
+                path.replace(path.with_name(path.name + ".bak"))
+
+    def _samples_file(self, step: str) -> Path:
+        return self.folder / f"{step}.samples.jsonl"
+
+    def _append(self, path: Path, record: Any) -> None:
+        with self._writing(path):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            whole = path.exists() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
+            with path.open("a", encoding="utf-8") as f:
+                f.write(("\n" if whole else "") + json.dumps(record, allow_nan=False) + "\n")
+                f.flush()
+                os.fsync(f.fileno())
+
+    @contextmanager
+    def _writing(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except OSError as e:
+            raise CalibrationError(
+                f"{path}: cannot be written ({e.strerror}); what was taken so far is kept in {self.folder}: make room "
+                "or check its rights, then run the same command to go on"
+            ) from None
+
+
+def _whole_lines(lines: list[str]) -> Iterator[dict[str, Any]]:
+    """Records; a line that was cut short by a crash is left out."""
+    for line in lines:
+        try:
+            value = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(value, dict):
+            yield value
+
+
+def plain(value: Any) -> Any:
+    """A copy in JSON's types; numbers that are not finite become null."""
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value

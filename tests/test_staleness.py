@@ -1,0 +1,62 @@
+"""The monitor of stale calibrations: bounds, hold, outliers, recovery, and false alarms with ideal innovations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ceilvo.daemon.staleness import HIGH, StalenessMonitor
+
+STEP_NS = 200_000_000
+
+
+def feed(monitor: StalenessMonitor, values: list[float], start: int = 0) -> list[bool]:
+    return [monitor.add((start + i) * STEP_NS, v, 20).stale for i, v in enumerate(values)]
+
+
+def test_it_is_silent_while_the_model_holds() -> None:
+    rng = np.random.default_rng(1)
+    hour = list(rng.chisquare(20, 18_000) / 20)
+    assert not any(feed(StalenessMonitor(), hour))
+
+
+def test_a_stale_calibration_is_raised_after_the_hold_and_gives_its_reason() -> None:
+    monitor = StalenessMonitor(window_s=20, hold_s=10)
+    told = feed(monitor, [1.5 * HIGH] * 300)
+    first = told.index(True)
+    assert first * STEP_NS >= 10e9 and first * STEP_NS <= 25e9
+    assert "run 'calib check'" in monitor.last.reason and f"{math.sqrt(1.5 * HIGH):.1f} times" in monitor.last.reason
+
+
+def test_a_burst_is_not_staleness() -> None:
+    """Ten seconds of wrong associations, however wild."""
+    assert not any(feed(StalenessMonitor(), [0.5] * 400 + [1e6] * 50 + [0.5] * 400))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_innovations_that_are_no_numbers_count_as_wild(bad: float) -> None:
+    assert any(feed(StalenessMonitor(), [bad] * 600))
+
+
+def test_it_recovers_below_the_bound_with_hysteresis() -> None:
+    monitor = StalenessMonitor(window_s=20, hold_s=5)
+    assert feed(monitor, [2 * HIGH] * 300)[-1]
+    assert feed(monitor, [0.9 * HIGH] * 300, 300)[-1], "within the hysteresis it stays"
+    assert not feed(monitor, [0.5 * HIGH] * 300, 600)[-1]
+    assert monitor.last.reason == ""
+
+
+def test_frames_without_innovations_say_nothing() -> None:
+    monitor = StalenessMonitor()
+    for i in range(1000):
+        monitor.add(i * STEP_NS, 100.0, 0)
+    assert not monitor.last.stale and math.isnan(monitor.last.mean_nis)
+
+
+def test_a_reset_forgets() -> None:
+    monitor = StalenessMonitor(window_s=20, hold_s=5)
+    assert feed(monitor, [2 * HIGH] * 300)[-1]
+    monitor.reset()
+    assert not monitor.last.stale
