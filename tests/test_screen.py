@@ -66,7 +66,7 @@ def test_figures_are_on_the_screen() -> None:
         "0.87",
         "30.0 fps, 2 dropped",
         "26 crossings, 22 inliers",
-        "63 % ESS of 100, 41 ancestors",
+        "63 % ESS, 41 of 100 kept",
         "81 landmarks, NIS 1.04",
         "12 ms ago, 813 sent, 4 bad",
         "1201 samples",
