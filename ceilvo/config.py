@@ -99,6 +99,9 @@ class Odometry:
         0.01, "disagreement with the dominant direction that is a failure", low=0.001, high=0.2
     )
     max_speed_mps: float = key(2.0, "faster motion is a failure", low=0.05, high=10.0)
+    max_accel_mps2: float = key(
+        10.0, "a step that the last twist contradicts by more than this acceleration is a failure", low=0.1, high=1000.0
+    )
     max_turn_radps: float = key(3.5, "faster turning is a failure", low=0.05, high=20.0)
     noise_xy_m: float = key(
         0.00002, "standard deviation added to every step along x and y for what the fit does not see", low=0.0, high=0.1

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 _MAX_MISSES = 8
 _TWIST_FADES_S = 1.0
+_JERK_SIGMAS = 5.0
 
 
 class VisualOdometry:
@@ -36,6 +37,7 @@ class VisualOdometry:
         self._since_ref_s = 0.0
         self._misses = 0
         self._twist = np.zeros(3)
+        self._twist_known = False
 
     @property
     def twist(self) -> Array:
@@ -82,6 +84,7 @@ class VisualOdometry:
         cov = fit.cov + self._floor()
         cov[:2, :2] += self._reference.common_cov_m2 + crossings.common_cov_m2
         self._twist = fit.b_from_a / (self._since_ref_s + dt_s)
+        self._twist_known = True
         self._refer_to(crossings)
         return Motion(motion, cov, int(np.count_nonzero(fit.used)), fit.rms_m)
 
@@ -122,7 +125,7 @@ class VisualOdometry:
         )
         if fit is None:
             return None, "too few consistent correspondences"
-        failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)
+        failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s) or self._jerk(fit, dt_s)
         return (None, failure) if failure else (fit, "")
 
     def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
@@ -143,7 +146,18 @@ class VisualOdometry:
         if self._misses < _MAX_MISSES:
             return motion
         self._refer_to(crossings)
+        self._twist_known = False
         return replace(motion, restarted=True)
+
+    def _jerk(self, fit: RigidFit, dt_s: float) -> str:
+        """Neighbouring lines that change places: a jump that is consistent in itself, but that no robot makes."""
+        if not self._twist_known:
+            return ""
+        elapsed_s = self._since_ref_s + dt_s
+        off = float(np.hypot(*(fit.b_from_a - self._twist * elapsed_s)[:2]))
+        noise = _JERK_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
+        allowed = self._config.max_accel_mps2 * elapsed_s**2 + noise
+        return f"jumped {off:.3f} m off its course within {elapsed_s:.3f} s" if off > allowed else ""
 
     def _coasting_twist(self) -> Array:
         """The last twist, fading with the gap: a robot that is told its pose is bad will stop."""

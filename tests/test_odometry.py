@@ -125,3 +125,19 @@ def test_implausible_speed_is_a_failure() -> None:
     vo.step(seen_from(np.array([2.0, 2.0, 0.0])), DT_S)
     motion = vo.step(seen_from(np.array([2.03, 2.0, 0.0])), DT_S)
     assert motion.failure is not None and "moved 0.030 m" in motion.failure
+
+
+def test_a_consistent_jump_that_no_robot_makes_is_a_failure() -> None:
+    """All crossings 30 mm off, as when every line was taken for its neighbour: nothing contradicts it but physics."""
+    vo, poses = VisualOdometry(Odometry()), circle(10)
+    for p in poses:
+        assert vo.step(seen_from(p), DT_S).prev_from_curr is not None
+    jumped = se2.compose(poses[-1], np.array([0.5 * DT_S + 0.03, 0.0, 0.6 * DT_S]))
+    motion = vo.step(seen_from(jumped), DT_S)
+    assert motion.failure is not None and "off its course" in motion.failure
+    assert abs(motion.prev_from_curr[0] - 0.5 * DT_S) < 0.002
+
+
+def test_a_robot_that_is_already_moving_is_taken_as_it_is() -> None:
+    vo, poses = VisualOdometry(Odometry()), circle(5, v_mps=1.5, w_radps=0.0)
+    assert all([vo.step(seen_from(p), DT_S).ok for p in poses][1:])
