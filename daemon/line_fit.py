@@ -17,6 +17,7 @@ _SIGMA_FLOOR_PX = 0.02
 _TILT_CHI2 = 9.21
 _APART_PX = 1e6
 _DOUBT_RAD = np.radians(0.3)
+_HELD_RAD = np.radians(0.02)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +161,13 @@ class JointFit:
         self.tilt = self.tilt + turn @ step[1:]
         self._place()
         self._settle()
+
+    def hold(self, prior: TiltPrior | None) -> None:
+        """The last round with the tilt where it is; how far it may be off is what is known beforehand."""
+        self.assign(self.last_gate_px())
+        self.solve(tilt=False)
+        sigma = np.full(2, _HELD_RAD) if prior is None else np.maximum(prior.sigma_rad, _HELD_RAD)
+        self.covariance = self.covariance + np.diag([0.0, *(sigma**2)])
 
     def lean_on(self, prior: TiltPrior) -> None:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""

@@ -13,7 +13,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.edges import Edges
 from ceilvo.daemon.grooves import EdgeSet, fold, join_grooves
 from ceilvo.daemon.line_fit import Group, JointFit
-from ceilvo.daemon.tilt import TiltPrior
+from ceilvo.daemon.tilt import NO_TILT, TiltPrior
 from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
@@ -23,6 +23,7 @@ _COARSE_STRIDE = 3
 _FINE_BIN_PX = 1.0
 _FINE_GATE_PX = 2.0
 _NO_WORSE = 0.95
+_VAGUE_RAD = np.radians(0.025)
 _DIRECTION_REACH_DEG = 4.0
 _ANGLE_STRIDE = 3
 _FEWEST_VOTES = 8.0
@@ -66,13 +67,14 @@ def detect(
         return None
     fit = _fitted(groups, psi, starts, config, focal_px, edges.share, np.zeros(2))
     free = fit.finish()
-    expected = np.zeros(2) if prior is None else prior.mean_rad
-    if config.estimate_tilt and fit.doubts(expected, prior):
-        fit, free = _better(
-            fit, free, _fitted(groups, psi, starts, config, focal_px, edges.share, expected, tilt=False)
-        )
-    if prior is not None and config.estimate_tilt:
-        fit.lean_on(prior)
+    if config.estimate_tilt:
+        expected = np.zeros(2) if prior is None else prior.mean_rad
+        vague = float(np.max(free.sigma_rad)) > _VAGUE_RAD
+        if vague or fit.doubts(expected, prior):
+            level = _fitted(groups, psi, starts, config, focal_px, edges.share, expected, tilt=False)
+            fit, free = _held(level, prior) if vague else _better(fit, free, level)
+        if prior is not None:
+            fit.lean_on(prior)
     return join_grooves(fit, config, edges.share, free)
 
 
@@ -100,8 +102,14 @@ def _fitted(
     return fine
 
 
+def _held(level: JointFit, prior: TiltPrior | None) -> tuple[JointFit, TiltPrior]:
+    """So few lines that any tilt fits: then none is read from them."""
+    level.hold(prior)
+    return level, NO_TILT
+
+
 def _better(fit: JointFit, free: TiltPrior, level: JointFit) -> tuple[JointFit, TiltPrior]:
-    """A fit with free tilt must convince clearly more points than one that held it: few lines can imitate a tilt."""
+    """A fit that began with another tilt must convince clearly more points than one that began where expected."""
     seen = level.finish()
     return (level, seen) if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
 

@@ -26,6 +26,10 @@ class TiltPrior:
     sigma_rad: Array
 
 
+NO_TILT = TiltPrior(np.zeros(2), np.full(2, np.nan))
+"""What a frame says in which the tilt had to be held."""
+
+
 class TiltTracker:
     """Mean and spread of the tilt over about the last 45 frames, freed of the estimates' own noise."""
 
@@ -37,7 +41,7 @@ class TiltTracker:
 
     def note(self, lines: Lines | None) -> None:
         """Take in what one frame alone said."""
-        if lines is None:
+        if lines is None or not np.all(np.isfinite(lines.free_tilt_sigma_rad)):
             return
         self._count += 1
         rate = max(1.0 / _MEMORY, 1.0 / self._count)

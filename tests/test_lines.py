@@ -134,3 +134,13 @@ def test_a_contradicted_prior_gives_way() -> None:
     against = find_lines(seen, Features(), FOCAL_PX, TiltPrior(np.zeros(2), np.full(2, 1e-5)))
     assert without is not None and against is not None
     assert np.array_equal(without.tilt_rad, against.tilt_rad)
+
+
+def test_few_lines_do_not_imitate_a_tilt() -> None:
+    """One lamp cannot tell a tilt from noise: none is read from it, and it does not teach the prior."""
+    lamp: list[Segment] = [(a, o, p, -20.0, 20.0) for a in (0, 1) for o, p in ((-20.0, 1), (20.0, -1))]
+    for seed in range(10):
+        lines = find_lines(edges(lamp, 0.2, seed, noise_px=0.5), Features(min_line_points=15), FOCAL_PX)
+        assert lines is not None
+        assert np.abs(lines.tilt_rad).max() == 0.0
+        assert np.isnan(lines.free_tilt_sigma_rad).all()
