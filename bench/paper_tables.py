@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from ceilvo.bench.paper_bars import Bar
-from ceilvo.bench.paper_filters import WITHOUT_PARTICLES
 from ceilvo.bench.paper_run import LOST_M, Cell
 from ceilvo.bench.paper_stats import Interval, mean_interval, ratio_interval
 from ceilvo.types import Array
@@ -27,18 +26,6 @@ def by_seed(results: Results, experiment: str, setting: str, name: str, figure: 
         if (cell.experiment, cell.setting, cell.filter) == (experiment, setting, name) and figure in figures:
             found.setdefault(cell.seed, []).append(float(figures[figure]))
     return {seed: float(np.mean(v)) for seed, v in sorted(found.items())}
-
-
-def at_n(results: Results, setting: str, name: str, particles: int, figure: str) -> Array:
-    """(S,) values at one number of particles; the same at every one for a filter without particles."""
-    n = 0 if name in WITHOUT_PARTICLES else particles
-    return np.array(
-        [
-            float(f[figure])
-            for c, f in results.items()
-            if (c.experiment, c.setting, c.filter, c.particles) == ("lap", setting, name, n) and figure in f
-        ]
-    )
 
 
 def ratio(results: Results, experiment: str, setting: str, pair: tuple[str, str], figure: str) -> Interval:

@@ -19,10 +19,6 @@ with contextlib.suppress(ImportError):  # an extra, not a dependency
 MISSING = "plots left out: matplotlib is not installed (pip install 'ceilvo[calib]')"
 
 
-def available() -> bool:
-    return Figure is not None
-
-
 def save(session: Session, name: str, svg: str | None) -> None:
     if svg is None:
         print(MISSING, file=sys.stderr)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.landmarks import unpacked
 from ceilvo.se2 import compose, rotation, wrap
 from ceilvo.types import Array, Ints, Landmarks, Motion, frozen
@@ -198,10 +197,6 @@ class JointMap:
         if len(self.label_of) > window:
             order = np.argsort(self.seen_at[self.label_of], kind="stable")
             self._narrow(self.label_of[order[: len(order) - window + window // 8]])
-
-    def indexed(self) -> KnownMap:
-        """The map with a spatial index."""
-        return KnownMap(self.summary(np.arange(len(self))))
 
     def summary(self, labels: Ints) -> Landmarks:
         return Landmarks(
