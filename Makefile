@@ -78,7 +78,7 @@ $(BIN)/pip:
 	@echo "making $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip
+$(VENV)/.installed: pyproject.toml setup.py constraints.txt daemon/_kernel.c | $(BIN)/pip
 	@echo "installing ceilvo into $(VENV) (first time: about a minute)"
 	@$(PIP) -e . -c constraints.txt
 	@touch $@

@@ -137,18 +137,17 @@ class LevelView:
         )
         return self.camera.pixels(r @ self.level_from_camera)
 
-    def lookup(self, max_view_deg: float) -> tuple[Array32, Array32]:
-        """Per raw pixel: level pixel (H, W, 2) relative to the principal point, nan where the ray is more than
-        max_view_deg off the vertical, and the Jacobian d level / d raw (H, W, 4) as [du/dx, du/dy, dv/dx, dv/dy]."""
+    def lookup(self, max_view_deg: float, step_px: int = 1) -> Array32:
+        """(rows, columns, 2) level pixels, relative to the principal point, of every step_px-th raw pixel.
+
+        nan where the ray is more than max_view_deg off the vertical. The last row and column are at or beyond the
+        frame's edge, so that bilinear interpolation reaches every pixel of it.
+        """
         w, h = self.camera.width_px, self.camera.height_px
-        grid = np.stack(np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64)), axis=-1)
+        x = step_px * np.arange(-(-(w - 1) // step_px) + 1, dtype=np.float64)
+        y = step_px * np.arange(-(-(h - 1) // step_px) + 1, dtype=np.float64)
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
         centre = np.array([self.camera.cx_px, self.camera.cy_px])
-        uv = (self.from_raw(grid.reshape(-1, 2)) - centre).reshape(h, w, 2)
-        far = ~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))
-        with np.errstate(invalid="ignore"):
-            dy, dx = np.gradient(uv, axis=(0, 1))
-        jac = np.stack([dx[..., 0], dy[..., 0], dx[..., 1], dy[..., 1]], axis=-1)
-        far |= ~np.isfinite(jac).all(axis=-1)
-        uv[far] = np.nan
-        jac[far] = 0.0
-        return uv.astype(np.float32), jac.astype(np.float32)
+        uv = (self.from_raw(grid.reshape(-1, 2)) - centre).reshape(grid.shape)
+        uv[~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))] = np.nan
+        return uv.astype(np.float32)

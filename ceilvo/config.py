@@ -66,7 +66,7 @@ class Features:
     canny_floor: float = key(12.0, "smallest upper Canny threshold", low=1.0, high=255.0)
     canny_low_ratio: float = key(0.45, "lower over upper threshold", low=0.1, high=1.0)
     max_edge_share: float = key(
-        0.03,
+        0.15,
         "edge points used, as a share of the pixels; more are sampled evenly: bounds the time",
         low=0.001,
         high=1.0,

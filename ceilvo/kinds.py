@@ -22,6 +22,8 @@ def crossing_kind(kind_axis0: Ints, kind_axis1: Ints) -> Ints:
 
 def turn_kind(kind: Ints, quarter_turns: int) -> Ints:
     """(M,) codes after naming the axes `quarter_turns` x 90 deg further counter-clockwise."""
+    if quarter_turns % 4 == 0:
+        return kind
     k0, k1 = kind // 3 - 1, kind % 3 - 1
     for _ in range(quarter_turns % 4):
         k0, k1 = k1, -k0

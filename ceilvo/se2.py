@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ Array = NDArray[np.float64]
 
 def wrap(angle_rad: float) -> float:
     """Angle in [-pi, pi)."""
-    return float((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)
+    return (float(angle_rad) + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def wrap_array(angle_rad: Array) -> Array:
@@ -20,19 +22,28 @@ def wrap_array(angle_rad: Array) -> Array:
 
 def rotation(theta_rad: float) -> Array:
     """(2, 2) rotation matrix of eq. 13."""
-    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    c, s = math.cos(theta_rad), math.sin(theta_rad)
     return np.array([[c, -s], [s, c]])
 
 
 def compose(a_from_b: Array, b_from_c: Array) -> Array:
     """a_from_c; either argument may be (..., 3) and they broadcast."""
     a, b = np.asarray(a_from_b, np.float64), np.asarray(b_from_c, np.float64)
+    if a.ndim == 1 and b.ndim == 1:
+        return _compose_one(a, b)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     out[..., 0] = a[..., 0] + c * b[..., 0] - s * b[..., 1]
     out[..., 1] = a[..., 1] + s * b[..., 0] + c * b[..., 1]
     out[..., 2] = wrap_array(a[..., 2] + b[..., 2])
     return out
+
+
+def _compose_one(a_from_b: Array, b_from_c: Array) -> Array:
+    """As compose; plain numbers are several times faster than arrays of three."""
+    (x0, y0, turn0), (x1, y1, turn1) = a_from_b.tolist(), b_from_c.tolist()
+    c, s = math.cos(turn0), math.sin(turn0)
+    return np.array([x0 + c * x1 - s * y1, y0 + s * x1 + c * y1, wrap(turn0 + turn1)])
 
 
 def inverse(a_from_b: Array) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.grooves import EdgeSet, join_grooves
-from ceilvo.daemon.line_fit import Group, JointFit
+from ceilvo.daemon.line_fit import JointFit, Points
 from ceilvo.daemon.tilt import TiltPrior
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Lines
@@ -75,7 +75,7 @@ class BandDetector:
         camera, view = calibration.camera, calibration.level_view
         self._focal = view.focal_px
         self._size = (camera.width_px, camera.height_px)
-        uv, _ = view.lookup(config.max_view_deg)
+        uv = view.lookup(config.max_view_deg)
         low, high = np.nanmin(uv, axis=(0, 1)), np.nanmax(uv, axis=(0, 1))
         self._low = np.floor(low / _GRID_PX) * _GRID_PX
         columns, rows = (np.ceil((high - self._low) / _GRID_PX).astype(int) + 1).tolist()
@@ -134,10 +134,12 @@ class BandDetector:
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         by_group = np.argsort(group[edge], kind="stable")
-        members = np.split(points[by_group], np.cumsum(np.bincount(group[edge], minlength=4))[:3])
-        groups = [Group(m[:, 0], m[:, 1]) for m in members]
+        a, b, c, d, e = np.cumsum([0, *np.bincount(group[edge], minlength=4)]).tolist()
+        x, y = (np.ascontiguousarray(points[by_group, k] / self._focal, np.float32) for k in (0, 1))
         starts = [expected.offset_px[group == g] for g in range(4)]
-        fit = JointFit(groups, expected.psi_rad, starts, self._focal, self._config, share, tilt_rad)
+        fit = JointFit(
+            Points(x, y, (a, b, c, d, e), np.inf), expected.psi_rad, starts, self._focal, self._config, share, tilt_rad
+        )
         fit.start(place[edge[by_group]], expected.offset_px[order])
         fit.solve()
         free = fit.finish()

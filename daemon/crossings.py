@@ -7,14 +7,16 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
+from ceilvo.daemon import kernel
 from ceilvo.kinds import crossing_kind
 from ceilvo.types import Crossings, Lines
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_COVERAGE_BIN_PX = 3.0
-_MIN_COVERAGE = 0.3
+_COVERAGE_BIN_PX = 2.0
+_CORNER_PX = 2.0
+_ARM_SHARE = 0.6
 _FEWEST_HITS = 2.0
 _REACH_POINTS = 2.5
 
@@ -23,8 +25,8 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
     """Crossings where both lines have edge points nearby; the others are crossings of mere extensions."""
     first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
     reach = max(config.crossing_reach_px, _REACH_POINTS / lines.share)
-    there = _coverage(lines, first, 1, lines.offset_px[second], reach) & (
-        _coverage(lines, second, 0, lines.offset_px[first], reach).T
+    there = _covered(lines, first, 1, lines.offset_px[second], reach) & (
+        _covered(lines, second, 0, lines.offset_px[first], reach).T
     )
     i, j = np.nonzero(there)
     a, b = first[i], second[j]
@@ -61,21 +63,26 @@ def _normals(psi: float) -> Array:
     return np.array([[c, s], [-s, c]])
 
 
-def _coverage(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: float) -> NDArray[np.bool_]:
-    """(len(ids), len(at)): does the line have edge points within reach of a position?"""
+def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: float) -> NDArray[np.bool_]:
+    """(len(ids), len(at)): does the line have edge points along most of an arm that begins at a position?
+
+    One arm is enough: at the corner of a lamp both lines have but one.
+    """
     if len(ids) == 0 or len(at) == 0:
         return np.zeros((len(ids), len(at)), bool)
-    row = np.full(len(lines.axis), -1, np.int64)
-    row[ids] = np.arange(len(ids))
-    mine = np.flatnonzero(row[lines.point_line] >= 0)
-    along = lines.points[mine] @ _normals(lines.psi_rad)[along_axis]
-    low = min(float(along.min(initial=0.0)), float(at.min())) - reach_px - _COVERAGE_BIN_PX
-    high = max(float(along.max(initial=0.0)), float(at.max())) + reach_px + _COVERAGE_BIN_PX
-    bins = int((high - low) / _COVERAGE_BIN_PX) + 2
-    cell = ((along - low) / _COVERAGE_BIN_PX).astype(np.int64)
-    hit = np.bincount(row[lines.point_line[mine]] * bins + cell, minlength=len(ids) * bins).reshape(-1, bins) > 0
+    row = np.full(len(lines.axis), -1, np.int32)
+    row[ids] = np.arange(len(ids), dtype=np.int32)
+    margin = reach_px + 2.0 * _COVERAGE_BIN_PX
+    low = float(at.min()) - margin
+    bins = int((float(at.max()) - low + margin) / _COVERAGE_BIN_PX) + 2
+    normal = _normals(lines.psi_rad)[along_axis]
+    hit = kernel.hits(lines.points, row[lines.point_line], normal, low, _COVERAGE_BIN_PX, (len(ids), bins))
     total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
-    begin = np.clip(((at - reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64), 0, bins)
-    end = np.clip(((at + reach_px - low) / _COVERAGE_BIN_PX).astype(np.int64) + 1, 0, bins)
-    need = _MIN_COVERAGE * 2.0 * reach_px / _COVERAGE_BIN_PX * min(1.0, _COVERAGE_BIN_PX * lines.share)
-    return np.asarray(total[:, end] - total[:, begin] >= max(need, _FEWEST_HITS))
+    cells = [
+        ((at + d - low) / _COVERAGE_BIN_PX).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)
+    ]
+    before = total[:, cells[2] + 1] - total[:, cells[0]]
+    after = total[:, cells[3] + 1] - total[:, cells[1]]
+    filled = 1.0 - (1.0 - lines.share) ** _COVERAGE_BIN_PX  # of the bins along a line that is there
+    need = _ARM_SHARE * filled * reach_px / _COVERAGE_BIN_PX
+    return np.asarray(np.maximum(before, after) >= max(need, _FEWEST_HITS))

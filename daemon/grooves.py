@@ -14,6 +14,7 @@ from ceilvo.types import Array, Ints, LineKind, Lines
 
 _SAME_LINE_PX = 3.0
 _FEWEST_SUPPORT = 4.0
+_NARROW_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior)
     sigma = fit.sigma_px()[order]
     joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
     joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
-    points = fit.uv
+    points = fit.uv()
     point_line = new_of_old[fit.line]
     used = point_line >= 0
     psi, turned = fold_turns(fit.psi)
@@ -83,18 +84,13 @@ def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior)
         point_line=point_line[used],
         share=share,
     )
-    return _turn_axes(lines, turned), _edge_set(fit, points, order)
+    return _turn_axes(lines, turned), _edge_set(fit, order)
 
 
-def _edge_set(fit: JointFit, points: Array, order: Ints) -> EdgeSet:
-    axis, count = fit.axis[order], len(fit.offset)
-    c, s = np.cos(fit.psi), np.sin(fit.psi)
-    first = fit.axis[fit.line] == 0
-    along = np.where(first, c * points[:, 1] - s * points[:, 0], -(c * points[:, 0] + s * points[:, 1]))
-    start, end = np.full(count, np.inf), np.full(count, -np.inf)
-    np.minimum.at(start, fit.line, along)
-    np.maximum.at(end, fit.line, along)
-    return EdgeSet(fit.psi, axis, fit.line_group[order] % 2 == 1, fit.offset[order], start[order], end[order])
+def _edge_set(fit: JointFit, order: Ints) -> EdgeSet:
+    start, end = fit.extents()
+    rising = fit.line_group[order] % 2 == 1
+    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start[order], end[order])
 
 
 def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:
@@ -110,15 +106,16 @@ def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:
 
 
 def _pairs(offset: Array, axis: Ints, rising: Ints, support: Ints, groove_px: float) -> Ints:
-    """Index of every line's partner, or -1: neighbours of opposite polarity, best supported pairs first.
+    """Index of every line's partner, or -1: neighbours of opposite polarity, narrow and well supported pairs first.
 
-    Where three edges could pair in two ways, support decides: gaps differ by less than they are uncertain, and a pair
-    that flips from frame to frame is a line that jumps.
+    Where three edges could pair in two ways, the gap alone must not decide: where both are alike it would flip from
+    frame to frame, and the line would jump.
     """
     partner = np.full(len(offset), -1, np.int64)
     gap = np.diff(offset)
     fits = (np.diff(axis) == 0) & (np.diff(rising) != 0) & (gap < groove_px)
-    for k in np.argsort(-np.minimum(support[1:], support[:-1]), kind="stable"):
+    score = np.minimum(support[1:], support[:-1]) / np.maximum(gap, _NARROW_PX)
+    for k in np.argsort(-score, kind="stable"):
         if fits[k] and partner[k] < 0 and partner[k + 1] < 0:
             partner[k], partner[k + 1] = k + 1, k
     return partner

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +20,18 @@ def least_squares(xy: Array, uv: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: the points do not determine H.
     """
-    to_a, to_b = _normaliser(xy), _normaliser(uv)
-    x, y = ((xy - to_a[:2, 2] / -to_a[0, 0]) * to_a[0, 0]).T
-    u, v = ((uv - to_b[:2, 2] / -to_b[0, 0]) * to_b[0, 0]).T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    k = np.empty((2 * len(x), 8))  # eq. 3
-    k[0::2] = np.column_stack([x, y, one, zero, zero, zero, -x * u, -y * u])
-    k[1::2] = np.column_stack([zero, zero, zero, x, y, one, -x * v, -y * v])
-    big_u = np.column_stack([u, v]).reshape(-1)  # eq. 2
+    (sx, x0, y0), (su, u0, v0) = _normaliser(xy), _normaliser(uv)
+    x, y, u, v = (xy[:, 0] - x0) * sx, (xy[:, 1] - y0) * sx, (uv[:, 0] - u0) * su, (uv[:, 1] - v0) * su
+    k = np.zeros((2 * len(x), 8))  # eq. 3
+    k[0::2, 0] = k[1::2, 3] = x
+    k[0::2, 1] = k[1::2, 4] = y
+    k[0::2, 2] = k[1::2, 5] = 1.0
+    k[0::2, 6], k[0::2, 7], k[1::2, 6], k[1::2, 7] = -x * u, -y * u, -x * v, -y * v
+    big_u = np.stack([u, v], axis=1).reshape(-1)  # eq. 2
     m = np.linalg.solve(k.T @ k, k.T @ big_u)  # eq. 4
-    h = np.linalg.inv(to_b) @ np.append(m, 1.0).reshape(3, 3) @ to_a
+    to_xy = np.array([[sx, 0, -sx * x0], [0, sx, -sx * y0], [0, 0, 1.0]])
+    from_uv = np.array([[1 / su, 0, u0], [0, 1 / su, v0], [0, 0, 1.0]])
+    h = from_uv @ np.append(m, 1.0).reshape(3, 3) @ to_xy
     return np.asarray(h / h[2, 2])
 
 
@@ -36,7 +40,7 @@ def consistent(xy: Array, uv: Array, threshold_px: float) -> Bools:
     everything = np.ones(len(xy), bool)
     if len(xy) < _MIN_POINTS:
         return everything
-    h, mask = cv2.findHomography(xy, uv, cv2.RANSAC, threshold_px)
+    h, mask = cv2.findHomography(xy, uv, cv2.USAC_FAST, threshold_px)
     if h is None or np.count_nonzero(mask) < _MIN_POINTS:
         return everything
     kept = mask.reshape(-1) > 0
@@ -48,12 +52,12 @@ def consistent(xy: Array, uv: Array, threshold_px: float) -> Bools:
 
 def residual_px(h: Array, xy: Array, uv: Array) -> Array:
     """(N,) distance of uv from H xy (eq. 1)."""
-    p = np.column_stack([xy, np.ones(len(xy))]) @ h.T
-    return np.asarray(np.hypot(*(p[:, :2] / p[:, 2:] - uv).T))
+    p = xy @ h[:, :2].T + h[:, 2]
+    return np.asarray(np.hypot(p[:, 0] / p[:, 2] - uv[:, 0], p[:, 1] / p[:, 2] - uv[:, 1]))
 
 
-def _normaliser(p: Array) -> Array:
-    """Similarity that centres points and scales them to a mean distance of sqrt(2) (Hartley 1997)."""
-    centre = p.mean(axis=0)
-    scale = np.sqrt(2.0) / max(float(np.mean(np.hypot(*(p - centre).T))), 1e-12)
-    return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1.0]])
+def _normaliser(p: Array) -> tuple[float, float, float]:
+    """Scale to a mean distance of sqrt(2) from the centre, and that centre (Hartley 1997)."""
+    x, y = p.mean(axis=0).tolist()
+    spread = float(np.mean(np.hypot(p[:, 0] - x, p[:, 1] - y)))
+    return math.sqrt(2.0) / max(spread, 1e-12), x, y

@@ -3,43 +3,61 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.config import Features
+from ceilvo.daemon import kernel, kernel_numpy
 from ceilvo.daemon.tilt import TiltPrior
 from ceilvo.types import Array, Ints
+
+Array32 = NDArray[np.float32]
 
 _LAST_GATE_PX = (0.8, 2.0)
 _LAST_GATE_SIGMAS = 3.0
 _CORRELATED_POINTS = 27.0
 _SIGMA_FLOOR_PX = 0.02
 _TILT_CHI2 = 9.21
-_APART_PX = 1e6
+_SPREAD_STRIDE = 3
 _DOUBT_RAD = np.radians(0.3)
 _HELD_RAD = np.radians(0.02)
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """Edge points whose gradient is along one axis, with one polarity: x, y (P,) px."""
+class Points:
+    """Edge points as rays (x, y, 1), (P,) each, none further than `reach` from the centre.
 
-    x: Array
-    y: Array
+    `ends` bounds the four groups (see kernel_numpy).
+    """
 
-    def along(self, angle: float) -> Array:
-        return np.asarray(np.cos(angle) * self.x + np.sin(angle) * self.y)
+    x: Array32
+    y: Array32
+    ends: kernel_numpy.Ends
+    reach: float
+
+    def stride_to(self, enough: int) -> int:
+        """Every how many-th point makes about so many."""
+        return max(len(self.x) // enough, 1)
+
+    def thinned(self, stride: int) -> Points:
+        """Every stride-th point of each group."""
+        at = [slice(a, b, stride) for a, b in pairwise(self.ends)]
+        x, y = ([v[s] for s in at] for v in (self.x, self.y))
+        a, b, c, d, e = np.cumsum([0, *(len(v) for v in x)]).tolist()
+        return Points(np.concatenate(x), np.concatenate(y), (a, b, c, d, e), self.reach)
 
 
 class JointFit:
     """Joint least squares: n(psi) . p(tilt) = offset of the point's line.
 
-    Points stand group after group. `line` is a point's line, or the number of lines for "none".
+    `line` is a point's line; `rho` and `tangent` are its coordinates across and along it, as rays of a level robot.
     """
 
     def __init__(
         self,
-        groups: list[Group],
+        points: Points,
         psi: float,
         starts: list[Array],
         focal_px: float,
@@ -51,9 +69,7 @@ class JointFit:
         self.tilt = tilt_rad
         self._focal, self._config = focal_px, config
         self.correlated = 1.0 + _CORRELATED_POINTS * share  # neighbours on a line share their error
-        self._seen_x = np.concatenate([g.x for g in groups]) / focal_px
-        self._seen_y = np.concatenate([g.y for g in groups]) / focal_px
-        self._ends = np.cumsum([0, *(len(g.x) for g in groups)])
+        self._x, self._y, self.ends = points.x, points.y, points.ends
         self.restart(starts)
         self.covariance = np.eye(3)
         self.noise_px = 1.0
@@ -63,52 +79,43 @@ class JointFit:
     def axis(self) -> Ints:
         return np.asarray(self.line_group // 2, np.int64)
 
-    @property
     def uv(self) -> Array:
         """(P, 2) px of the remaining points as a level robot would see them."""
-        x, y = self._level()
-        return np.column_stack([x, y]) * self._focal
+        half, c, s = self.ends[2], np.float32(np.cos(self.psi)), np.float32(np.sin(self.psi))
+        first, second = self.rho.copy(), self.tangent.copy()
+        first[half:], second[half:] = -self.tangent[half:], self.rho[half:]
+        return np.column_stack([c * first - s * second, s * first + c * second]) * np.float32(self._focal)
+
+    def extents(self) -> tuple[Array, Array]:
+        """Where the points of every line (L,) begin and end along it, px."""
+        low, high = kernel.extents(self.tangent, self.line, len(self.offset))
+        return low * self._focal, high * self._focal
 
     def _place(self) -> None:
-        """Turn the seen rays back by the robot's tilt; rho is along a point's normal, tangent along its line."""
-        x, y = self._level()
-        c, s = np.cos(self.psi), np.sin(self.psi)
-        half = self._ends[2]
-        self.rho, self._tangent = c * x + s * y, c * y - s * x
-        swap = self.rho[half:].copy()
-        self.rho[half:] = self._tangent[half:]
-        self._tangent[half:] = -swap
-
-    def _level(self) -> tuple[Array, Array]:
-        a, b = self.tilt
-        x, y = self._seen_x, self._seen_y
-        scale = 1.0 / (1.0 + a * y - b * x)
-        return (x + b) * scale, (y - a) * scale
+        """Turn the seen rays back by the robot's tilt."""
+        self.rho, self.tangent = kernel.project(self._x, self._y, self.ends[2], self.psi, self.tilt)
 
     def assign(self, gate_px: float) -> None:
         """Give every point the nearest line of its axis and polarity within the gate; drop points of no line."""
-        rho_px = self.rho * self._focal
-        key = rho_px + np.repeat(_APART_PX * np.arange(4.0), np.diff(self._ends))
-        line_key = self.offset + _APART_PX * self.line_group
-        order = np.argsort(line_key, kind="stable")
-        sorted_key = line_key[order]
-        nearest = np.searchsorted(0.5 * (sorted_key[1:] + sorted_key[:-1]), key)
-        keep = np.flatnonzero(np.abs(key - sorted_key[nearest]) < gate_px)
-        self.line = order[nearest[keep]]
-        counts = np.bincount(self.line_group[self.line], minlength=4)
-        self._ends = np.concatenate([[0], np.cumsum(counts)])
-        self._seen_x, self._seen_y = self._seen_x[keep], self._seen_y[keep]
-        self.rho, self._tangent = self.rho[keep], self._tangent[keep]
+        order = np.lexsort((self.offset, self.line_group))
+        counts = np.bincount(self.line_group, minlength=4)
+        self._x, self._y, self.rho, self.tangent, line, self.ends = kernel.assign(
+            self._x,
+            self._y,
+            self.rho,
+            self.tangent,
+            self.ends,
+            self.offset[order] / self._focal,
+            counts,
+            gate_px / self._focal,
+        )
+        self.line = order.astype(np.int32)[line]
 
     def restart(self, starts: list[Array]) -> None:
         """Lines to fit, by their offsets in each group."""
         self.offset = np.concatenate(starts)
         self.line_group = np.repeat(np.arange(4), [len(s) for s in starts])
         self.support = np.zeros(len(self.offset), np.int64)
-
-    def rho_by_group(self) -> list[Array]:
-        """Coordinates along the normal, px, of all points, group by group."""
-        return [self.rho[self._ends[g] : self._ends[g + 1]] * self._focal for g in range(4)]
 
     def doubts(self, expected_rad: Array, prior: TiltPrior | None) -> bool:
         """Whether the tilt found is far from what was expected: then a false optimum is possible."""
@@ -118,14 +125,14 @@ class JointFit:
 
     def start(self, line_of_point: Ints, expected_offset: Array) -> None:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
-        self.line = line_of_point
+        self.line = line_of_point.astype(np.int32)
         self.offset = expected_offset
         self._place()
 
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
-        spread = np.abs(self.rho * self._focal - self.offset[self.line])
-        sigma = 1.4826 * float(np.median(spread)) if len(spread) else 0.0
+        spread = np.abs(self.rho[::_SPREAD_STRIDE] * self._focal - self.offset[self.line[::_SPREAD_STRIDE]])
+        sigma = 1.4826 * kernel_numpy.median(spread)
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
     def solve(self, tilt: bool = True) -> None:
@@ -135,12 +142,10 @@ class JointFit:
             tilt: False holds the tilt where it is.
         """
         n = len(self.offset)
-        self.support = np.bincount(self.line, minlength=n)
-        count = np.maximum(self.support, 1)
-        rows = np.stack([self.rho, self._tangent, *self._tilt_rows()])
-        means = np.stack([np.bincount(self.line, row, n) for row in rows]) / count
+        self.support, total, product = kernel.sums(self.rho, self.tangent, self.line, self.ends[2], n)
+        means = total / np.maximum(self.support, 1)[:, None]
         # sums of products about every line's own mean
-        scatter = (rows @ rows.T - (means * count) @ means.T) * self._focal**2
+        scatter = (product - total.T @ means) * self._focal**2
         scatter_r, r_jac, info_jac = scatter[0, 0], scatter[0, 1:], scatter[1:, 1:]
         mean_square = scatter_r / max(len(self.line), 1)
         self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
@@ -185,20 +190,13 @@ class JointFit:
 
     def _settle(self) -> None:
         """Offsets as the means of their points."""
-        n = len(self.offset)
-        mean_rho = np.bincount(self.line, self.rho, n) / np.maximum(self.support, 1)
-        self.offset = np.where(self.support > 0, mean_rho * self._focal, self.offset)
+        mean = kernel.means(self.rho, self.line, len(self.offset)) * self._focal
+        self.offset = np.where(self.support > 0, mean, self.offset)
 
     def _tilt_from_axes(self) -> Array:
         """(2, 2): tilt about base x and y from tilt about the two line normals."""
         c, s = np.cos(self.psi), np.sin(self.psi)
         return np.array([[c, -s], [s, c]])
-
-    def _tilt_rows(self) -> tuple[Array, Array]:
-        """d rho / d tilt about the normal of axis 0 and of axis 1; a ray r seen by a tilted robot moves by -w x r."""
-        rho, tangent, half = self.rho, self._tangent, self._ends[2]
-        across, own = rho * tangent, 1.0 + rho * rho
-        return np.concatenate([-across[:half], -own[half:]]), np.concatenate([own[:half], -across[half:]])
 
     def finish(self) -> TiltPrior:
         """The last round; returns the tilt of this frame alone."""

@@ -10,37 +10,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Features
+from ceilvo.daemon import kernel
 from ceilvo.daemon.edges import Edges
 from ceilvo.daemon.grooves import EdgeSet, fold, join_grooves
-from ceilvo.daemon.line_fit import Group, JointFit
+from ceilvo.daemon.line_fit import JointFit, Points
 from ceilvo.daemon.tilt import NO_TILT, TiltPrior
 from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
 
 _GATES_PX = (6.0, 3.0)
-_COARSE_STRIDE = 3
 _FINE_BIN_PX = 1.0
 _FINE_GATE_PX = 2.0
 _NO_WORSE = 0.95
 _VAGUE_RAD = np.radians(0.025)
 _DIRECTION_REACH_DEG = 4.0
-_ANGLE_STRIDE = 3
 _FEWEST_VOTES = 8.0
+_TILT_GROWS = 1.2
+_ENOUGH_TO_START = 4000
 
 
 def dominant_direction(phi_deg: Array32) -> float | None:
     """Direction in [-pi/4, pi/4) that most gradients share modulo 90 deg, or None without points."""
     if len(phi_deg) == 0:
         return None
-    folded = np.mod(phi_deg, np.float32(90.0))
-    votes = np.bincount(folded.astype(np.int32), minlength=91)
-    votes[0] += votes[90]  # float32 rounding may reach 90 itself
-    votes = votes[:90]
+    folded = _modulo_90(phi_deg[:: 1 + len(phi_deg) // _ENOUGH_TO_START])
+    votes = np.bincount(np.clip(folded.astype(np.int32), 0, 89), minlength=90)  # rounding may reach 90, or fall below 0
     peak = float(np.argmax(votes + np.roll(votes, 1) + np.roll(votes, -1))) + 0.5
-    off = np.mod(folded - np.float32(peak - 45.0), np.float32(90.0)) - 45.0
+    off = _modulo_90(folded - np.float32(peak - 45.0)) - np.float32(45.0)
     near = off[np.abs(off) < _DIRECTION_REACH_DEG]
     return fold(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))
+
+
+def _modulo_90(degrees: Array32) -> Array32:
+    return degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0))
 
 
 def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None) -> Lines | None:
@@ -61,25 +64,33 @@ def detect(
     psi = dominant_direction(edges.phi_deg)
     if psi is None:
         return None
-    groups = _split(edges, psi, config.direction_gate_deg)
-    psi, starts = _hough(groups, psi, config, edges.share)
+    x, y, ends = kernel.split(
+        edges.uv_px, edges.phi_deg, float(np.degrees(psi)), config.direction_gate_deg, 1.0 / focal_px
+    )
+    points = Points(x, y, ends, _reach(x, y))
+    psi, starts = _hough(points, psi, config, edges.share, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
-    fit = _fitted(groups, psi, starts, config, focal_px, edges.share, np.zeros(2))
+    fit = _fitted(points, psi, starts, config, focal_px, edges.share, np.zeros(2))
     free = fit.finish()
     if config.estimate_tilt:
         expected = np.zeros(2) if prior is None else prior.mean_rad
         vague = float(np.max(free.sigma_rad)) > _VAGUE_RAD
         if vague or fit.doubts(expected, prior):
-            level = _fitted(groups, psi, starts, config, focal_px, edges.share, expected, tilt=False)
+            level = _fitted(points, psi, starts, config, focal_px, edges.share, expected, tilt=False)
             fit, free = _held(level, prior) if vague else _better(fit, free, level)
         if prior is not None:
             fit.lean_on(prior)
     return join_grooves(fit, config, edges.share, free)
 
 
+def _reach(x: Array32, y: Array32) -> float:
+    """No point is further from the centre."""
+    return float(np.hypot(*(max(v.max(initial=0.0), -v.min(initial=0.0)) for v in (x, y))))
+
+
 def _fitted(
-    groups: list[Group],
+    points: Points,
     psi: float,
     starts: list[Array],
     config: Features,
@@ -89,14 +100,15 @@ def _fitted(
     tilt: bool = True,
 ) -> JointFit:
     """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: those are sharper."""
-    few = [Group(g.x[::_COARSE_STRIDE], g.y[::_COARSE_STRIDE]) for g in groups]
-    coarse = JointFit(few, psi, starts, focal_px, config, share / _COARSE_STRIDE, tilt_rad)
+    stride = points.stride_to(_ENOUGH_TO_START)
+    coarse = JointFit(points.thinned(stride), psi, starts, focal_px, config, share / stride, tilt_rad)
     for gate_px in _GATES_PX:
         coarse.assign(gate_px)
         coarse.solve(tilt)
     need = max(config.min_line_points * share, _FEWEST_VOTES)
-    fine = JointFit(groups, coarse.psi, starts, focal_px, config, share, coarse.tilt)
-    fine.restart([_peaks(_votes(rho, _FINE_BIN_PX), need, config, _FINE_BIN_PX) for rho in fine.rho_by_group()])
+    fine = JointFit(points, coarse.psi, starts, focal_px, config, share, coarse.tilt)
+    again = Points(fine.rho, fine.tangent, points.ends, _TILT_GROWS * points.reach)
+    fine.restart(_peaks(_votes(again, (0.0, 0.0), focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
     fine.assign(_FINE_GATE_PX)
     fine.solve(tilt)
     return fine
@@ -114,48 +126,40 @@ def _better(fit: JointFit, free: TiltPrior, level: JointFit) -> tuple[JointFit, 
     return (level, seen) if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
 
 
-def _split(edges: Edges, psi: float, gate_deg: float) -> list[Group]:
-    """Four groups: axis 0 falling, axis 0 rising, axis 1 falling, axis 1 rising along the normal."""
-    turns = (edges.phi_deg - np.float32(np.degrees(psi))) * np.float32(1 / 90.0)
-    nearest = np.rint(turns)
-    quarter = np.where(np.abs(turns - nearest) < gate_deg / 90.0, nearest.astype(np.int8) & 3, 4)
-    members = (edges.uv_px[quarter == q].astype(np.float64) for q in (2, 0, 3, 1))
-    return [Group(np.ascontiguousarray(uv[:, 0]), np.ascontiguousarray(uv[:, 1])) for uv in members]
-
-
-def _hough(groups: list[Group], psi: float, config: Features, share: float) -> tuple[float, list[Array]]:
+def _hough(points: Points, psi: float, config: Features, share: float, focal_px: float) -> tuple[float, list[Array]]:
     """The direction with the sharpest votes and, for each group, line offsets."""
     reach, bin_px = np.radians(config.hough_angle_deg), config.hough_bin_px
-    few = [Group(g.x[::_ANGLE_STRIDE], g.y[::_ANGLE_STRIDE]) for g in groups]
-    angles = psi + np.linspace(-reach, reach, 5)
-    sharpness = [sum(float(np.sum(v[:, 1] ** 2)) for v in _all_votes(few, angle, bin_px)) for angle in angles]
-    best = float(angles[int(np.argmax(sharpness))])
+    angles = (psi + np.linspace(-reach, reach, 5)).tolist()
+    stride = points.stride_to(_ENOUGH_TO_START)
+    few = (_votes(points, (a, a + 0.5 * np.pi), focal_px, bin_px, stride) for a in angles)
+    best = angles[int(np.argmax([np.vdot(v, v) for v in few]))]
     need = max(config.min_line_points * share, _FEWEST_VOTES)
-    return best, [_peaks(v, need, config, bin_px) for v in _all_votes(groups, best, bin_px)]
+    votes = _votes(points, (best, best + 0.5 * np.pi), focal_px, bin_px)
+    return best, _peaks(votes, need, config, bin_px)
 
 
-def _all_votes(groups: list[Group], angle: float, bin_px: float) -> list[Array]:
-    return [_votes(g.along(angle + 0.5 * np.pi * (k // 2)), bin_px) for k, g in enumerate(groups)]
+def _votes(
+    points: Points, angles_rad: tuple[float, float], focal_px: float, bin_px: float, stride: int = 1
+) -> NDArray[np.int64]:
+    """(4, B) votes of each group, for bins to either side of offset 0."""
+    half = int(points.reach * focal_px / bin_px) + 3
+    return kernel.vote(points.x, points.y, points.ends, angles_rad, focal_px / bin_px, half, stride)
 
 
-def _votes(rho: Array, bin_px: float) -> Array:
-    """(B, 2) offset and votes of every bin between the first and the last used one."""
-    if len(rho) == 0:
-        return np.zeros((0, 2))
-    cell = np.floor(rho / bin_px).astype(np.int64)
-    first = int(cell.min())
-    count = np.bincount(cell - first)
-    return np.column_stack([(np.arange(len(count)) + first + 0.5) * bin_px, count])
+def _peaks(votes: NDArray[np.int64], need: float, config: Features, bin_px: float) -> list[Array]:
+    """For each group, rising offsets of its strongest `max_lines` local maxima of three neighbouring bins."""
+    three = np.zeros_like(votes)
+    three[:, 1:-1] = votes[:, :-2] + votes[:, 1:-1] + votes[:, 2:]
+    inner = three[:, 1:-1]
+    group, at = np.nonzero((inner >= need) & (inner > three[:, :-2]) & (inner >= three[:, 2:]))
+    at = at + 1
+    strength = three[group, at]
+    moment = (votes[group, at + 1] - votes[group, at - 1]) / strength
+    offset = (at - votes.shape[1] // 2 + 0.5 + moment) * bin_px
+    return [_strongest(offset[group == g], strength[group == g], config.max_lines) for g in range(len(votes))]
 
 
-def _peaks(votes: Array, need: float, config: Features, bin_px: float) -> Array:
-    """Offsets of local maxima of three neighbouring bins, strongest `max_lines`, sorted."""
-    if len(votes) == 0:
-        return np.zeros(0)
-    count = np.concatenate([[0.0], votes[:, 1], [0.0]])
-    three = count[:-2] + count[1:-1] + count[2:]
-    left, right = np.concatenate([[0.0], three[:-1]]), np.concatenate([three[1:], [0.0]])
-    at = np.flatnonzero((three >= need) & (three > left) & (three >= right))
-    at = np.sort(at[np.argsort(-three[at], kind="stable")[: config.max_lines]])
-    moment = (count[2:][at] - count[:-2][at]) / three[at]
-    return np.asarray(votes[at, 0] + moment * bin_px)
+def _strongest(offset: Array, strength: NDArray[np.int64], most: int) -> Array:
+    if len(offset) <= most:
+        return offset
+    return np.asarray(offset[np.sort(np.argsort(-strength, kind="stable")[:most])])

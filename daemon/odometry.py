@@ -7,6 +7,7 @@ grows with the gap, so one bad frame costs nothing but covariance.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.homography import consistent
+from ceilvo.daemon.kernel_numpy import median
 from ceilvo.daemon.matching import mutual_nearest
 from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion, shift_at
 from ceilvo.kinds import quarter_turns, turn_kind
@@ -177,8 +179,9 @@ class VisualOdometry:
 
 def _own_sigma_m(crossings: Crossings, which: Ints) -> float:
     """Median standard deviation of some crossings, without the part that all of a frame share."""
-    own = crossings.cov_base_m2[which] - crossings.common_cov_m2
-    return float(np.sqrt(0.5 * np.median(np.trace(own, axis1=1, axis2=2))))
+    cov, common = crossings.cov_base_m2, crossings.common_cov_m2
+    own = cov[which, 0, 0] + cov[which, 1, 1] - (common[0, 0] + common[1, 1])
+    return math.sqrt(max(0.5 * median(own), 0.0))
 
 
 def _direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.kernel_numpy import median
 from ceilvo.se2 import rotation, transform
 
 Array = NDArray[np.float64]
@@ -88,7 +89,7 @@ def _refined(
         used = keep
         fit = rigid_motion(a[used], b[used])
     residual = b[used] - transform(fit, a[used])
-    if np.median(np.hypot(residual[:, 0], residual[:, 1])) > max_m:
+    if median(np.hypot(residual[:, 0], residual[:, 1])) > max_m:
         return None
     dof = max(2 * len(residual) - 3, 1)
     variance = float(np.sum(residual**2)) / dof
@@ -114,13 +115,15 @@ def _gate(eta: Array, sigmas: float, max_m: float, sigma_m: float) -> float:
 
     While many outliers still pull the fit, the second rule lets the half that agrees best take it over.
     """
-    median = float(np.median(eta))
-    return max(min(max_m, sigmas * max(1.4826 * median, sigma_m)), _HALF * median)
+    middle = median(eta)
+    return max(min(max_m, sigmas * max(1.4826 * middle, sigma_m)), _HALF * middle)
 
 
 def _covariance(a: Array, fit: Array, variance: float) -> Array:
     turned = a @ rotation(float(fit[2])).T
-    jac = np.zeros((2 * len(a), 3))
-    jac[0::2, 0] = jac[1::2, 1] = 1.0
-    jac[0::2, 2], jac[1::2, 2] = -turned[:, 1], turned[:, 0]
-    return np.asarray(variance * np.linalg.pinv(jac.T @ jac))
+    n, sx, sy = float(len(a)), *turned.sum(axis=0).tolist()
+    info = np.array([[n, 0.0, -sy], [0.0, n, sx], [-sy, sx, float(np.vdot(turned, turned))]])
+    try:
+        return np.asarray(variance * np.linalg.inv(info))
+    except np.linalg.LinAlgError:  # all points in one place: any rotation fits
+        return np.asarray(variance * np.linalg.pinv(info))

@@ -1,0 +1,14 @@
+"""The loops over single edge points: compiled where a compiler was there when ceilvo was installed, else in NumPy."""
+
+from __future__ import annotations
+
+try:
+    from ceilvo.daemon.kernel_compiled import assign, extents, hits, level_points, means, project, split, sums, vote
+
+    COMPILED = True
+except ImportError:
+    from ceilvo.daemon.kernel_numpy import assign, extents, hits, level_points, means, project, split, sums, vote
+
+    COMPILED = False
+
+__all__ = ["COMPILED", "assign", "extents", "hits", "level_points", "means", "project", "split", "sums", "vote"]
