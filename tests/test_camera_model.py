@@ -101,24 +101,19 @@ def test_a_ray_at_the_horizon_has_no_level_pixel() -> None:
     assert np.isfinite(view.from_raw(c.pixels(rays))).all(axis=1).tolist() == [False, False, True]
 
 
+@pytest.mark.parametrize("step_px", [1, 2, 7])
 @pytest.mark.parametrize("c", [CAMERAS[2], CAMERAS[-1]], ids=lambda c: c.kind)
-def test_the_lookup_is_the_level_view_with_its_jacobian(c: CameraModel) -> None:
+def test_the_lookup_is_the_level_view_and_reaches_every_pixel(c: CameraModel, step_px: int) -> None:
     view = LevelView(c, mount_rotation(0.1, 0.1, -0.05).T, 400.0)
-    level, jac = view.lookup(55.0)
-    assert level.shape == (480, 640, 2)
-    assert jac.shape == (480, 640, 4)
+    level = view.lookup(55.0, step_px)
+    rows, columns = level.shape[:2]
+    assert 0 <= (columns - 1) * step_px - 639 < step_px
+    assert 0 <= (rows - 1) * step_px - 479 < step_px
     rng = np.random.default_rng(3)
-    x, y = rng.integers(2, 638, 400), rng.integers(2, 478, 400)
-    uv = view.from_raw(np.column_stack([x, y]).astype(float))
-    rel = uv - [c.cx_px, c.cy_px]
+    x, y = rng.integers(0, columns, 400), rng.integers(0, rows, 400)
+    rel = view.from_raw(step_px * np.column_stack([x, y]).astype(float)) - [c.cx_px, c.cy_px]
     angle = np.degrees(np.arctan(np.hypot(*rel.T) / 400.0))
     seen = np.isfinite(level[y, x]).all(axis=1)
     clear = np.abs(angle - 55.0) > 0.5
     np.testing.assert_array_equal(seen[clear], (angle < 55.0)[clear])
     np.testing.assert_allclose(level[y, x][seen], rel[seen], rtol=1e-5, atol=1e-3)
-    h = 0.5
-    dx = (view.from_raw(np.column_stack([x + h, y])) - view.from_raw(np.column_stack([x - h, y]))) / (2 * h)
-    dy = (view.from_raw(np.column_stack([x, y + h])) - view.from_raw(np.column_stack([x, y - h]))) / (2 * h)
-    expected = np.column_stack([dx[:, 0], dy[:, 0], dx[:, 1], dy[:, 1]])
-    np.testing.assert_allclose(jac[y, x][seen], expected[seen], rtol=0.02, atol=0.02)
-    assert not np.any(jac[y, x][~seen])

@@ -32,15 +32,19 @@ step "wheel and its dependencies"
 rm -rf "$share" "$OUT" "$work/src"
 mkdir -p "$share/kit" "$OUT" "$work/src"
 # A copy, because setuptools would pack what an earlier build left in build/.
-for f in pyproject.toml README.md LICENSE ceilvo daemon drivers calib sim bench; do
+for f in pyproject.toml setup.py README.md LICENSE ceilvo daemon drivers calib sim bench; do
   if [ -e "$f" ]; then cp -r "$f" "$work/src/"; fi
 done
+rm -f "$work"/src/daemon/*.so
+guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
+# A wheel with the compiled kernel fits one Python only; for another one the kernel is left out.
+host_python=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
+if [ "$host_python" != "$guest_python" ]; then rm -f "$work/src/setup.py"; fi
 pip=("$python" -m pip --quiet --disable-pip-version-check)
 "${pip[@]}" wheel --no-deps --wheel-dir "$share/kit" "$work/src"
 cp -r systemd constraints.txt "$share/kit/"
 mkdir -p "$share/kit/docs"
 if [ -f docs/service.md ]; then cp docs/service.md "$share/kit/docs/"; fi
-guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
 key=$({ sed -n '/^dependencies/,/^]/p' pyproject.toml; cat constraints.txt; echo "$guest_python"; } | sha256sum | cut -c1-16)
 wheels=$CACHE/wheels
 if [ "$(cat "$wheels/key" 2>/dev/null)" != "$key" ]; then

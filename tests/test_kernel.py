@@ -1,0 +1,203 @@
+"""The loops over edge points: the compiled kernel does what NumPy's does, and both what geometry says."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo.calibration import mount_rotation
+from ceilvo.camera import CameraModel, LevelView
+from ceilvo.daemon import kernel, kernel_numpy
+
+compiled = pytest.importorskip("ceilvo.daemon.kernel_compiled", reason="ceilvo was installed without a compiler")
+BOTH = pytest.mark.parametrize("k", [kernel_numpy, compiled], ids=["numpy", "compiled"])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def scene(seed: int, n: int = 500) -> tuple[Any, ...]:
+    """Random points in four groups, with a line each."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-0.7, 0.7, (2, n)).astype(np.float32)
+    a, b, c = np.sort(rng.integers(0, n + 1, 3)).tolist()
+    return rng, x, y, (0, a, b, c, n)
+
+
+def test_the_compiled_one_is_used_where_it_is_there() -> None:
+    assert kernel.COMPILED
+    assert kernel.sums is compiled.sums
+
+
+def test_without_it_numpy_takes_over() -> None:
+    code = (
+        "import sys; sys.modules['ceilvo.daemon._kernel'] = None\n"
+        "from ceilvo.daemon import kernel, kernel_numpy\n"
+        "assert not kernel.COMPILED and kernel.sums is kernel_numpy.sums"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ))
+    assert done.returncode == 0, done.stderr
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_points_are_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    h, w = int(rng.integers(3, 40)), int(rng.integers(3, 60))
+    mask = np.where(rng.random((h, w)) < 0.3, 255, 0).astype(np.uint8)
+    dx, dy = rng.integers(-900, 900, (2, h, w)).astype(np.int16)
+    lookup = rng.normal(0, 300, ((h - 1) // 2 + 2, (w - 1) // 2 + 2, 2)).astype(np.float32)
+    rank = rng.integers(0, 65535, h * w).astype(np.uint16)
+    limit = 65535 if seed % 2 else 30000
+    uv, phi = kernel_numpy.level_points(mask, dx, dy, lookup, rank, limit)
+    uv_c, phi_c = compiled.level_points(mask, dx, dy, lookup, rank, limit)
+    np.testing.assert_allclose(uv_c, uv, rtol=1e-4, atol=5e-3)
+    assert np.all(np.abs((phi_c - phi + 180.0) % 360.0 - 180.0) < 0.05)
+    assert np.all((phi_c >= 0) & (phi_c < 360))
+
+
+@BOTH
+def test_an_edge_is_placed_to_sub_pixel_in_the_level_view(k: ModuleType) -> None:
+    camera = CameraModel("pinhole", 64, 48, 60.0, 60.0, 31.0, 24.0, (-0.1, 0.02, 0.0, 0.0))
+    view = LevelView(camera, mount_rotation(0.3, 0.05, -0.08).T, 55.0)
+    lookup = view.lookup(80.0, kernel_numpy.LOOKUP_STEP_PX)
+    at = 20.3  # a step between two columns, as a parabola of the gradient
+    x = np.arange(64)
+    dx = np.tile(np.maximum(4000.0 - 900.0 * (x - at) ** 2, 0.0), (48, 1)).astype(np.int16)
+    mask = np.zeros((48, 64), np.uint8)
+    mask[:, 20] = 255
+    uv, phi = k.level_points(mask, dx, np.zeros_like(dx), lookup, np.zeros(48 * 64, np.uint16), 65535)
+    rows = np.arange(1, 47)
+    centre = [camera.cx_px, camera.cy_px]
+    true = view.from_raw(np.column_stack([np.full(46, at), rows]).astype(float)) - centre
+    along = view.from_raw(np.column_stack([np.full(46, at), rows + 0.01]).astype(float)) - centre - true
+    np.testing.assert_allclose(uv, true, atol=0.03)
+    # the gradient stands square on the edge, whatever the lens does to it, and points to the brighter side
+    edge_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0]))
+    off = (phi - edge_deg + 90.0 + 180.0) % 360.0 - 180.0
+    assert np.all(np.abs(off) < 0.5)
+
+
+@given(SEEDS, st.floats(-45.0, 44.9), st.floats(1.0, 20.0))
+@settings(max_examples=30, deadline=None)
+def test_split_is_the_same(seed: int, psi: float, gate: float) -> None:
+    rng = np.random.default_rng(seed)
+    uv, phi = rng.normal(0, 200, (300, 2)).astype(np.float32), rng.uniform(0, 360, 300).astype(np.float32)
+    x, y, ends = kernel_numpy.split(uv, phi, psi, gate, 1 / 400)
+    x_c, y_c, ends_c = compiled.split(uv, phi, psi, gate, 1 / 400)
+    assert abs(ends[4] - ends_c[4]) <= 1  # a point on the gate itself
+    if ends == ends_c:
+        np.testing.assert_array_equal(x_c, x)
+        np.testing.assert_array_equal(y_c, y)
+
+
+@given(SEEDS, st.floats(-1.0, 1.0), st.integers(1, 5))
+@settings(max_examples=30, deadline=None)
+def test_votes_are_the_same(seed: int, angle: float, stride: int) -> None:
+    _, x, y, ends = scene(seed)
+    votes = kernel_numpy.vote(x, y, ends, (angle, angle + 1.5), 200.0, 150, stride)
+    votes_c = compiled.vote(x, y, ends, (angle, angle + 1.5), 200.0, 150, stride)
+    assert votes.sum() == votes_c.sum()
+    assert np.abs(votes - votes_c).sum() <= 4  # points on a bin's edge
+
+
+@given(SEEDS, st.floats(-0.8, 0.8), st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
+@settings(max_examples=30, deadline=None)
+def test_a_tilted_robots_rays_are_turned_back(seed: int, psi: float, a: float, b: float) -> None:
+    _, x, y, ends = scene(seed)
+    for k in (kernel_numpy, compiled):
+        rho, tangent = k.project(x, y, ends[2], psi, np.array([a, b]))
+        level = np.column_stack([x, y, np.ones(len(x))]) + np.cross(
+            [a, b, 0.0], np.column_stack([x, y, np.ones(len(x))])
+        )
+        level = level[:, :2] / level[:, 2:]
+        first = level @ [np.cos(psi), np.sin(psi)]
+        second = level @ [-np.sin(psi), np.cos(psi)]
+        half = ends[2]
+        np.testing.assert_allclose(rho, np.concatenate([first[:half], second[half:]]), atol=2e-6)
+        np.testing.assert_allclose(tangent, np.concatenate([second[:half], -first[half:]]), atol=2e-6)
+
+
+@given(SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_points_get_the_nearest_line(seed: int) -> None:
+    rng, x, y, ends = scene(seed)
+    counts = rng.integers(0, 6, 4)
+    offset = np.concatenate([np.sort(rng.uniform(-0.7, 0.7, c)) for c in counts] or [np.zeros(0)])
+    rho, tangent = x.copy(), y.copy()
+    for k in (kernel_numpy, compiled):
+        x1, y1, rho1, tangent1, line, ends1 = k.assign(x, y, rho, tangent, ends, offset, counts, 0.1)
+        first = np.concatenate([[0], np.cumsum(counts)])
+        expected = []
+        for g in range(4):
+            mine = offset[first[g] : first[g + 1]]
+            for i in range(ends[g], ends[g + 1]):
+                if len(mine) and np.min(np.abs(rho[i] - mine)) < 0.1:
+                    expected.append((i, first[g] + int(np.argmin(np.abs(rho[i] - mine)))))
+        at = np.array([i for i, _ in expected], np.int64)
+        np.testing.assert_array_equal(line, [m for _, m in expected])
+        for new, old in ((x1, x), (y1, y), (rho1, rho), (tangent1, tangent)):
+            np.testing.assert_array_equal(new, old[at])
+        assert ends1 == (0, *(int(np.searchsorted(at, e)) for e in ends[1:]))
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_sums_means_extents_and_hits_are_the_same(seed: int) -> None:
+    rng, rho, tangent, ends = scene(seed)
+    line = rng.integers(0, 7, len(rho)).astype(np.int32)
+    for a, b in zip(
+        kernel_numpy.sums(rho, tangent, line, ends[2], 8), compiled.sums(rho, tangent, line, ends[2], 8), strict=True
+    ):
+        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(compiled.means(rho, line, 8), kernel_numpy.means(rho, line, 8), rtol=1e-6, atol=1e-7)
+    for a, b in zip(kernel_numpy.extents(tangent, line, 8), compiled.extents(tangent, line, 8), strict=True):
+        np.testing.assert_array_equal(b, a)
+    points = rng.integers(-100, 100, (300, 2)).astype(np.float32)
+    row = rng.integers(-1, 5, 300).astype(np.int32)
+    arguments = (points, row, np.array([1.0, 0.0]), -90.5, 2.0, (5, 80))
+    np.testing.assert_array_equal(compiled.hits(*arguments), kernel_numpy.hits(*arguments))
+
+
+@BOTH
+def test_tilt_columns_are_the_derivatives_of_rho(k: ModuleType) -> None:
+    _, x, y, ends = scene(5)
+    half, h = ends[2], 1e-4
+    line = np.arange(len(x), dtype=np.int32)  # a line each: totals are the rows themselves
+    rho, tangent = k.project(x, y, half, 0.0, np.zeros(2))
+    _, total, _ = k.sums(rho, tangent, line, half, len(x))
+    for axis, column in ((0, 2), (1, 3)):
+        up, down = (k.project(x, y, half, 0.0, np.eye(2)[axis] * d)[0].astype(np.float64) for d in (h, -h))
+        np.testing.assert_allclose(total[:, column], (up - down) / (2 * h), atol=3e-3)
+
+
+def test_wrong_calls_are_refused_and_read_nothing() -> None:
+    raw = pytest.importorskip("ceilvo.daemon._kernel")
+    f, i32 = np.zeros(10, np.float32), np.full(10, 7, np.int32)
+    with pytest.raises(ValueError, match="line 7 of 3"):
+        raw.sums(f, f, i32, 5, np.zeros(3, np.int64), np.zeros((3, 4)), np.zeros((4, 4)))
+    with pytest.raises(ValueError, match="expected at least 10 of 4"):
+        raw.means(f, np.zeros(4, np.int32), np.zeros(3, np.int64), np.zeros(3))
+    with pytest.raises(ValueError, match="do not fit"):
+        raw.assign(f, f, f, f, (0, 2, 4, 6, 99), np.zeros(4), np.ones(4, np.int64), 0.1, i32)
+    with pytest.raises(ValueError, match="narrower"):
+        raw.level_points(
+            np.zeros((8, 8), np.uint8), np.zeros((8, 8), np.int16), np.zeros((8, 8), np.int16),
+            np.zeros((5, 2, 2), np.float32), np.zeros(64, np.uint16), 8, 8, 2, 1, f, f,
+        )  # fmt: skip
+    with pytest.raises((BufferError, ValueError)):
+        raw.project(np.zeros(20, np.float32)[::2], f, 0, 1.0, 0.0, 0.0, 0.0, f.copy(), f.copy())
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
+def test_median_is_one_of_the_middle_values(values: list[float]) -> None:
+    array = np.array(values)
+    ordered = np.sort(array)
+    assert kernel_numpy.median(array) == ordered[len(values) // 2]
+    assert kernel_numpy.median(np.zeros(0)) == 0.0
