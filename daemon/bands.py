@@ -64,6 +64,7 @@ def predicted(edges: EdgeSet, prev_from_curr: Array, calibration: Calibration) -
         edges.offset_px - across,
         edges.start_px - along - _GROW_PX,
         edges.end_px - along + _GROW_PX,
+        edges.noise_px,
     )
 
 

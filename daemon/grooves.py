@@ -26,6 +26,7 @@ class EdgeSet:
         axis, rising: (E,) 0 or 1, and whether brightness rises along the normal.
         offset_px: (E,).
         start_px, end_px: (E,) extent along the edge, counted along the normal turned by +90 deg.
+        noise_px: standard deviation of the points about their edges.
     """
 
     psi_rad: float
@@ -34,6 +35,7 @@ class EdgeSet:
     offset_px: Array
     start_px: Array
     end_px: Array
+    noise_px: float
 
 
 def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior) -> tuple[Lines, EdgeSet] | None:
@@ -90,7 +92,7 @@ def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior)
 def _edge_set(fit: JointFit, order: Ints) -> EdgeSet:
     start, end = fit.extents()
     rising = fit.line_group[order] % 2 == 1
-    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start[order], end[order])
+    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start[order], end[order], fit.noise_px)
 
 
 def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:

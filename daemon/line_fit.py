@@ -23,6 +23,8 @@ _TILT_CHI2 = 9.21
 _SPREAD_STRIDE = 3
 _DOUBT_RAD = np.radians(0.3)
 _HELD_RAD = np.radians(0.02)
+# with few lines tilt rests on what no noise model knows: bloom of lamps, remains of the lens
+_WEAK_RAD = np.radians(0.02)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,12 +169,11 @@ class JointFit:
         self._place()
         self._settle()
 
-    def hold(self, prior: TiltPrior | None) -> None:
-        """The last round with the tilt where it is; how far it may be off is what is known beforehand."""
+    def hold(self) -> None:
+        """The last round with the tilt where it is."""
         self.assign(self.last_gate_px())
         self.solve(tilt=False)
-        sigma = np.full(2, _HELD_RAD) if prior is None else np.maximum(prior.sigma_rad, _HELD_RAD)
-        self.covariance = self.covariance + np.diag([0.0, *(sigma**2)])
+        self.covariance = self.covariance + np.diag([0.0, _HELD_RAD**2, _HELD_RAD**2])
 
     def lean_on(self, prior: TiltPrior) -> None:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""
@@ -202,7 +203,14 @@ class JointFit:
         """The last round; returns the tilt of this frame alone."""
         self.assign(self.last_gate_px())
         self.solve()
+        grow = np.ones(3)
+        grow[1:] += np.diag(self.covariance)[1:] / _WEAK_RAD**2
+        self.covariance = self.covariance * np.outer(grow, grow)
         return TiltPrior(self.tilt, np.sqrt(np.diag(self.covariance)[1:]))
+
+    def cost(self, points: int) -> float:
+        """Squared residuals, px^2, of so many points that were there: those that fit no line count with the gate."""
+        return len(self.line) * self.noise_px**2 + (points - len(self.line)) * _LAST_GATE_PX[0] ** 2
 
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""

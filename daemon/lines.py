@@ -6,6 +6,8 @@ whose unknowns are the common direction, the tilt (roll, pitch) and one offset a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,7 @@ from ceilvo.daemon import kernel
 from ceilvo.daemon.edges import Edges
 from ceilvo.daemon.grooves import EdgeSet, fold, join_grooves
 from ceilvo.daemon.line_fit import JointFit, Points
-from ceilvo.daemon.tilt import NO_TILT, TiltPrior
+from ceilvo.daemon.tilt import TiltPrior
 from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
@@ -23,11 +25,14 @@ _GATES_PX = (6.0, 3.0)
 _FINE_BIN_PX = 1.0
 _FINE_GATE_PX = 2.0
 _NO_WORSE = 0.95
-_VAGUE_RAD = np.radians(0.025)
+_VAGUE_RAD = np.radians(0.05)
+_STEADY_RAD = np.radians(0.1)
 _DIRECTION_REACH_DEG = 4.0
 _FEWEST_VOTES = 8.0
 _TILT_GROWS = 1.2
 _ENOUGH_TO_START = 4000
+_LEVEL = np.zeros(2)
+_AS_CLEAN = 1.15
 
 
 def dominant_direction(phi_deg: Array32) -> float | None:
@@ -46,6 +51,54 @@ def _modulo_90(degrees: Array32) -> Array32:
     return degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0))
 
 
+@dataclass(frozen=True, slots=True)
+class LastFit:
+    """What the frames before say of the next: (2,) tilt of the last, and how well lines have fitted lately, px."""
+
+    tilt_rad: Array
+    noise_px: float
+
+
+_NOTHING = LastFit(_LEVEL, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Points of one frame and where their lines begin."""
+
+    points: Points
+    psi: float
+    starts: list[Array]
+    config: Features
+    focal_px: float
+    share: float
+
+    def begun(self, tilt_rad: Array, tilt: bool = True) -> JointFit:
+        """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: sharper ones."""
+        points, config, share = self.points, self.config, self.share
+        stride = points.stride_to(_ENOUGH_TO_START)
+        few = points.thinned(stride)
+        coarse = JointFit(few, self.psi, self.starts, self.focal_px, config, share / stride, tilt_rad)
+        for gate_px in _GATES_PX:
+            coarse.assign(gate_px)
+            coarse.solve(tilt)
+        need = max(config.min_line_points * share, _FEWEST_VOTES)
+        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, share, coarse.tilt)
+        again = Points(fine.rho, fine.tangent, points.ends, _TILT_GROWS * points.reach)
+        fine.restart(_peaks(_votes(again, (0.0, 0.0), self.focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
+        fine.assign(_FINE_GATE_PX)
+        fine.solve(tilt)
+        return fine
+
+    def solved(self, tilt_rad: Array) -> _Found:
+        """The fit that begins at a tilt, and the tilt that it says."""
+        fit = self.begun(tilt_rad)
+        return fit, fit.finish()
+
+
+_Found = tuple[JointFit, TiltPrior]
+
+
 def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None) -> Lines | None:
     """Lines of one frame, or None when too few edge points agree on a direction.
 
@@ -58,9 +111,13 @@ def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior
 
 
 def detect(
-    edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None
+    edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None, last: LastFit = _NOTHING
 ) -> tuple[Lines, EdgeSet] | None:
-    """As find_lines, with the edges under the lines."""
+    """As find_lines, with the edges under the lines.
+
+    Args:
+        last: of the frames before; where to begin for a robot that rocks.
+    """
     psi = dominant_direction(edges.phi_deg)
     if psi is None:
         return None
@@ -71,59 +128,48 @@ def detect(
     psi, starts = _hough(points, psi, config, edges.share, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
-    fit = _fitted(points, psi, starts, config, focal_px, edges.share, np.zeros(2))
-    free = fit.finish()
-    if config.estimate_tilt:
-        expected = np.zeros(2) if prior is None else prior.mean_rad
-        vague = float(np.max(free.sigma_rad)) > _VAGUE_RAD
-        if vague or fit.doubts(expected, prior):
-            level = _fitted(points, psi, starts, config, focal_px, edges.share, expected, tilt=False)
-            fit, free = _held(level, prior) if vague else _better(fit, free, level)
-        if prior is not None:
-            fit.lean_on(prior)
+    problem = _Problem(points, psi, starts, config, focal_px, edges.share)
+    if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
+        fit, free = _of_steady(problem, prior)
+    else:
+        fit, free = _of_rocking(problem, last)
+    if prior is not None and config.estimate_tilt:
+        fit.lean_on(prior)
     return join_grooves(fit, config, edges.share, free)
+
+
+def _of_steady(problem: _Problem, prior: TiltPrior | None) -> _Found:
+    """A robot that has not tilted lately, or of which nothing is known yet."""
+    fit, free = problem.solved(_LEVEL)
+    expected = _LEVEL if prior is None else prior.mean_rad
+    if not problem.config.estimate_tilt:
+        return fit, free
+    vague = prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD
+    if not vague and not fit.doubts(expected, prior):
+        return fit, free
+    level = problem.begun(expected, tilt=False)
+    if vague:  # so few lines that any tilt fits: then none is read from them
+        level.hold()
+        return level, free
+    held = level, level.finish()
+    # a fit that began with another tilt must convince clearly more points than one that began where expected
+    return held if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
+
+
+def _of_rocking(problem: _Problem, last: LastFit) -> _Found:
+    """Begin where the last frame was; where that fits worse than lately, false optima are likely: look for a better."""
+    best = problem.solved(last.tilt_rad)
+    if best[0].noise_px < _AS_CLEAN * last.noise_px:
+        return best
+    for tilt_rad in (_LEVEL, None):
+        other = problem.solved(best[0].tilt if tilt_rad is None else tilt_rad)
+        best = min(best, other, key=lambda found: found[0].cost(len(problem.points.x)))
+    return best
 
 
 def _reach(x: Array32, y: Array32) -> float:
     """No point is further from the centre."""
     return float(np.hypot(*(max(v.max(initial=0.0), -v.min(initial=0.0)) for v in (x, y))))
-
-
-def _fitted(
-    points: Points,
-    psi: float,
-    starts: list[Array],
-    config: Features,
-    focal_px: float,
-    share: float,
-    tilt_rad: Array,
-    tilt: bool = True,
-) -> JointFit:
-    """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: those are sharper."""
-    stride = points.stride_to(_ENOUGH_TO_START)
-    coarse = JointFit(points.thinned(stride), psi, starts, focal_px, config, share / stride, tilt_rad)
-    for gate_px in _GATES_PX:
-        coarse.assign(gate_px)
-        coarse.solve(tilt)
-    need = max(config.min_line_points * share, _FEWEST_VOTES)
-    fine = JointFit(points, coarse.psi, starts, focal_px, config, share, coarse.tilt)
-    again = Points(fine.rho, fine.tangent, points.ends, _TILT_GROWS * points.reach)
-    fine.restart(_peaks(_votes(again, (0.0, 0.0), focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
-    fine.assign(_FINE_GATE_PX)
-    fine.solve(tilt)
-    return fine
-
-
-def _held(level: JointFit, prior: TiltPrior | None) -> tuple[JointFit, TiltPrior]:
-    """So few lines that any tilt fits: then none is read from them."""
-    level.hold(prior)
-    return level, NO_TILT
-
-
-def _better(fit: JointFit, free: TiltPrior, level: JointFit) -> tuple[JointFit, TiltPrior]:
-    """A fit that began with another tilt must convince clearly more points than one that began where expected."""
-    seen = level.finish()
-    return (level, seen) if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
 
 
 def _hough(points: Points, psi: float, config: Features, share: float, focal_px: float) -> tuple[float, list[Array]]:

@@ -18,7 +18,7 @@ from ceilvo.config import Odometry
 from ceilvo.daemon.homography import consistent
 from ceilvo.daemon.kernel_numpy import median
 from ceilvo.daemon.matching import mutual_nearest
-from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion, shift_at
+from ceilvo.daemon.rigid import RigidFit, robust_rigid_motion, shift_at, turned_by
 from ceilvo.kinds import quarter_turns, turn_kind
 from ceilvo.types import Crossings, Ints, Motion, WheelMotion
 
@@ -128,7 +128,9 @@ class VisualOdometry:
         if fit is None:
             return None, "too few consistent correspondences"
         failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s) or self._jerk(fit, dt_s)
-        return (None, failure) if failure else (fit, "")
+        if failure:
+            return None, failure
+        return turned_by(fit, seen, before, turn, math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)), ""
 
     def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
         cfg = self._config

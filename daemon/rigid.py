@@ -22,12 +22,13 @@ _CORNER_SIGMA_M = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class RigidFit:
-    """b_from_a (3,), which points were used (N,), their rms residual and the (3, 3) covariance."""
+    """b_from_a (3,), points used (N,), their rms residual, (3, 3) covariance and the variance of one coordinate."""
 
     b_from_a: Array
     used: Bools
     rms_m: float
     cov: Array
+    variance_m2: float
 
 
 def rigid_motion(a: Array, b: Array) -> Array:
@@ -93,9 +94,23 @@ def _refined(
         return None
     dof = max(2 * len(residual) - 3, 1)
     variance = float(np.sum(residual**2)) / dof
-    return RigidFit(
-        fit, used, float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))), _covariance(a[used], fit, variance)
-    )
+    rms = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+    return RigidFit(fit, used, rms, _covariance(a[used], fit, variance), variance)
+
+
+def turned_by(fit: RigidFit, a: Array, b: Array, theta_rad: float, theta_sigma_rad: float) -> RigidFit:
+    """The fit with a rotation that is known better than points tell it: the translation of eq. 12 for that rotation.
+
+    Crossings of lines hold no more of the rotation than the lines' common direction does. What their residuals seem to
+    say of it is noise, or points of another height, and adds up over a drive; errors of the direction do not.
+    """
+    centre = rotation(theta_rad) @ a[fit.used].mean(axis=0)
+    t = b[fit.used].mean(axis=0) - centre  # eq. 12
+    n = max(np.count_nonzero(fit.used), 1)
+    lever = np.array([centre[1], -centre[0], 1.0])
+    cov = theta_sigma_rad**2 * np.outer(lever, lever)
+    cov[[0, 1], [0, 1]] += fit.variance_m2 / n
+    return RigidFit(np.array([t[0], t[1], theta_rad]), fit.used, fit.rms_m, cov, fit.variance_m2)
 
 
 def shift_at(a: Array, b: Array, theta_rad: float, axis_rad: float) -> Array:

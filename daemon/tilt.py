@@ -15,6 +15,7 @@ from ceilvo.types import Array, Lines
 _MEMORY = 45.0
 _FEWEST = 15
 _SLACK = 2.0
+_FAIR_RAD = np.radians(0.1)
 _FLOOR_RAD = np.radians(0.0005)
 
 
@@ -26,29 +27,27 @@ class TiltPrior:
     sigma_rad: Array
 
 
-NO_TILT = TiltPrior(np.zeros(2), np.full(2, np.nan))
-"""What a frame says in which the tilt had to be held."""
-
-
 class TiltTracker:
     """Mean and spread of the tilt over about the last 45 frames, freed of the estimates' own noise."""
 
     def __init__(self) -> None:
-        self._count = 0
+        self._count = 0.0
         self._mean = np.zeros(2)
         self._square = np.zeros(2)
         self._noise = np.zeros(2)
 
     def note(self, lines: Lines | None) -> None:
-        """Take in what one frame alone said."""
-        if lines is None or not np.all(np.isfinite(lines.free_tilt_sigma_rad)):
+        """Take in what one frame alone said; one that can hardly tell counts little."""
+        if lines is None:
             return
-        self._count += 1
-        rate = max(1.0 / _MEMORY, 1.0 / self._count)
+        noise = lines.free_tilt_sigma_rad**2
+        weight = 1.0 / (1.0 + float(np.max(noise)) / _FAIR_RAD**2)
+        self._count += weight
+        rate = weight * max(1.0 / _MEMORY, 1.0 / max(self._count, 1.0))
         off = lines.free_tilt_rad - self._mean
         self._mean = self._mean + rate * off
         self._square = (1.0 - rate) * (self._square + rate * off**2)
-        self._noise = self._noise + rate * (lines.free_tilt_sigma_rad**2 - self._noise)
+        self._noise = self._noise + rate * (noise - self._noise)
 
     def prior(self) -> TiltPrior | None:
         """For the next frame; None until enough was seen."""
@@ -58,4 +57,4 @@ class TiltTracker:
         return TiltPrior(self._mean, np.sqrt(_SLACK * own + self._noise / self._count_in_mean() + _FLOOR_RAD**2))
 
     def _count_in_mean(self) -> float:
-        return min(float(self._count), _MEMORY)
+        return min(self._count, _MEMORY)

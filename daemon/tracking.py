@@ -12,9 +12,11 @@ from ceilvo.config import Features
 from ceilvo.daemon.bands import BandDetector, predicted
 from ceilvo.daemon.edges import EdgeDetector
 from ceilvo.daemon.grooves import EdgeSet
-from ceilvo.daemon.lines import detect
+from ceilvo.daemon.lines import LastFit, detect
 from ceilvo.daemon.tilt import TiltTracker
 from ceilvo.types import Array, Lines
+
+_CLEAN_FADES = 1.01
 
 
 class LineFinder:
@@ -31,6 +33,7 @@ class LineFinder:
         self._tilt = TiltTracker()
         self._last: EdgeSet | None = None
         self._last_tilt = np.zeros(2)
+        self._clean_px = np.inf
         self._since_full = 0
         self.full = 0
         self.verified = 0
@@ -50,7 +53,8 @@ class LineFinder:
             self.full += 1
             edges = self._edges(gray)
             lap("edges")
-            found = detect(edges, self._config, self._calibration.level_view.focal_px, self._tilt.prior())
+            focal_px = self._calibration.level_view.focal_px
+            found = detect(edges, self._config, focal_px, self._tilt.prior(), LastFit(self._last_tilt, self._clean_px))
         else:
             self._since_full += 1
             self.verified += 1
@@ -60,6 +64,7 @@ class LineFinder:
             return None
         lines, self._last = found
         self._last_tilt = lines.tilt_rad
+        self._clean_px = min(self._last.noise_px, self._clean_px * _CLEAN_FADES)
         self._tilt.note(lines)
         return lines
 
