@@ -24,7 +24,7 @@ _SPREAD_STRIDE = 3
 _DOUBT_RAD = np.radians(0.3)
 _HELD_RAD = np.radians(0.02)
 # with few lines tilt rests on what no noise model knows: bloom of lamps, remains of the lens
-_WEAK_RAD = np.radians(0.02)
+_WEAK_RAD = np.radians(0.014)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _MAX_MISSES = 8
 _TWIST_FADES_S = 1.0
 _JERK_SIGMAS = 5.0
+_FRESH = 0.6  # of the error of a direction or tilt; the rest is the same lines' in the next frame and cancels
 
 
 class VisualOdometry:
@@ -84,7 +85,7 @@ class VisualOdometry:
             return self._miss(crossings, self._coast(predicted, dt_s, wheels, failure))
         motion = se2.between(self._ref_from_prev, fit.b_from_a)
         cov = fit.cov + self._floor()
-        cov[:2, :2] += self._reference.common_cov_m2 + crossings.common_cov_m2
+        cov[:2, :2] += _FRESH**2 * (self._reference.common_cov_m2 + crossings.common_cov_m2)
         self._twist = fit.b_from_a / (self._since_ref_s + dt_s)
         self._twist_known = True
         self._refer_to(crossings)
@@ -130,7 +131,8 @@ class VisualOdometry:
         failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s) or self._jerk(fit, dt_s)
         if failure:
             return None, failure
-        return turned_by(fit, seen, before, turn, math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)), ""
+        sigma_rad = _FRESH * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
+        return turned_by(fit, seen, before, turn, sigma_rad), ""
 
     def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
         cfg = self._config
