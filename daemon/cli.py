@@ -20,6 +20,7 @@ from ceilvo.config_check import cross_check
 from ceilvo.config_file import calibration_path, load_config
 from ceilvo.config_file import replace as replace_keys
 from ceilvo.daemon import app
+from ceilvo.daemon.app_doctor import examine
 from ceilvo.daemon.app_experiment import EXPERIMENTS, run_experiment
 from ceilvo.daemon.app_replay import replay_recording
 from ceilvo.daemon.app_rerun import RECORDING_SUFFIX, Rerun, replay_run
@@ -77,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_replay(commands)
     _add_watch(commands)
     _add_check(commands)
+    _add_doctor(commands)
     _add_experiment(commands)
     return parser
 
@@ -167,6 +169,18 @@ def _add_check(commands: Commands) -> None:
     p.set_defaults(do=_check)
 
 
+def _add_doctor(commands: Commands) -> None:
+    p = _command(
+        commands,
+        "doctor",
+        "look at camera, base, bus, clock, disk and service, and say what to do",
+        "ceilvod doctor --config /etc/ceilvo/config.yaml",
+    )
+    _config_options(p)
+    p.add_argument("--json", action="store_true", help="the findings as JSON")
+    p.set_defaults(do=_doctor)
+
+
 def _add_experiment(commands: Commands) -> None:
     p = _command(
         commands,
@@ -235,6 +249,10 @@ def _check(options: argparse.Namespace) -> int:
             print(f"{options.file}: note: {note}")
         print(f"{options.file}: good; {file} is not there yet, 'calib' writes it")
     return 0
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    return examine(options.config or DEFAULT_CONFIG, tuple(options.set), options.json)
 
 
 def _experiment(options: argparse.Namespace) -> int:
