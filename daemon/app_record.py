@@ -20,6 +20,7 @@ from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
 from ceilvo.config_file import render_config
 from ceilvo.daemon.inputs import Assumption, FrameInput, Input, KnownMap, input_json
+from ceilvo.daemon.kernel import COMPILED
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.trajectory import estimate_json, half_angle
 from ceilvo.drivers import foxglove, mcap_file
@@ -212,6 +213,7 @@ def versions() -> dict[str, str]:
         "opencv": cv2.__version__,
         "python": platform.python_version(),
         "machine": platform.machine(),
+        "kernel": "compiled" if COMPILED else "numpy",
     }
 
 

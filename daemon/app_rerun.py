@@ -137,7 +137,7 @@ def _verdict(run: Rerun, recording: Recording, tally: _Tally, estimates: list[Es
     differs = ", ".join(f"{k} was {then.get(k)}, is {v}" for k, v in now.items() if then.get(k) != v)
     first = same.index(False)
     return f"{sum(same)} of {len(same)} estimates are the same, the first other one is {first}" + (
-        f"; {differs}" if differs else "; with the same versions of everything: please report it"
+        f"; {differs}" if differs else "; the versions are the same: was the program changed?"
     ), False
 
 
