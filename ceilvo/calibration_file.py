@@ -21,7 +21,15 @@ from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 from ceilvo.files import write_atomic
 
-__all__ = ["VERSION", "check_fits", "read_calibration", "sign_calibration", "write_calibration"]
+__all__ = [
+    "VERSION",
+    "check_fits",
+    "parse_calibration",
+    "read_calibration",
+    "render_calibration",
+    "sign_calibration",
+    "write_calibration",
+]
 
 VERSION = 1
 
@@ -47,19 +55,29 @@ def write_calibration(path: Path, calibration: Calibration, *, force: bool = Fal
     Raises:
         CalibrationError: values that read_calibration would refuse, a file in the way, or a disk that refuses.
     """
-    content = _content(calibration, path)
-    problems = list(value_problems(calibration))
-    if problems:
-        raise CalibrationError(*(f"{path}: {p}" for p in problems))
-    content["checksum"] = _checksum(content)
+    text = render_calibration(calibration, str(path))
     try:
         if path.exists():
             if not force:
                 raise CalibrationError(f"{path}: found a file there, expected none; pass --force to replace it")
             write_atomic(path.with_name(path.name + ".bak"), path.read_bytes())
-        write_atomic(path, _HEADER + yaml_nodes.dump(content))
+        write_atomic(path, text)
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written ({e.strerror}); check the folder and its rights") from None
+
+
+def render_calibration(calibration: Calibration, source: str) -> str:
+    """The text of a calibration file; `source` names it in messages.
+
+    Raises:
+        CalibrationError: values that read_calibration would refuse.
+    """
+    content = _content(calibration, source)
+    problems = list(value_problems(calibration))
+    if problems:
+        raise CalibrationError(*(f"{source}: {p}" for p in problems))
+    content["checksum"] = _checksum(content)
+    return _HEADER + yaml_nodes.dump(content)
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -69,6 +87,11 @@ def read_calibration(path: Path) -> Calibration:
         CalibrationError: everything that is wrong, one line each, also as `.problems`.
     """
     return _read(path, signed=True)
+
+
+def parse_calibration(text: str, source: str) -> Calibration:
+    """read_calibration() of a text; `source` names it in messages."""
+    return _parse(lambda: text, source, signed=True)
 
 
 def sign_calibration(path: Path) -> Calibration:
@@ -83,8 +106,12 @@ def sign_calibration(path: Path) -> Calibration:
 
 
 def _read(path: Path, *, signed: bool) -> Calibration:
+    return _parse(lambda: yaml_nodes.read_text(Path(path)), str(path), signed=signed)
+
+
+def _parse(read: Callable[[], str], path: str, *, signed: bool) -> Calibration:
     try:
-        content = yaml_nodes.plain(yaml_nodes.parse(yaml_nodes.read_text(Path(path))))
+        content = yaml_nodes.plain(yaml_nodes.parse(read()))
     except yaml_nodes.YamlProblem as e:
         raise CalibrationError(f"{path}{f':{e.line}' if e.line else ''}: {e.what}") from None
     if not isinstance(content, dict):
@@ -98,7 +125,7 @@ def _read(path: Path, *, signed: bool) -> Calibration:
     return calibration
 
 
-def _migrated(path: Path, content: dict[str, Any], *, signed: bool) -> dict[str, Any]:
+def _migrated(path: str, content: dict[str, Any], *, signed: bool) -> dict[str, Any]:
     """The content as VERSION has it, after its checksum was checked as it was written."""
     version = content.get("version")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
@@ -124,7 +151,7 @@ def _checksum(content: Mapping[str, Any]) -> str:
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
 
-def _content(c: Calibration, path: Path) -> dict[str, Any]:
+def _content(c: Calibration, path: str) -> dict[str, Any]:
     camera = c.camera
     return {
         "version": VERSION,
@@ -148,7 +175,7 @@ def _content(c: Calibration, path: Path) -> dict[str, Any]:
     }
 
 
-def _simple(value: Any, path: Path, key: str) -> Any:
+def _simple(value: Any, path: str, key: str) -> Any:
     """A copy in types that YAML has."""
     if isinstance(value, np.ndarray | np.generic):
         return _simple(value.tolist(), path, key)
@@ -161,7 +188,7 @@ def _simple(value: Any, path: Path, key: str) -> Any:
     raise CalibrationError(f"{path}: {key}: found {value!r}, expected text, finite numbers, lists or mappings")
 
 
-def _calibration(path: Path, content: dict[str, Any]) -> Calibration:
+def _calibration(path: str, content: dict[str, Any]) -> Calibration:
     """Types and sizes; what the values mean is for value_problems."""
     camera, noise = (_mapping(path, content, k) for k in ("camera", "noise"))
     _check_keys(path, camera, _CAMERA_KEYS, "camera.")
@@ -194,7 +221,7 @@ def _calibration(path: Path, content: dict[str, Any]) -> Calibration:
 
 
 def _check_keys(
-    path: Path, content: Mapping[str, Any], keys: tuple[str, ...], prefix: str, optional: tuple[str, ...] = ()
+    path: str, content: Mapping[str, Any], keys: tuple[str, ...], prefix: str, optional: tuple[str, ...] = ()
 ) -> None:
     missing = [prefix + k for k in keys if k not in content and k not in optional]
     unknown = [prefix + k for k in content if k not in keys]
@@ -204,32 +231,32 @@ def _check_keys(
         raise CalibrationError(*problems)
 
 
-def _mapping(path: Path, content: Mapping[str, Any], key: str) -> dict[str, Any]:
+def _mapping(path: str, content: Mapping[str, Any], key: str) -> dict[str, Any]:
     value = content[key]
     if not isinstance(value, dict):
         raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected keys and values")
     return value
 
 
-def _number(path: Path, key: str, value: Any) -> float:
+def _number(path: str, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected a finite number")
     return float(value)
 
 
-def _whole(path: Path, key: str, value: Any) -> int:
+def _whole(path: str, key: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected a whole number")
     return value
 
 
-def _numbers(path: Path, key: str, value: Any) -> tuple[float, ...]:
+def _numbers(path: str, key: str, value: Any) -> tuple[float, ...]:
     if not isinstance(value, list):
         raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected a list of numbers")
     return tuple(_number(path, f"{key}[{i}]", v) for i, v in enumerate(value))
 
 
-def _text(path: Path, key: str, value: Any) -> str:
+def _text(path: str, key: str, value: Any) -> str:
     if not isinstance(value, str) or len(value) > 200 or not value.isprintable():
         raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected up to 200 characters of text in quotes")
     return value

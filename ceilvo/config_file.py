@@ -12,7 +12,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, get_args, get_type_hints
 
@@ -23,7 +23,7 @@ from ceilvo.config import SECTIONS, Config
 from ceilvo.config_check import conflicts, cross_check, notes
 from ceilvo.errors import ConfigError
 
-__all__ = ["calibration_path", "cross_check", "load_config", "notes", "render_config", "replace"]
+__all__ = ["calibration_path", "cross_check", "load_config", "notes", "parse_config", "render_config", "replace"]
 
 _TYPES: Mapping[str, type] = {name: kind for name, kind in get_type_hints(Config).items() if name in SECTIONS}
 _UNITS = {
@@ -39,6 +39,7 @@ _UNITS = {
     "_mps2": "m/s^2",
     "_radps": "rad/s",
     "_radps2": "rad/s^2",
+    "_bytes": "bytes",
     "baud": "bit/s",
 }
 _ABOUT = {
@@ -52,6 +53,7 @@ _ABOUT = {
     "base": "the base controller, Modbus RTU",
     "zenoh": "the bus",
     "service": "the process",
+    "recorder": "what is kept to find out later what happened",
 }
 _HEADER = """\
 # Configuration of ceilvod. These are the defaults; a key that is left out has its default.
@@ -67,11 +69,20 @@ def load_config(path: Path, overrides: Sequence[str] = ()) -> Config:
     Raises:
         ConfigError: everything that is wrong, one line each, also as `.problems`.
     """
-    reader = _Reader(Config(), str(path))
+    return _load(lambda: yaml_nodes.read_text(Path(path)), str(path), overrides)
+
+
+def parse_config(text: str, source: str, overrides: Sequence[str] = ()) -> Config:
+    """The same from a text; `source` names it in messages."""
+    return _load(lambda: text, source, overrides)
+
+
+def _load(read: Callable[[], str], source: str, overrides: Sequence[str]) -> Config:
+    reader = _Reader(Config(), source)
     try:
-        root = yaml_nodes.parse(yaml_nodes.read_text(Path(path)))
+        root = yaml_nodes.parse(read())
     except yaml_nodes.YamlProblem as e:
-        where = f"{path}:{e.line}" if e.line else f"{path}"
+        where = f"{source}:{e.line}" if e.line else source
         raise ConfigError(f"{where}: {e.what}") from None
     reader.read(root)
     for override in overrides:

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -29,9 +29,10 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
 from ceilvo.daemon.app_output import Outputs
+from ceilvo.daemon.app_record import TapedBase, tape_of
 from ceilvo.daemon.app_report import Report, Truth
 from ceilvo.daemon.app_requests import handlers
-from ceilvo.daemon.estimator import Estimator, no_wheels
+from ceilvo.daemon.estimator import Estimator, no_tap, no_wheels
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.screen import Screen
 from ceilvo.daemon.store import Store
@@ -41,7 +42,7 @@ from ceilvo.drivers.cameras import make_camera
 from ceilvo.drivers.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.modbus_base import ModbusBase
 from ceilvo.drivers.paced_camera import PacedCamera
-from ceilvo.drivers.ports import Camera
+from ceilvo.drivers.ports import Base, Camera
 from ceilvo.drivers.systemd_notify import Notifier
 from ceilvo.drivers.zenoh_bus import ZenohBus
 from ceilvo.errors import CeilvoError
@@ -67,6 +68,7 @@ class Plan:
         seconds: end this long after the first frame; None = run until told to stop.
         summary_file: where to write the run's figures as JSON.
         screen: draw the live screen.
+        record: write a recording to this file.
     """
 
     config: Config
@@ -77,6 +79,7 @@ class Plan:
     seconds: float | None = None
     summary_file: Path | None = None
     screen: bool = False
+    record: Path | None = None
 
 
 class Daemon:
@@ -90,15 +93,19 @@ class Daemon:
         self._first_frame_ns: int | None = None
         self._camera_reason = "camera not opened yet"
         self._store = Store.choose(config.service.state_dir)
-        self._base = BaseLink(config.base, ModbusBase(config.base), clock, self._crash) if config.base.enabled else None
+        self._tape = tape_of(config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop)
+        self._base = BaseLink(config.base, self._port(), clock, self._crash) if config.base.enabled else None
         self._estimator = Estimator(
             Pipeline(plan.calibration, config, np.random.default_rng(config.service.seed)),
             clock,
             self._base.wheels.between if self._base is not None and config.base.use_wheels else no_wheels,
+            no_tap if self._tape is None else self._tape.input,
         )
         answers = handlers(config, plan.calibration, self._estimator, self._store, self._save)
         self._bus = ZenohBus(config.zenoh, config.robot.name, answers) if config.zenoh.enabled else None
-        self._outputs = Outputs(config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock)
+        self._outputs = Outputs(
+            config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock, self._tape
+        )
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         self._report = Report(
             self._estimator, self._capture, self._base, self._bus, plan.truth, clock, config.service.seed
@@ -122,6 +129,9 @@ class Daemon:
             self._outputs.event("map", "stored map loaded; its last pose is a hypothesis until landmarks confirm it")
         with ExitStack() as ending:
             ending.enter_context(stop_on_signals(self._stop))
+            if self._tape is not None:
+                ending.callback(lambda tape: tape.stop(crashed=not self._crashes.empty()), self._tape)
+                self._tape.start()
             if self._bus is not None:
                 ending.callback(self._bus.close)
                 self._bus.open()
@@ -134,6 +144,7 @@ class Daemon:
             with Screen() if self._plan.screen else nullcontext() as screen:
                 self._supervise(screen)
             summary = self._report.summary()
+        summary |= self._recorder_counters()
         if not self._crashes.empty():
             raise self._crashes.get()
         return summary
@@ -189,12 +200,23 @@ class Daemon:
             last = self._estimator.last
             state = State.INIT if last is None else last.state
         self._notifier.status(self._report.status_line(state, self._camera_reason))
-        self._outputs.health(state, self._report.uptime_s, self._report.counters())
+        self._outputs.health(state, self._report.uptime_s, {**self._report.counters(), **self._recorder_counters()})
+
+    def _recorder_counters(self) -> dict[str, object]:
+        return {} if self._tape is None else {"recorder": asdict(self._tape.counters())}
+
+    def _port(self) -> Base:
+        port = ModbusBase(self._config.base)
+        return port if self._tape is None else TapedBase(port, self._tape)
 
     # -- other threads
 
     def _crash(self, error: BaseException) -> None:
         self._crashes.put(error)
+
+    def _on_recorder_stop(self, why: str) -> None:
+        """Called in the recorder's thread."""
+        self._outputs.event("recorder", f"recording stopped: {why}; localisation goes on", logging.WARNING)
 
     def _on_capture(self, event: CaptureEvent) -> None:
         """Called in the capture thread; a calibration that does not fit the opened camera ends the process."""
@@ -241,12 +263,14 @@ class Daemon:
         return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES / rate_hz)
 
 
-def plan_real(config: Config, calibration: Calibration, seconds: float | None, summary_file: Path | None) -> Plan:
+def plan_real(
+    config: Config, calibration: Calibration, seconds: float | None, summary_file: Path | None, record: Path | None
+) -> Plan:
     """A plan for the configured camera; a recording in its place keeps its own pace."""
     camera = make_camera(config.camera)
     if config.camera.source != "v4l2":
         camera = PacedCamera(camera)
-    return Plan(config, calibration, camera, seconds=seconds, summary_file=summary_file)
+    return Plan(config, calibration, camera, seconds=seconds, summary_file=summary_file, record=record)
 
 
 def run(plan: Plan) -> int:
@@ -265,7 +289,7 @@ def run(plan: Plan) -> int:
     if plan.summary_file is not None:
         plan.summary_file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(plan.summary_file, json.dumps(summary, indent=2) + "\n")
-    if plan.seconds is not None or plan.summary_file is not None:
+    if plan.seconds is not None or plan.summary_file is not None or plan.record is not None:
         sys.stdout.write(format_summary(summary))
     return 0
 

@@ -1,4 +1,4 @@
-"""What every estimate goes to: the base, Zenoh, the log."""
+"""What every estimate goes to: the base, Zenoh, the log, the recorder."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration
+from ceilvo.daemon.app_record import Tape
 from ceilvo.daemon.estimator import Estimator
 from ceilvo.daemon.overlay import draw_overlay
 from ceilvo.daemon.pipeline import View
@@ -38,9 +39,10 @@ class Outputs:
         base: BaseLink | None,
         bus: Publisher | None,
         clock: Callable[[], int],
+        tape: Tape | None = None,
     ) -> None:
         self._robot, self._calibration, self._estimator = robot, calibration, estimator
-        self._base, self._bus, self._clock = base, bus, clock
+        self._base, self._bus, self._clock, self._tape = base, bus, clock, tape
         self._told: State | None = None
         self.events: deque[str] = deque(maxlen=_EVENTS)
 
@@ -54,6 +56,8 @@ class Outputs:
             self._bus.put(Topic.POSE, wire.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns))
             self._bus.put(Topic.ODOM, wire.encode_odom(self._robot, estimate, stamp.unix_ns))
             self._offer(self._bus, estimate.seq, stamp)
+        if self._tape is not None:
+            self._tape.published(estimate)
         if estimate.state is not self._told:
             before = "start" if self._told is None else self._told.name
             self._told = estimate.state
@@ -82,12 +86,17 @@ class Outputs:
         """Something that happened once: in the log, on the screen and on Zenoh."""
         log.log(level, "%s", text)
         self.events.append(text)
+        if self._tape is not None:
+            self._tape.event(level, name, text)
         if self._bus is not None:
             stamp = wire.Stamp(self._clock(), time.time_ns())
             severity = logging.getLevelName(level).lower()
             self._bus.put(Topic.EVENT, wire.encode_event(self._robot, stamp, name, severity, text))
 
     def health(self, state: State, uptime_s: float, counters: Mapping[str, object]) -> None:
+        stamp = wire.Stamp(self._clock(), time.time_ns())
+        payload = wire.encode_health(self._robot, stamp, uptime_s, state, counters)
         if self._bus is not None:
-            stamp = wire.Stamp(self._clock(), time.time_ns())
-            self._bus.put(Topic.HEALTH, wire.encode_health(self._robot, stamp, uptime_s, state, counters))
+            self._bus.put(Topic.HEALTH, payload)
+        if self._tape is not None:
+            self._tape.health(payload, counters)

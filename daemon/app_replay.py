@@ -11,6 +11,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.inputs import FrameInput
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay import Outputs, format_replay, replay
 from ceilvo.daemon.summary import RunStatistics
@@ -25,7 +26,7 @@ from ceilvo.daemon.trajectory import (
 from ceilvo.drivers.cameras import source_camera
 from ceilvo.drivers.ports import Camera
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Estimate, Frame
+from ceilvo.types import Estimate
 
 _REFERENCE_TOLERANCE_S = 0.01
 _PROGRESS_EVERY = 10
@@ -41,16 +42,21 @@ def replay_recording(
     pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
     camera.open()
     try:
-        estimates = replay(_frames(camera), pipeline, calibration, outputs, _progress())
+        estimates = replay(_frames(camera), pipeline, calibration, outputs, progress())
     finally:
         camera.close()
-    statistics = RunStatistics(config.service.seed)
+    report(estimates, config.service.seed, source, reference, align)
+    return 0
+
+
+def report(estimates: list[Estimate], seed: int, source: Path, reference: Path | None, align: Alignment) -> None:
+    """Print what came out, and its distance from a reference if there is one."""
+    statistics = RunStatistics(seed)
     for estimate in estimates:
         statistics.add(estimate)
     sys.stdout.write(format_replay(estimates, statistics.summary()))
     if reference is not None:
         sys.stdout.write(format_error(distance(estimates, reference, align), (str(source), str(reference))))
-    return 0
 
 
 def distance(estimates: list[Estimate], reference: Path, align: Alignment) -> TrajectoryError:
@@ -65,12 +71,12 @@ def distance(estimates: list[Estimate], reference: Path, align: Alignment) -> Tr
     return trajectory_error(np.array([e.pose for e in estimates])[i], ref.poses[j], align)
 
 
-def _frames(camera: Camera) -> Iterator[Frame]:
+def _frames(camera: Camera) -> Iterator[FrameInput]:
     while (frame := camera.read()) is not None:
-        yield frame
+        yield FrameInput(frame)
 
 
-def _progress() -> Callable[[int], None]:
+def progress() -> Callable[[int], None]:
     if not sys.stderr.isatty():
         return lambda done: None
 

@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,10 @@ from ceilvo.config_check import cross_check
 from ceilvo.config_file import calibration_path, load_config
 from ceilvo.config_file import replace as replace_keys
 from ceilvo.daemon import app
+from ceilvo.daemon.app_doctor import examine
 from ceilvo.daemon.app_experiment import EXPERIMENTS, run_experiment
 from ceilvo.daemon.app_replay import replay_recording
+from ceilvo.daemon.app_rerun import RECORDING_SUFFIX, Rerun, replay_run
 from ceilvo.daemon.app_watch import watch_robots
 from ceilvo.daemon.replay import Outputs
 from ceilvo.errors import CeilvoError, FileFormatError
@@ -71,9 +74,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ceilvod {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_run(commands)
+    _add_record(commands)
     _add_replay(commands)
     _add_watch(commands)
     _add_check(commands)
+    _add_doctor(commands)
     _add_experiment(commands)
     return parser
 
@@ -93,6 +98,23 @@ def _config_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_run(commands: Commands) -> None:
     p = _command(commands, "run", "run the daemon", "ceilvod run --config config.yaml")
+    _run_options(p)
+    p.set_defaults(do=_run, record=None)
+
+
+def _add_record(commands: Commands) -> None:
+    p = _command(
+        commands,
+        "record",
+        "run the daemon and record all it sees and says, without loss",
+        "ceilvod record drive.mcap --config config.yaml --seconds 60",
+    )
+    p.add_argument("record", type=Path, metavar="FILE", help="new MCAP file; 'ceilvod replay FILE' does it again")
+    _run_options(p)
+    p.set_defaults(do=_run)
+
+
+def _run_options(p: argparse.ArgumentParser) -> None:
     _config_options(p)
     p.add_argument("--simulate", action="store_true", help="a rendered ceiling and a simulated robot; no hardware")
     p.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds of frames, with a summary")
@@ -101,7 +123,6 @@ def _add_run(commands: Commands) -> None:
     p.add_argument(
         "--calibration", type=Path, metavar="FILE", help="instead of the config's, or of the simulated truth"
     )
-    p.set_defaults(do=_run)
 
 
 def _add_replay(commands: Commands) -> None:
@@ -111,7 +132,9 @@ def _add_replay(commands: Commands) -> None:
         "run a recording through the pipeline, as fast as it goes",
         "ceilvod replay recording/ --calibration calibration.yaml --tum poses.tum --reference truth.tum",
     )
-    p.add_argument("source", type=Path, metavar="SOURCE", help="image folder (frames.csv) or video file")
+    p.add_argument(
+        "source", type=Path, metavar="SOURCE", help="recording (MCAP), image folder (frames.csv) or video file"
+    )
     _config_options(p)
     p.add_argument("--calibration", type=Path, metavar="FILE", help="default: SOURCE/calibration.yaml or the config's")
     p.add_argument("--tum", type=Path, metavar="FILE", help="write the trajectory as 't x y z qx qy qz qw'")
@@ -146,6 +169,18 @@ def _add_check(commands: Commands) -> None:
     p.set_defaults(do=_check)
 
 
+def _add_doctor(commands: Commands) -> None:
+    p = _command(
+        commands,
+        "doctor",
+        "look at camera, base, bus, clock, disk and service, and say what to do",
+        "ceilvod doctor --config /etc/ceilvo/config.yaml",
+    )
+    _config_options(p)
+    p.add_argument("--json", action="store_true", help="the findings as JSON")
+    p.set_defaults(do=_doctor)
+
+
 def _add_experiment(commands: Commands) -> None:
     p = _command(
         commands,
@@ -169,7 +204,7 @@ def _run(options: argparse.Namespace) -> int:
     file = options.calibration or calibration_path(config, path)
     calibration = _checked(config, read_calibration(file), path)
     _log_to_stderr(config.service.log_level)
-    return app.run(app.plan_real(config, calibration, options.seconds, options.summary))
+    return app.run(app.plan_real(config, calibration, options.seconds, options.summary, options.record))
 
 
 def _run_simulated(options: argparse.Namespace) -> int:
@@ -182,15 +217,20 @@ def _run_simulated(options: argparse.Namespace) -> int:
     believed = None if options.calibration is None else read_calibration(options.calibration)
     summary = options.summary or DEFAULT_SUMMARY
     with simulation(config, options.seed, options.seconds, summary, screen=True, calibration=believed) as plan:
-        return app.run(plan)
+        return app.run(replace(plan, record=options.record))
 
 
 def _replay(options: argparse.Namespace) -> int:
     if not options.source.exists():
-        raise FileFormatError(f"{options.source}: no such folder or video file")
+        raise FileFormatError(f"{options.source}: no such recording, folder or video file")
+    outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)
+    if options.source.suffix == RECORDING_SUFFIX:
+        config = None if options.config is None else load_config(options.config, options.set)
+        calibration = None if options.calibration is None else read_calibration(options.calibration)
+        run = Rerun(options.source, config, tuple(options.set), calibration)
+        return replay_run(run, outputs, options.reference, options.align)
     config = _config(options)
     calibration = read_calibration(_calibration_file(options, config))
-    outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)
     return replay_recording(options.source, config, calibration, outputs, options.reference, options.align)
 
 
@@ -209,6 +249,10 @@ def _check(options: argparse.Namespace) -> int:
             print(f"{options.file}: note: {note}")
         print(f"{options.file}: good; {file} is not there yet, 'calib' writes it")
     return 0
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    return examine(options.config or DEFAULT_CONFIG, tuple(options.set), options.json)
 
 
 def _experiment(options: argparse.Namespace) -> int:

@@ -9,12 +9,15 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ceilvo.daemon.inputs import Assumption, FrameInput, Input, KnownMap, Reset, Silence, apply
 from ceilvo.daemon.map_file import StoredMap, StoredState
-from ceilvo.daemon.pipeline import Pipeline, View
+from ceilvo.daemon.pipeline import Lap, Pipeline, View, no_lap
 from ceilvo.types import Array, Estimate, Frame, Landmarks, WheelMotion
 
 Clock = Callable[[], int]
 Wheels = Callable[[int, int], WheelMotion | None]
+Tap = Callable[[Input, Estimate | None, Pipeline], None]
+"""Told of every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 _SEARCH_SIGMA = np.array([0.3, 0.3, 0.1])
@@ -35,13 +38,18 @@ class Shown:
     landmarks: Landmarks
 
 
+def no_tap(given: Input, estimate: Estimate | None, pipeline: Pipeline) -> None:
+    """For runs that nobody records."""
+
+
 class Estimator:
     """Thread-safe. Frames come from one thread, commands and questions from any."""
 
-    def __init__(self, pipeline: Pipeline, clock: Clock, wheels: Wheels = no_wheels) -> None:
+    def __init__(self, pipeline: Pipeline, clock: Clock, wheels: Wheels = no_wheels, tap: Tap = no_tap) -> None:
         self._pipeline = pipeline
         self._clock = clock
         self._wheels = wheels
+        self._tap = tap
         self._lock = threading.Lock()
         self._last: Estimate | None = None
         self._late = 0
@@ -72,7 +80,9 @@ class Estimator:
                 self._late += 1
                 return None
             wheels = None if before_ns is None else self._wheels(before_ns, frame.stamp_ns)
-            estimate = self._pipeline.step(frame, wheels, lap)
+            estimate = self._do(FrameInput(frame, wheels), lap)
+        if estimate is None:
+            return None
         laps["step"] = 1e-6 * (self._clock() - start_ns)
         self._last = replace(estimate, latency_ms=MappingProxyType(laps))
         return self._last
@@ -84,31 +94,37 @@ class Estimator:
             if before_ns is None:
                 return None
             now_ns = max(self._clock(), before_ns + 1)
-            self._last = self._pipeline.coast(now_ns, reason, self._wheels(before_ns, now_ns))
+            self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns)))
             return self._last
 
     def start_from(self, stored_map: StoredMap, state: StoredState) -> None:
         """Begin on the map of an earlier run; its last pose is a hypothesis."""
         with self._lock:
             cov = state.cov + np.diag(_RESTART_SIGMA**2)
-            self._pipeline.know_map(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov)
+            self._do(KnownMap(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov))
 
     def assume(self, pose: Array, sigma: Array, why: str) -> None:
         """Continue from a pose that somebody says, with standard deviations (3,)."""
         with self._lock:
-            self._pipeline.assume(pose, np.diag(np.square(sigma)), why)
+            self._do(Assumption(pose, np.diag(np.square(sigma)), why))
 
     def search(self) -> Array:
         """Spread the particles around the last pose and let landmarks confirm it; returns the (3,) sigma used."""
         with self._lock:
             pose = np.zeros(3) if self._last is None else self._last.pose
-            self._pipeline.assume(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for")
+            self._do(Assumption(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for"))
         return _SEARCH_SIGMA
 
     def reset(self, keep_map: bool) -> None:
         """Start again at the configured pose, with the map or without."""
         with self._lock:
-            self._pipeline.reset(keep_map)
+            self._do(Reset(keep_map))
+
+    def _do(self, given: Input, lap: Lap = no_lap) -> Estimate | None:
+        """The one way to change the pipeline, so that a recording has all that a replay needs; under the lock."""
+        estimate = apply(self._pipeline, given, lap)
+        self._tap(given, estimate, self._pipeline)
+        return estimate
 
     def shown(self) -> Shown:
         with self._lock:

@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration
+from ceilvo.daemon.inputs import FrameInput, Input, apply
 from ceilvo.daemon.overlay import draw_overlay, draw_particles_panel, previous_pixels, side_by_side
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.trajectory import JsonlWriter, TumWriter
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Estimate, Frame
+from ceilvo.types import Array, Estimate
 
 
 @dataclass(frozen=True)
@@ -29,13 +30,13 @@ class Outputs:
 
 
 def replay(
-    frames: Iterable[Frame],
+    inputs: Iterable[Input],
     pipeline: Pipeline,
     calibration: Calibration,
     outputs: Outputs,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[Estimate]:
-    """Estimates of all frames, in order; frames whose size is not the calibration's are refused.
+    """Estimates of all frames and silences, in order; frames whose size is not the calibration's are refused.
 
     Raises:
         FileFormatError: a frame of another size, or an output that cannot be written.
@@ -46,19 +47,22 @@ def replay(
     estimates: list[Estimate] = []
     path: list[Array] = []
     try:
-        for frame in frames:
-            if frame.gray.shape != (camera.height_px, camera.width_px):
+        for given in inputs:
+            frame = given.frame if isinstance(given, FrameInput) else None
+            if frame is not None and frame.gray.shape != (camera.height_px, camera.width_px):
                 raise FileFormatError(
                     f"frame {frame.seq}: {frame.gray.shape[1]} x {frame.gray.shape[0]} px, expected "
                     f"{camera.width_px} x {camera.height_px} px of the calibration; replay it with its own calibration"
                 )
-            estimate = pipeline.step(frame)
+            estimate = apply(pipeline, given)
+            if estimate is None:
+                continue
             estimates.append(estimate)
             path.append(estimate.pose)
             for writer in (tum, jsonl):
                 if writer is not None:
                     writer.write(estimate)
-            if outputs.pictures is not None and (len(estimates) - 1) % outputs.picture_every == 0:
+            if frame is not None and outputs.pictures is not None and (len(estimates) - 1) % outputs.picture_every == 0:
                 picture(pipeline, calibration, estimate, np.array(path), outputs.pictures / f"{frame.seq:06d}.png")
             progress(len(estimates))
     finally:

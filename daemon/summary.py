@@ -163,6 +163,13 @@ def format_summary(summary: dict[str, Any]) -> str:
         ("base", f"{s['telegrams_sent']} telegrams sent, {s['telegrams_failed']} failed"),
         ("zenoh", f"{s['zenoh_samples']} samples"),
     ]
+    if "recorder" in s:
+        r = s["recorder"]
+        stopped = f", stopped: {r['stopped']}" if r["stopped"] else ""
+        cpu = f", {100 * r['cpu_s'] / s['seconds']:.1f} % of a core" if s["seconds"] else ""
+        rows.append(
+            ("recorder", f"{r['messages']} messages, {r['dropped']} dropped, {r['bytes'] / 1e6:.1f} MB{cpu}{stopped}")
+        )
     for stage, figures in s["latency_ms"].items():
         rows.append((f"{stage} [ms]", f"median {_ms(figures['median'])}  p99 {_ms(figures['p99'])}"))
     width = max(len(name) for name, _ in rows)

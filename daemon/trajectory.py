@@ -34,9 +34,14 @@ _STILL_M = 1e-6
 def tum_line(stamp_ns: int, pose: Array) -> str:
     """`t x y z qx qy qz qw` of map_from_base (3,); z, qx and qy are 0."""
     x, y, theta = (float(v) for v in pose)
-    values = (x, y, 0.0, 0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
+    values = (x, y, 0.0, 0.0, 0.0, *half_angle(theta))
     text = " ".join(f"{round(v, 9) + 0.0:.9f}" for v in values)  # + 0.0: no "-0.000000000"
     return f"{_seconds(stamp_ns)} {text}\n"
+
+
+def half_angle(theta_rad: float) -> tuple[float, float]:
+    """qz and qw of a turn about z."""
+    return math.sin(0.5 * theta_rad), math.cos(0.5 * theta_rad)
 
 
 def _seconds(stamp_ns: int) -> str:

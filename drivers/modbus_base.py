@@ -86,6 +86,13 @@ class ModbusBase:
         else:
             self._request(lambda client: self._write(client, values), _FC_WRITE)
             answer = self._request(self._read, _FC_READ_INPUT)
+        return self._status(answer)
+
+    def read_status(self) -> BaseStatus:
+        """Only read (FC04), which moves nothing; raises BaseLinkError as exchange() does."""
+        return self._status(self._request(self._read, _FC_READ_INPUT))
+
+    def _status(self, answer: ModbusPDU) -> BaseStatus:
         try:
             return decode_status(list(answer.registers))
         except BaseLinkError as e:

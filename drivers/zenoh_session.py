@@ -23,6 +23,7 @@ OPEN_WAIT_S = 3.0
 CLOSE_WAIT_S = 1.0
 _RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 4.0
 _IP_PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws")
+_STREAMS = ("tcp", "tls", "ws")
 _OTHER_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
 _ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<address>[^?#\s]+)(?P<rest>[?#]\S*)?")
 _LOOPBACK = re.compile(r"[a-z]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):")
@@ -72,6 +73,13 @@ def checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
     if config.mode == "client" and not (config.connect or config.multicast):
         raise BusError("zenoh.connect: found nothing, expected a router for zenoh.mode client; name its endpoint")
     return list(config.listen), list(config.connect)
+
+
+def endpoint_address(end: str) -> tuple[str, int] | None:
+    """Host and port of an endpoint that a TCP connection reaches, None for the others."""
+    match = _ENDPOINT.fullmatch(end)
+    address = _HOST_PORT.fullmatch(match["address"]) if match and match["protocol"] in _STREAMS else None
+    return None if address is None else (address["host"].strip("[]"), int(address["port"]))
 
 
 def _endpoint_problem(end: str, first_port: int) -> str | None:
