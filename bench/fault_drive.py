@@ -15,10 +15,10 @@ from ceilvo.drivers.wheel_track import WheelNoise
 from ceilvo.types import Array, Estimate, Frame, State, WheelMotion
 
 Kind = Literal[
-    "dark", "silent", "wrong picture", "slip", "no wheels", "restart", "carried", "dark and slip", "dark, no wheels"
+    "dark", "silent", "stale picture", "slip", "no wheels", "restart", "carried", "dark and slip", "dark, no wheels"
 ]
 KINDS: tuple[Kind, ...] = (
-    "dark", "silent", "wrong picture", "slip", "no wheels", "restart", "dark and slip", "dark, no wheels",
+    "dark", "silent", "stale picture", "slip", "no wheels", "restart", "dark and slip", "dark, no wheels",
 )  # fmt: skip
 WRONG_M = 0.3
 """A pose further off is wrong."""
@@ -115,6 +115,7 @@ class Drive:
         wheels = self._wheels()
         dark = self._fault in ("dark", "dark and slip", "dark, no wheels", "carried")
         if self._fault == "restart":
+            self.tally.seconds += 1.0 / RATE_HZ
             return
         if self._fault == "silent":
             estimate = self._pipeline.coast(self._ns, "the camera gives no frames", wheels)
@@ -133,8 +134,8 @@ class Drive:
 
     def _seen(self):  # type: ignore[no-untyped-def]
         k = self._k
-        if self._fault == "wrong picture" and self._rng.random() < 0.5:
-            k = int(self._rng.integers(self._tape.frames))
+        if self._fault == "stale picture" and self._rng.random() < 0.5:
+            k = (k - int(self._rng.integers(3, 20))) % self._tape.frames
         return self._tape.lines[self._take][k]
 
     def _wheels(self) -> WheelMotion | None:
@@ -160,7 +161,7 @@ class Drive:
             self._begin(self._kinds[int(self._rng.integers(len(self._kinds)))])
 
     def _begin(self, kind: Kind) -> None:
-        longest = {"restart": 5.0, "carried": 8.0, "wrong picture": 3.0}.get(kind, 10.0)
+        longest = {"restart": 5.0, "carried": 8.0, "stale picture": 3.0}.get(kind, 10.0)
         lasts_s = float(self._rng.uniform(0.3, longest))
         self._fault, self._last_fault = kind, kind
         self._until_ns = self._ns + round(1e9 * lasts_s)

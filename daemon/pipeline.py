@@ -14,7 +14,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.confirmation import Confirmation, rivals
+from ceilvo.daemon.confirmation import Confirmation, can_confirm, explained_at, rival_shifts
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.observation import observe
@@ -43,6 +43,9 @@ Lap = Callable[[str], None]
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _SURE_M = 0.12
+_UNSURE_M = 0.15
+_SLIP_SHARE = 0.3
+_JUMP_SIGMA = np.array([0.1, 0.1, 0.05])
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -75,6 +78,7 @@ class Pipeline:
         self._map_axis_rad: float | None = None
         self._view: View | None = None
         self._gap = _NO_GAP
+        self._blind_m = 0.0
         self._travel_m = self._turn_rad = 0.0
         self._hypothesis: Confirmation | None = None
         self._news = True
@@ -109,7 +113,7 @@ class Pipeline:
             # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
             self._filter.update(observations if self._hypothesis is None else _explained(observations))
             if crossings is not None and self._hypothesis is not None and self._news:
-                self._confirm(self._hypothesis, crossings, observations)
+                self._confirm(self._hypothesis, observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
 
@@ -120,11 +124,24 @@ class Pipeline:
         cov = motion.cov
         if not motion.ok:
             cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
+        if not motion.ok:
+            self._blind_m += float(np.hypot(*motion.prev_from_curr[:2]))
         if motion.ok or motion.restarted:
+            self._doubt(cov)
             self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov + self._process))
             self._gap = _NO_GAP
         else:
             self._gap = replace(motion, prev_from_curr=moved, cov=cov)
+
+    def _doubt(self, gap_cov: Array) -> None:
+        """After a blind way on which the robot may have got another tile off, landmarks must confirm the pose."""
+        blind_m, self._blind_m = self._blind_m, 0.0
+        drift_m = 3.0 * float(np.sqrt(max(np.linalg.eigvalsh(gap_cov[:2, :2])[-1], 0.0)))
+        if drift_m + _SLIP_SHARE * blind_m <= _UNSURE_M or self._hypothesis is not None:
+            return
+        if can_confirm(self._filter.landmarks()):
+            why = f"{blind_m:.2f} m driven blind"
+            self._hypothesis = Confirmation(sure=False, carried=drift_m <= _UNSURE_M, why=why)
 
     def _pose(self) -> tuple[Array, Array, Depletion]:
         """The filter's pose, carried over the gap since the last good frame."""
@@ -171,14 +188,20 @@ class Pipeline:
             self._map_axis_rad or 0.0,
         )
 
-    def _confirm(self, hypothesis: Confirmation, crossings: Crossings, observations: Observations) -> None:
+    def _confirm(self, hypothesis: Confirmation, observations: Observations) -> None:
         """Judge an assumed pose by views from places that are a little apart; once is enough to believe it."""
         pose, _, depletion = self._filter.estimate()
-        others = rivals(pose, self._filter.landmarks(), self._map_axis_rad or 0.0)
-        explained = [np.count_nonzero(self._seen_from(p, crossings).label >= 0) for p in others]
-        counts = np.array([np.count_nonzero(observations.label >= 0), *explained], np.float64)
+        landmarks, gate_m = self._filter.landmarks(), self._config.filter.association_gate_m
+        others = np.zeros((0, 2)) if hypothesis.sure else rival_shifts(landmarks, self._map_axis_rad or 0.0)
+        counts = explained_at(np.vstack([np.zeros((1, 2)), others]), pose, observations, landmarks, gate_m)
         if hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high):
             self._hypothesis = None
+            return
+        better = hypothesis.better()
+        if better is not None:
+            there = pose + np.array([*others[better], 0.0])
+            self._filter.reset(there, np.diag(_JUMP_SIGMA**2), landmarks)
+            self._hypothesis = Confirmation(sure=False, why="found whole tiles away")
 
     def _conclude(
         self,
@@ -200,7 +223,8 @@ class Pipeline:
                 cov,
                 depletion,
                 observations,
-                self._hypothesis is not None or depletion.mode_weight < SURE,
+                self._hypothesis,
+                depletion.mode_weight < SURE,
             )
         )
         self._seq += 1
@@ -280,7 +304,7 @@ class Pipeline:
 
     def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
         self._filter.reset(pose, cov, landmarks)
-        self._gap = _NO_GAP
+        self._gap, self._blind_m = _NO_GAP, 0.0
         sure = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1])) < _SURE_M
         self._hypothesis = None if confirmed else Confirmation(sure)
         self._travel_m = self._turn_rad = 0.0
@@ -299,8 +323,10 @@ def _evidence(
     cov: Array,
     depletion: Depletion,
     observations: Observations | None,
-    relocalising: bool,
+    hypothesis: Confirmation | None,
+    searching: bool,
 ) -> Evidence:
+    unconfirmed = "" if hypothesis is None else hypothesis.why or "assumed"
     return Evidence(
         stamp_ns=stamp_ns,
         motion_ok=motion.ok,
@@ -313,5 +339,6 @@ def _evidence(
         nis_dof=depletion.nis_dof if observations is not None else 0,
         ess_ratio=depletion.ess / max(depletion.particles, 1),
         landmarks_matched=0 if observations is None else int(np.count_nonzero(observations.label >= 0)),
-        relocalising=relocalising,
+        relocalising=searching or (hypothesis is not None and not hypothesis.carried),
+        unconfirmed=unconfirmed,
     )
