@@ -39,7 +39,8 @@ class Tally:
     Attributes:
         wrong_s: by state, seconds with a pose that is more than WRONG_M off.
         wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault.
-        false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong.
+        false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong; blind_lost: while
+            neither camera nor wheels said anything, so that nobody could know.
     """
 
     seconds: float = 0.0
@@ -49,11 +50,12 @@ class Tally:
     wrong_events: dict[str, int] = field(default_factory=dict)
     false_lost: int = 0
     true_lost: int = 0
+    blind_lost: int = 0
     helped: int = 0
     worst_tracking_m: float = 0.0
 
     def add(self, other: Tally) -> None:
-        for name in ("seconds", "false_lost", "true_lost", "helped"):
+        for name in ("seconds", "false_lost", "true_lost", "blind_lost", "helped"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.worst_tracking_m = max(self.worst_tracking_m, other.worst_tracking_m)
         for name in ("state_s", "wrong_s", "faults", "wrong_events"):
@@ -99,7 +101,8 @@ class Drive:
 
     def _at_truth(self) -> None:
         self._pipeline.reset(keep_map=False)
-        self._pipeline.assume(self._truth(), np.diag([1e-6, 1e-6, 1e-6]), "put right")
+        following = self._tape.truth[(self._k + 1) % self._tape.frames]  # its first frame is the next one
+        self._pipeline.assume(following, np.diag([1e-6, 1e-6, 1e-6]), "put right")
         self._state, self._trouble_ns, self._was_wrong = State.INIT, None, False
         self._wheel_k = self._k
 
@@ -134,7 +137,7 @@ class Drive:
 
     def _seen(self):  # type: ignore[no-untyped-def]
         k = self._k
-        if self._fault == "stale picture" and self._rng.random() < 0.5:
+        if self._fault == "stale picture" and self._rng.random() < 0.15:
             k = (k - int(self._rng.integers(3, 20))) % self._tape.frames
         return self._tape.lines[self._take][k]
 
@@ -205,7 +208,8 @@ class Drive:
         if not wrong:
             self._was_wrong = False
         if e.state is State.LOST and self._state is not State.LOST:
-            t.true_lost, t.false_lost = t.true_lost + wrong, t.false_lost + (not wrong)
+            name = "blind_lost" if self._fault == "dark, no wheels" else "true_lost" if wrong else "false_lost"
+            setattr(t, name, getattr(t, name) + 1)
         self._state = e.state
         trouble = wrong or e.state in (State.LOST, State.RELOCALISING)
         if not trouble:

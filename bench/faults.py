@@ -69,7 +69,8 @@ def line(r: dict[str, object]) -> str:
     return (
         f"{r['hours']:6.2f} h, {r['rooms']} rooms: TRACKING but > 0.3 m off {r['tracking_but_wrong_s']:.1f} s "
         f"{r['wrong_events']}, DEGRADED {r['degraded_but_wrong_s']:.1f} s, false LOST {r['false_lost']} "
-        f"({r['false_lost_per_hour']:.2f}/h), true LOST {r['true_lost']}, helped {r['helped']}, "
+        f"({r['false_lost_per_hour']:.2f}/h), true LOST {r['true_lost']}, blind LOST {r['blind_lost']}, "
+        f"helped {r['helped']}, "
         f"states { ({k: round(v) for k, v in r['state_s'].items()}) }, worst TRACKING {r['worst_tracking_m']:.3f} m"  # type: ignore[attr-defined]
     )
 

@@ -13,8 +13,10 @@ import numpy as np
 from ceilvo.se2 import rotation, transform
 from ceilvo.types import Array, Landmarks, Observations
 
-_MARGIN = 8
+_MARGIN, _JUMP_MARGIN = 12, 24
+_SHARE = 0.85
 _SURE_SHARE = 0.6
+_FEWEST_VIEWS = 6
 _FEWEST = 5
 _FEWEST_LANDMARKS = 6
 _REACH_TILES = 3
@@ -31,6 +33,11 @@ class Confirmation:
     def __init__(self, sure: bool, carried: bool = False, why: str = "") -> None:
         self.sure, self.carried, self.why = sure, carried, why
         self._explained: Array = np.zeros(1)
+        self._seen = self._views = 0
+
+    def after_gap(self, carried: bool) -> Confirmation:
+        """The same hypothesis after a further blind way: what was counted before it says nothing any more."""
+        return Confirmation(False, self.carried and carried, self.why)
 
     def weigh(self, explained: Array, seen: int, nis: float, nis_max: float) -> bool:
         """Take in one view from a new place.
@@ -43,13 +50,14 @@ class Confirmation:
             True once the hypothesis is confirmed.
         """
         if explained.shape != self._explained.shape:
-            self._explained = np.zeros(explained.shape)
+            self._explained, self._seen, self._views = np.zeros(explained.shape), 0, 0
         self._explained = self._explained + explained
+        self._seen, self._views = self._seen + seen, self._views + 1
         fits = explained[0] >= max(_FEWEST, _SURE_SHARE * seen) and nis <= nis_max
-        if self.sure:
-            return bool(fits)
-        ahead = self._explained[0] - np.max(self._explained[1:], initial=0.0)
-        return bool(fits and len(explained) > 1 and ahead >= _MARGIN)
+        if self.sure or len(explained) == 1:
+            return bool(fits and self.sure)
+        ahead = self._explained[0] - np.max(self._explained[1:])
+        return bool(fits and ahead >= _MARGIN and self._convinces(0))
 
     def better(self) -> int | None:
         """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
@@ -57,9 +65,12 @@ class Confirmation:
             return None
         order = np.argsort(self._explained)
         best, second = int(order[-1]), int(order[-2])
-        if best == 0 or self._explained[best] - self._explained[second] < _MARGIN:
-            return None
-        return best - 1
+        ahead = self._explained[best] - self._explained[second]
+        return best - 1 if best > 0 and ahead >= _JUMP_MARGIN and self._convinces(best) else None
+
+    def _convinces(self, pose: int) -> bool:
+        """Whether enough views were explained nearly whole: the best of bad ones is none."""
+        return bool(self._views >= _FEWEST_VIEWS and self._explained[pose] >= _SHARE * self._seen)
 
 
 def can_confirm(landmarks: Landmarks) -> bool:

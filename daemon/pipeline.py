@@ -43,7 +43,7 @@ Lap = Callable[[str], None]
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _SURE_M = 0.12
-_UNSURE_M = 0.15
+_UNSURE_M, _UNSURE_RAD = 0.15, 0.5
 _SLIP_SHARE = 0.3
 _JUMP_SIGMA = np.array([0.1, 0.1, 0.05])
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
@@ -122,26 +122,35 @@ class Pipeline:
         gap = self._gap
         moved = se2.compose(gap.prev_from_curr, motion.prev_from_curr)
         cov = motion.cov
+        unseen = gap.cov
         if not motion.ok:
-            cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
+            cov = unseen = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
         if not motion.ok:
             self._blind_m += float(np.hypot(*motion.prev_from_curr[:2]))
         if motion.ok or motion.restarted:
-            self._doubt(cov)
+            self._doubt(unseen)
             self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov + self._process))
             self._gap = _NO_GAP
         else:
             self._gap = replace(motion, prev_from_curr=moved, cov=cov)
 
     def _doubt(self, gap_cov: Array) -> None:
-        """After a blind way on which the robot may have got another tile off, landmarks must confirm the pose."""
+        """After a blind way on which the robot may have got another tile off, landmarks must confirm the pose.
+
+        The motion that ends the gap proves nothing: on a grid it fits whole tiles and quarter turns off as well.
+        """
         blind_m, self._blind_m = self._blind_m, 0.0
         drift_m = 3.0 * float(np.sqrt(max(np.linalg.eigvalsh(gap_cov[:2, :2])[-1], 0.0)))
-        if drift_m + _SLIP_SHARE * blind_m <= _UNSURE_M or self._hypothesis is not None:
+        turned_rad = 3.0 * float(np.sqrt(max(gap_cov[2, 2], 0.0)))
+        if drift_m + _SLIP_SHARE * blind_m <= _UNSURE_M and turned_rad <= _UNSURE_RAD:
+            return
+        carried = drift_m <= _UNSURE_M and turned_rad <= _UNSURE_RAD
+        if self._hypothesis is not None:
+            self._hypothesis = self._hypothesis.after_gap(carried)
             return
         if can_confirm(self._filter.landmarks()):
             why = f"{blind_m:.2f} m driven blind"
-            self._hypothesis = Confirmation(sure=False, carried=drift_m <= _UNSURE_M, why=why)
+            self._hypothesis = Confirmation(sure=False, carried=carried, why=why)
 
     def _pose(self) -> tuple[Array, Array, Depletion]:
         """The filter's pose, carried over the gap since the last good frame."""

@@ -15,7 +15,8 @@ def views(own: int, rival: int, seen: int, count: int, sure: bool = False, nis: 
 
 
 def test_the_better_pose_is_believed_after_a_few_views() -> None:
-    assert views(30, 28, 32, 10) == [False] * 3 + [True] * 7
+    assert views(30, 28, 32, 10) == [False] * 5 + [True] * 5
+    assert views(30, 20, 32, 10) == [False] * 5 + [True] * 5  # never by a few views alone
 
 
 def test_a_bare_grid_never_decides() -> None:
@@ -74,8 +75,8 @@ def test_explained_features_are_counted_by_kind_at_every_shift() -> None:
 
 def test_a_clearly_better_rival_is_named_and_a_draw_is_not() -> None:
     confirmation = Confirmation(sure=False)
-    for _ in range(3):
-        assert not confirmation.weigh(np.array([20.0, 21.0, 24.0]), 30, NIS, NIS_MAX)
+    for _ in range(8):
+        assert not confirmation.weigh(np.array([20.0, 21.0, 27.0]), 30, NIS, NIS_MAX)
     assert confirmation.better() == 1
     draw = Confirmation(sure=False)
     for _ in range(9):
