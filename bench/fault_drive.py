@@ -12,7 +12,7 @@ from ceilvo.bench.fault_tape import RATE_HZ, Tape, TapeFinder
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.wheel_track import WheelNoise
-from ceilvo.types import Array, Estimate, Frame, State, WheelMotion
+from ceilvo.types import Array, Estimate, Frame, Lines, State, WheelMotion
 
 Kind = Literal[
     "dark", "silent", "stale picture", "slip", "no wheels", "restart", "carried", "dark and slip", "dark, no wheels"
@@ -135,7 +135,7 @@ class Drive:
         if self._k == self._tape.frames:
             self._k, self._take = 0, int(self._rng.integers(len(self._tape.lines)))
 
-    def _seen(self):  # type: ignore[no-untyped-def]
+    def _seen(self) -> Lines | None:
         k = self._k
         if self._fault == "stale picture" and self._rng.random() < 0.15:
             k = (k - int(self._rng.integers(3, 20))) % self._tape.frames

@@ -17,6 +17,7 @@ _MARGIN, _JUMP_MARGIN = 12, 24
 _SHARE = 0.85
 _SURE_SHARE = 0.6
 _FEWEST_VIEWS = 6
+_FOUND_VIEWS = 40
 _FEWEST = 5
 _FEWEST_LANDMARKS = 6
 _REACH_TILES = 3
@@ -28,16 +29,18 @@ class Confirmation:
     Attributes:
         carried: the wheels carried the pose here: usable with care while it is unconfirmed.
         why: for the reason of the state.
+        found: it came from looking all over the map. Ceilings repeat themselves at many distances and the map may lack
+            the right place, so it must be right for a longer way.
     """
 
-    def __init__(self, sure: bool, carried: bool = False, why: str = "") -> None:
-        self.sure, self.carried, self.why = sure, carried, why
+    def __init__(self, sure: bool, carried: bool = False, why: str = "", found: bool = False) -> None:
+        self.sure, self.carried, self.why, self.found = sure, carried, why, found
         self._explained: Array = np.zeros(1)
         self._seen = self._views = 0
 
     def after_gap(self, carried: bool) -> Confirmation:
         """The same hypothesis after a further blind way: what was counted before it says nothing any more."""
-        return Confirmation(False, self.carried and carried, self.why)
+        return Confirmation(False, self.carried and carried, self.why, self.found)
 
     def weigh(self, explained: Array, seen: int, nis: float, nis_max: float) -> bool:
         """Take in one view from a new place.
@@ -57,7 +60,7 @@ class Confirmation:
         if self.sure or len(explained) == 1:
             return bool(fits and self.sure)
         ahead = self._explained[0] - np.max(self._explained[1:])
-        return bool(fits and ahead >= _MARGIN and self._convinces(0))
+        return bool(fits and ahead >= _MARGIN and self._convinces(0, _FOUND_VIEWS if self.found else _FEWEST_VIEWS))
 
     def better(self) -> int | None:
         """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
@@ -68,9 +71,19 @@ class Confirmation:
         ahead = self._explained[best] - self._explained[second]
         return best - 1 if best > 0 and ahead >= _JUMP_MARGIN and self._convinces(best) else None
 
-    def _convinces(self, pose: int) -> bool:
+    @property
+    def hopeless(self) -> bool:
+        """Whether enough views were explained too badly: the robot is elsewhere, or where nothing is mapped."""
+        return not self.sure and self._views >= _FEWEST_VIEWS and not self._convinces(0)
+
+    def _convinces(self, pose: int, views: int = _FEWEST_VIEWS) -> bool:
         """Whether enough views were explained nearly whole: the best of bad ones is none."""
-        return bool(self._views >= _FEWEST_VIEWS and self._explained[pose] >= _SHARE * self._seen)
+        return bool(self._views >= views and self._explained[pose] >= _SHARE * self._seen)
+
+
+def convincing(explained: int, seen: int) -> bool:
+    """Whether one view is explained nearly whole."""
+    return seen >= _FEWEST and explained >= _SHARE * seen
 
 
 def can_confirm(landmarks: Landmarks) -> bool:

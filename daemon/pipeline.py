@@ -14,9 +14,10 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.confirmation import Confirmation, can_confirm, explained_at, rival_shifts
+from ceilvo.daemon.confirmation import Confirmation, can_confirm, convincing, explained_at, rival_shifts
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.filters import make_filter
+from ceilvo.daemon.map_raster import best_place
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
 from ceilvo.daemon.particles import SURE, PoseFilter
@@ -45,7 +46,8 @@ _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _SURE_M = 0.12
 _UNSURE_M, _UNSURE_RAD = 0.15, 0.5
 _SLIP_SHARE = 0.3
-_JUMP_SIGMA = np.array([0.1, 0.1, 0.05])
+_JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
+_BETTER_ELSEWHERE, _MUCH_BETTER = 2, 4
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -111,7 +113,10 @@ class Pipeline:
         observations = self._observe(stamp_ns, motion, crossings)
         if observations is not None:
             # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
-            self._filter.update(observations if self._hypothesis is None else _explained(observations))
+            if self._hypothesis is None:
+                self._filter.update(observations)
+            elif self._hypothesis.sure or convincing(_matched(observations), len(observations)):
+                self._filter.update(_explained(observations))
             if crossings is not None and self._hypothesis is not None and self._news:
                 self._confirm(self._hypothesis, observations)
         lap("filter")
@@ -203,14 +208,32 @@ class Pipeline:
         landmarks, gate_m = self._filter.landmarks(), self._config.filter.association_gate_m
         others = np.zeros((0, 2)) if hypothesis.sure else rival_shifts(landmarks, self._map_axis_rad or 0.0)
         counts = explained_at(np.vstack([np.zeros((1, 2)), others]), pose, observations, landmarks, gate_m)
-        if hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high):
+        confirmed = hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high)
+        if confirmed and hypothesis.sure:
             self._hypothesis = None
             return
         better = hypothesis.better()
-        if better is not None:
-            there = pose + np.array([*others[better], 0.0])
-            self._filter.reset(there, np.diag(_JUMP_SIGMA**2), landmarks)
-            self._hypothesis = Confirmation(sure=False, why="found whole tiles away")
+        if not confirmed and better is None and not hypothesis.hopeless:
+            return
+        place = best_place(landmarks, observations, pose)
+        if confirmed:
+            if place is None or place.explained <= place.here + _BETTER_ELSEWHERE:
+                self._hypothesis = None
+        elif better is not None:
+            self._jump(pose + np.array([*others[better], 0.0]), landmarks)
+        elif (
+            place is not None
+            and place.explained > place.here + _MUCH_BETTER
+            and convincing(place.explained, len(observations))
+        ):
+            self._jump(place.pose, landmarks)
+        else:
+            self._hypothesis = hypothesis.after_gap(hypothesis.carried)
+
+    def _jump(self, pose: Array, landmarks: Landmarks) -> None:
+        """Try another pose: a hypothesis like any other."""
+        self._filter.reset(pose, np.diag(_JUMP_SIGMA**2), landmarks)
+        self._hypothesis = Confirmation(sure=False, why="found elsewhere on the map", found=True)
 
     def _conclude(
         self,
@@ -325,6 +348,10 @@ def _explained(observations: Observations) -> Observations:
     return replace(o, xy_base_m=o.xy_base_m[known], var_m2=o.var_m2[known], kind=o.kind[known], label=o.label[known])
 
 
+def _matched(observations: Observations) -> int:
+    return int(np.count_nonzero(observations.label >= 0))
+
+
 def _evidence(
     stamp_ns: int,
     motion: Motion,
@@ -347,7 +374,7 @@ def _evidence(
         nis=depletion.nis if depletion.nis_dof else 1.0,
         nis_dof=depletion.nis_dof if observations is not None else 0,
         ess_ratio=depletion.ess / max(depletion.particles, 1),
-        landmarks_matched=0 if observations is None else int(np.count_nonzero(observations.label >= 0)),
+        landmarks_matched=0 if observations is None else _matched(observations),
         relocalising=searching or (hypothesis is not None and not hypothesis.carried),
         unconfirmed=unconfirmed,
     )
