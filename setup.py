@@ -5,6 +5,11 @@ from setuptools import Extension, setup
 # optional: without a compiler the installation goes on, and the same loops run in NumPy
 setup(
     ext_modules=[
-        Extension("ceilvo.daemon._kernel", ["daemon/_kernel.c"], extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math"], optional=True),
+        Extension(
+            "ceilvo.daemon._kernel",
+            ["daemon/_kernel.c"],
+            extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math"],
+            optional=True,
+        ),
     ]
 )

@@ -47,7 +47,10 @@ class Camera:
     gain: float | None = key(None, "fixed gain in the driver's units; null leaves it alone", low=0.0, high=1e6)
     read_timeout_s: float = key(1.0, "a camera silent for longer is lost and reopened", low=0.1, high=10.0)
     reopen_min_s: float = key(0.2, "first wait before reopening a lost camera", low=0.05, high=60.0)
-    reopen_max_s: float = key(2.0, "longest wait between attempts to reopen", low=0.1, high=300.0)
+    reopen_max_s: float = key(1.0, "longest wait between attempts to reopen", low=0.1, high=300.0)
+    refuse_repeats: bool = key(
+        True, "a picture that equals the one before, byte for byte, is not new: a frozen camera; false for test feeds"
+    )
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,9 @@ class Base:
         "fc23", "fc23 = one transaction; fc16_fc04 = for bases without FC23", choices=("fc23", "fc16_fc04")
     )
     use_wheels: bool = key(True, "use the base's wheel odometry to predict and to bridge")
+    stale_s: float = key(
+        0.5, "an older estimate is told to the base as DEAD_RECKONING at best, whatever it was", low=0.05, high=60.0
+    )
     reconnect_max_s: float = key(1.0, "longest wait between attempts to reopen the port", low=0.05, high=60.0)
 
 

@@ -55,6 +55,7 @@ _TICK_S = 0.05
 _SILENT_FRAMES = 3.0
 _COAST_PERIOD_S = 0.1
 _STOP_S = 1.0
+_SILENT = "the camera gives no frames"
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class Daemon:
         )
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         self._report = Report(
-            self._estimator, self._capture, self._base, self._bus, plan.truth, clock, config.service.seed
+            self._estimator, self._capture, self._base, self._bus, plan.truth, clock, config.service.seed, self._store
         )
         self._thread = threading.Thread(target=self._estimate, name="estimator", daemon=True)
 
@@ -129,6 +130,7 @@ class Daemon:
             self._outputs.event("map", "stored map loaded; its last pose is a hypothesis until landmarks confirm it")
         with ExitStack() as ending:
             ending.enter_context(stop_on_signals(self._stop))
+            ending.enter_context(hear_of_dead_threads(self._crash))
             if self._tape is not None:
                 ending.callback(lambda tape: tape.stop(crashed=not self._crashes.empty()), self._tape)
                 self._tape.start()
@@ -225,6 +227,8 @@ class Daemon:
             check_fits(self._plan.calibration, info.name, info.camera_id, info.width_px, info.height_px)
         if event.kind in ("lost", "bad_frame"):
             self._camera_reason = event.text
+        elif event.kind == "opened":
+            self._camera_reason = _SILENT
         level = logging.WARNING if event.kind == "lost" else logging.INFO
         self._outputs.event(f"camera_{event.kind}", f"camera {event.kind}: {event.text}", level)
 
@@ -248,6 +252,8 @@ class Daemon:
             return True
         if self._first_frame_ns is None:
             self._first_frame_ns = self._clock()
+        if self._capture.counters().connected:
+            self._camera_reason = _SILENT
         estimate = self._estimator.frame(frame)
         if estimate is not None:
             self._outputs.publish(estimate)
@@ -292,6 +298,22 @@ def run(plan: Plan) -> int:
     if plan.seconds is not None or plan.summary_file is not None or plan.record is not None:
         sys.stdout.write(format_summary(summary))
     return 0
+
+
+@contextmanager
+def hear_of_dead_threads(crash: Callable[[BaseException], None]) -> Iterator[None]:
+    """Whatever thread dies of an exception, a library's too, is a crash of the process."""
+    before = threading.excepthook
+
+    def tell(args: threading.ExceptHookArgs) -> None:
+        if args.exc_value is not None:
+            crash(args.exc_value)
+
+    threading.excepthook = tell
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from ceilvo.daemon.screen import BaseLink as ScreenBase
 from ceilvo.daemon.screen import Snapshot
 from ceilvo.daemon.staleness import StalenessMonitor
 from ceilvo.daemon.states import UNUSABLE
+from ceilvo.daemon.store import Store
 from ceilvo.daemon.summary import RunStatistics
 from ceilvo.drivers.base_link import BaseLink
 from ceilvo.drivers.capture import CaptureLoop
@@ -39,9 +40,10 @@ class Report:
         truth: Truth | None,
         clock: Callable[[], int],
         seed: int,
+        store: Store | None = None,
     ) -> None:
         self._estimator, self._capture, self._base, self._bus = estimator, capture, base, bus
-        self._truth, self._clock = truth, clock
+        self._truth, self._clock, self._store = truth, clock, store
         self._started_ns = clock()
         self._stats = RunStatistics(seed)
         self._staleness = StalenessMonitor()
@@ -78,11 +80,13 @@ class Report:
             "drops": capture.drops,
             "bad_frames": capture.bad_frames,
             "bad_stamps": capture.bad_stamps,
+            "repeated_frames": capture.repeats,
             "late_frames": self._estimator.late,
             "camera_connected": capture.connected,
             "camera_losses": capture.losses,
             "camera_reopens": capture.reopens,
             "camera_error": capture.last_error,
+            "store_error": "" if self._store is None else self._store.error,
             "calibration_stale": stale.stale,
             "calibration_stale_reason": stale.reason,
             "calibration_mean_nis": stale.mean_nis if np.isfinite(stale.mean_nis) else None,

@@ -1,28 +1,46 @@
-"""Whether a pose that was only assumed is right: it must explain what is seen better than its neighbours do.
+"""Whether a pose that was only assumed is right: it must explain what is seen better than its rivals do.
 
 A grid of tiles agrees with any pose that is whole tiles off, so that most features fit proves nothing. The rivals are
 tried on the same views: the assumed pose is believed once it has explained clearly more features than the best of the
-poses one tile away, over views from places a little apart. A bare grid decides nothing, and then nothing is believed.
+poses whole tiles away, over views from places a little apart. A bare grid decides nothing, and then nothing is
+believed. Where one rival is clearly better than all others, the robot is there.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.types import Array, Landmarks
+from ceilvo.se2 import rotation, transform
+from ceilvo.types import Array, Landmarks, Observations
 
-_MARGIN = 8
+_MARGIN, _JUMP_MARGIN = 12, 24
+_SHARE = 0.85
 _SURE_SHARE = 0.6
+_FEWEST_VIEWS = 6
+_FOUND_VIEWS = 40
 _FEWEST = 5
 _FEWEST_LANDMARKS = 6
+_REACH_TILES = 3
 
 
 class Confirmation:
-    """Counts explained features; `sure` hypotheses are within a fraction of a tile and need no rivals."""
+    """Counts explained features; `sure` hypotheses are within a fraction of a tile and need no rivals.
 
-    def __init__(self, sure: bool) -> None:
-        self._sure = sure
+    Attributes:
+        carried: the wheels carried the pose here: usable with care while it is unconfirmed.
+        why: for the reason of the state.
+        found: it came from looking all over the map. Ceilings repeat themselves at many distances and the map may lack
+            the right place, so it must be right for a longer way.
+    """
+
+    def __init__(self, sure: bool, carried: bool = False, why: str = "", found: bool = False) -> None:
+        self.sure, self.carried, self.why, self.found = sure, carried, why, found
         self._explained: Array = np.zeros(1)
+        self._seen = self._views = 0
+
+    def after_gap(self, carried: bool) -> Confirmation:
+        """The same hypothesis after a further blind way: what was counted before it says nothing any more."""
+        return Confirmation(False, self.carried and carried, self.why, self.found)
 
     def weigh(self, explained: Array, seen: int, nis: float, nis_max: float) -> bool:
         """Take in one view from a new place.
@@ -35,28 +53,71 @@ class Confirmation:
             True once the hypothesis is confirmed.
         """
         if explained.shape != self._explained.shape:
-            self._explained = np.zeros(explained.shape)
+            self._explained, self._seen, self._views = np.zeros(explained.shape), 0, 0
         self._explained = self._explained + explained
+        self._seen, self._views = self._seen + seen, self._views + 1
         fits = explained[0] >= max(_FEWEST, _SURE_SHARE * seen) and nis <= nis_max
-        if self._sure:
-            return bool(fits)
-        ahead = self._explained[0] - np.max(self._explained[1:], initial=0.0)
-        return bool(fits and len(explained) > 1 and ahead >= _MARGIN)
+        if self.sure or len(explained) == 1:
+            return bool(fits and self.sure)
+        ahead = self._explained[0] - np.max(self._explained[1:])
+        return bool(fits and ahead >= _MARGIN and self._convinces(0, _FOUND_VIEWS if self.found else _FEWEST_VIEWS))
+
+    def better(self) -> int | None:
+        """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
+        if len(self._explained) < 3:
+            return None
+        order = np.argsort(self._explained)
+        best, second = int(order[-1]), int(order[-2])
+        ahead = self._explained[best] - self._explained[second]
+        return best - 1 if best > 0 and ahead >= _JUMP_MARGIN and self._convinces(best) else None
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether enough views were explained too badly: the robot is elsewhere, or where nothing is mapped."""
+        return not self.sure and self._views >= _FEWEST_VIEWS and not self._convinces(0)
+
+    def _convinces(self, pose: int, views: int = _FEWEST_VIEWS) -> bool:
+        """Whether enough views were explained nearly whole: the best of bad ones is none."""
+        return bool(self._views >= views and self._explained[pose] >= _SHARE * self._seen)
 
 
-def rivals(pose: Array, landmarks: Landmarks, map_axis_rad: float) -> Array:
-    """(K, 3) poses one tile away along and across the map's axes, K = 8, or 0 where the map shows no tiles."""
+def convincing(explained: int, seen: int) -> bool:
+    """Whether one view is explained nearly whole."""
+    return seen >= _FEWEST and explained >= _SHARE * seen
+
+
+def can_confirm(landmarks: Landmarks) -> bool:
+    """Whether the map has enough in it to judge a pose by."""
+    return len(landmarks) >= _FEWEST_LANDMARKS
+
+
+def rival_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
+    """(K, 2) whole tiles along and across the map's axes, up to 3 away, K = 48, or 0 where the map shows no tiles."""
     xy = landmarks.xy_map_m
-    if len(xy) < _FEWEST_LANDMARKS:
-        return np.zeros((0, 3))
+    if not can_confirm(landmarks):
+        return np.zeros((0, 2))
     kinds, counts = np.unique(landmarks.kind, return_counts=True)
     same = xy[landmarks.kind == kinds[np.argmax(counts)]]
     if len(same) < _FEWEST_LANDMARKS:
-        return np.zeros((0, 3))
+        return np.zeros((0, 2))
     apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])
     np.fill_diagonal(apart, np.inf)
     tile = float(np.median(np.min(apart, axis=1)))
-    c, s = np.cos(map_axis_rad), np.sin(map_axis_rad)
-    steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
-    shift = tile * np.array([(i * c - j * s, i * s + j * c, 0.0) for i, j in steps])
-    return np.asarray(pose + shift)
+    reach = range(-_REACH_TILES, _REACH_TILES + 1)
+    steps = np.array([(i, j) for i in reach for j in reach if (i, j) != (0, 0)], np.float64)
+    return np.asarray(tile * steps @ rotation(map_axis_rad).T)
+
+
+def explained_at(shifts: Array, pose: Array, observations: Observations, landmarks: Landmarks, gate_m: float) -> Array:
+    """(K,) how many features have a landmark of their kind within the gate, were the robot shifted by (K, 2)."""
+    seen = transform(pose, observations.xy_base_m)
+    count = np.zeros(len(shifts))
+    for kind in np.unique(observations.kind):
+        there = landmarks.xy_map_m[landmarks.kind == kind]
+        if not len(there):
+            continue
+        moved = seen[observations.kind == kind] + shifts[:, None]
+        dx = moved[..., 0, None] - there[:, 0]
+        dy = moved[..., 1, None] - there[:, 1]
+        count += np.count_nonzero(np.min(dx * dx + dy * dy, axis=-1) <= gate_m * gate_m, axis=-1)
+    return count

@@ -21,6 +21,8 @@ Tap = Callable[[Input, Estimate | None, Pipeline], None]
 
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 _SEARCH_SIGMA = np.array([0.3, 0.3, 0.1])
+_LAG_KEPT = 0.9
+_MAX_LAG_NS = 1_000_000_000
 
 
 def no_wheels(stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
@@ -53,6 +55,7 @@ class Estimator:
         self._lock = threading.Lock()
         self._last: Estimate | None = None
         self._late = 0
+        self._lag_ns = 0
 
     @property
     def last(self) -> Estimate | None:
@@ -66,7 +69,8 @@ class Estimator:
     def frame(self, frame: Frame) -> Estimate | None:
         """The estimate at a frame, None when the frame is older than the last estimate."""
         start_ns = mark_ns = self._clock()
-        laps: dict[str, float] = {"queue": 1e-6 * (start_ns - frame.stamp_ns)}
+        age_ns = start_ns - frame.stamp_ns
+        laps: dict[str, float] = {"queue": 1e-6 * age_ns}
 
         def lap(stage: str) -> None:
             nonlocal mark_ns
@@ -75,6 +79,7 @@ class Estimator:
             mark_ns = now_ns
 
         with self._lock:
+            self._lag_ns = min(max(age_ns, round(_LAG_KEPT * self._lag_ns)), _MAX_LAG_NS)
             before_ns = self._pipeline.stamp_ns
             if before_ns is not None and frame.stamp_ns <= before_ns:
                 self._late += 1
@@ -88,12 +93,16 @@ class Estimator:
         return self._last
 
     def silence(self, reason: str) -> Estimate | None:
-        """An estimate without a frame, for a camera that went silent; None before the first frame."""
+        """An estimate without a frame, for a camera that went silent; None before the first frame.
+
+        It is of the moment that a frame arriving now would be of: later, and every frame of a camera that is slower
+        than the interval between two calls would be late.
+        """
         with self._lock:
             before_ns = self._pipeline.stamp_ns
             if before_ns is None:
                 return None
-            now_ns = max(self._clock(), before_ns + 1)
+            now_ns = max(self._clock() - self._lag_ns, before_ns + 1)
             self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns)))
             return self._last
 

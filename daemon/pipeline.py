@@ -14,9 +14,10 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.confirmation import Confirmation, rivals
+from ceilvo.daemon.confirmation import Confirmation, can_confirm, convincing, explained_at, rival_shifts
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.filters import make_filter
+from ceilvo.daemon.map_raster import best_place
 from ceilvo.daemon.observation import observe
 from ceilvo.daemon.odometry import VisualOdometry
 from ceilvo.daemon.particles import SURE, PoseFilter
@@ -43,6 +44,10 @@ Lap = Callable[[str], None]
 _NS = 1e-9
 _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _SURE_M = 0.12
+_UNSURE_M, _UNSURE_RAD = 0.15, 0.5
+_SLIP_SHARE = 0.3
+_JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
+_BETTER_ELSEWHERE, _MUCH_BETTER = 2, 4
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -75,6 +80,7 @@ class Pipeline:
         self._map_axis_rad: float | None = None
         self._view: View | None = None
         self._gap = _NO_GAP
+        self._blind_m = 0.0
         self._travel_m = self._turn_rad = 0.0
         self._hypothesis: Confirmation | None = None
         self._news = True
@@ -107,9 +113,12 @@ class Pipeline:
         observations = self._observe(stamp_ns, motion, crossings)
         if observations is not None:
             # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
-            self._filter.update(observations if self._hypothesis is None else _explained(observations))
+            if self._hypothesis is None:
+                self._filter.update(observations)
+            elif self._hypothesis.sure or convincing(_matched(observations), len(observations)):
+                self._filter.update(_explained(observations))
             if crossings is not None and self._hypothesis is not None and self._news:
-                self._confirm(self._hypothesis, crossings, observations)
+                self._confirm(self._hypothesis, observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
 
@@ -118,13 +127,35 @@ class Pipeline:
         gap = self._gap
         moved = se2.compose(gap.prev_from_curr, motion.prev_from_curr)
         cov = motion.cov
+        unseen = gap.cov
         if not motion.ok:
-            cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
+            cov = unseen = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
+        if not motion.ok:
+            self._blind_m += float(np.hypot(*motion.prev_from_curr[:2]))
         if motion.ok or motion.restarted:
+            self._doubt(unseen)
             self._filter.predict(replace(motion, prev_from_curr=moved, cov=cov + self._process))
             self._gap = _NO_GAP
         else:
             self._gap = replace(motion, prev_from_curr=moved, cov=cov)
+
+    def _doubt(self, gap_cov: Array) -> None:
+        """After a blind way on which the robot may have got another tile off, landmarks must confirm the pose.
+
+        The motion that ends the gap proves nothing: on a grid it fits whole tiles and quarter turns off as well.
+        """
+        blind_m, self._blind_m = self._blind_m, 0.0
+        drift_m = 3.0 * float(np.sqrt(max(np.linalg.eigvalsh(gap_cov[:2, :2])[-1], 0.0)))
+        turned_rad = 3.0 * float(np.sqrt(max(gap_cov[2, 2], 0.0)))
+        if drift_m + _SLIP_SHARE * blind_m <= _UNSURE_M and turned_rad <= _UNSURE_RAD:
+            return
+        carried = drift_m <= _UNSURE_M and turned_rad <= _UNSURE_RAD
+        if self._hypothesis is not None:
+            self._hypothesis = self._hypothesis.after_gap(carried)
+            return
+        if can_confirm(self._filter.landmarks()):
+            why = f"{blind_m:.2f} m driven blind"
+            self._hypothesis = Confirmation(sure=False, carried=carried, why=why)
 
     def _pose(self) -> tuple[Array, Array, Depletion]:
         """The filter's pose, carried over the gap since the last good frame."""
@@ -171,14 +202,38 @@ class Pipeline:
             self._map_axis_rad or 0.0,
         )
 
-    def _confirm(self, hypothesis: Confirmation, crossings: Crossings, observations: Observations) -> None:
+    def _confirm(self, hypothesis: Confirmation, observations: Observations) -> None:
         """Judge an assumed pose by views from places that are a little apart; once is enough to believe it."""
         pose, _, depletion = self._filter.estimate()
-        others = rivals(pose, self._filter.landmarks(), self._map_axis_rad or 0.0)
-        explained = [np.count_nonzero(self._seen_from(p, crossings).label >= 0) for p in others]
-        counts = np.array([np.count_nonzero(observations.label >= 0), *explained], np.float64)
-        if hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high):
+        landmarks, gate_m = self._filter.landmarks(), self._config.filter.association_gate_m
+        others = np.zeros((0, 2)) if hypothesis.sure else rival_shifts(landmarks, self._map_axis_rad or 0.0)
+        counts = explained_at(np.vstack([np.zeros((1, 2)), others]), pose, observations, landmarks, gate_m)
+        confirmed = hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high)
+        if confirmed and hypothesis.sure:
             self._hypothesis = None
+            return
+        better = hypothesis.better()
+        if not confirmed and better is None and not hypothesis.hopeless:
+            return
+        place = best_place(landmarks, observations, pose)
+        if confirmed:
+            if place is None or place.explained <= place.here + _BETTER_ELSEWHERE:
+                self._hypothesis = None
+        elif better is not None:
+            self._jump(pose + np.array([*others[better], 0.0]), landmarks)
+        elif (
+            place is not None
+            and place.explained > place.here + _MUCH_BETTER
+            and convincing(place.explained, len(observations))
+        ):
+            self._jump(place.pose, landmarks)
+        else:
+            self._hypothesis = hypothesis.after_gap(hypothesis.carried)
+
+    def _jump(self, pose: Array, landmarks: Landmarks) -> None:
+        """Try another pose: a hypothesis like any other."""
+        self._filter.reset(pose, np.diag(_JUMP_SIGMA**2), landmarks)
+        self._hypothesis = Confirmation(sure=False, why="found elsewhere on the map", found=True)
 
     def _conclude(
         self,
@@ -200,7 +255,8 @@ class Pipeline:
                 cov,
                 depletion,
                 observations,
-                self._hypothesis is not None or depletion.mode_weight < SURE,
+                self._hypothesis,
+                depletion.mode_weight < SURE,
             )
         )
         self._seq += 1
@@ -280,7 +336,7 @@ class Pipeline:
 
     def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
         self._filter.reset(pose, cov, landmarks)
-        self._gap = _NO_GAP
+        self._gap, self._blind_m = _NO_GAP, 0.0
         sure = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1])) < _SURE_M
         self._hypothesis = None if confirmed else Confirmation(sure)
         self._travel_m = self._turn_rad = 0.0
@@ -292,6 +348,10 @@ def _explained(observations: Observations) -> Observations:
     return replace(o, xy_base_m=o.xy_base_m[known], var_m2=o.var_m2[known], kind=o.kind[known], label=o.label[known])
 
 
+def _matched(observations: Observations) -> int:
+    return int(np.count_nonzero(observations.label >= 0))
+
+
 def _evidence(
     stamp_ns: int,
     motion: Motion,
@@ -299,8 +359,10 @@ def _evidence(
     cov: Array,
     depletion: Depletion,
     observations: Observations | None,
-    relocalising: bool,
+    hypothesis: Confirmation | None,
+    searching: bool,
 ) -> Evidence:
+    unconfirmed = "" if hypothesis is None else hypothesis.why or "assumed"
     return Evidence(
         stamp_ns=stamp_ns,
         motion_ok=motion.ok,
@@ -312,6 +374,7 @@ def _evidence(
         nis=depletion.nis if depletion.nis_dof else 1.0,
         nis_dof=depletion.nis_dof if observations is not None else 0,
         ess_ratio=depletion.ess / max(depletion.particles, 1),
-        landmarks_matched=0 if observations is None else int(np.count_nonzero(observations.label >= 0)),
-        relocalising=relocalising,
+        landmarks_matched=0 if observations is None else _matched(observations),
+        relocalising=searching or (hypothesis is not None and not hypothesis.carried),
+        unconfirmed=unconfirmed,
     )

@@ -34,6 +34,7 @@ class Evidence:
         ess_ratio: effective sample size over the number of particles.
         landmarks_matched: observations that a landmark explained; needed to confirm a relocalisation.
         relocalising: the filter is searching, so the pose is one hypothesis among several.
+        unconfirmed: why landmarks have yet to confirm the pose, "" when they need not.
     """
 
     stamp_ns: int
@@ -48,6 +49,7 @@ class Evidence:
     ess_ratio: float = 1.0
     landmarks_matched: int = 0
     relocalising: bool = False
+    unconfirmed: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +143,8 @@ class StateMachine:
         heading_deg = math.degrees(e.heading_sigma_rad)
         self._hold_below("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
         self._hold_below("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
+        text = f"{e.unconfirmed}, not confirmed by landmarks yet"
+        self._hold("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
         self._weigh_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         self._good_frames = self._good_frames + 1 if e.motion_ok and not self._causes and not spike else 0
@@ -191,7 +195,7 @@ class StateMachine:
             return state, "", ""
         if enough or (state is State.TRACKING and not self._causes):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
-        cause = self._first_cause("nis", "sigma", "heading", "inliers")
+        cause = self._first_cause("nis", "unconfirmed", "sigma", "heading", "inliers")
         if cause:
             return State.DEGRADED, cause, self._causes[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from ceilvo.daemon.map_file import StoredMap, StoredState, load_map, load_state, save_map, save_state
 from ceilvo.errors import CeilvoError, FileFormatError
@@ -12,15 +15,27 @@ from ceilvo.types import Estimate, Landmarks
 
 _log = logging.getLogger("ceilvo.store")
 
+_T = TypeVar("_T")
+
 MAP_NAME, STATE_NAME = "map.json", "state.json"
+REJECTED = ".rejected"
 
 
 class Store:
-    """Map and state files of one robot; without a folder nothing is kept. Problems are logged, once each."""
+    """Map and state files of one robot; without a folder nothing is kept. Problems are logged, once each.
+
+    A file that cannot be used is set aside as NAME.rejected before it would be overwritten: it may be mendable, or of
+    a newer ceilvo.
+    """
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._complained = ""
+
+    @property
+    def error(self) -> str:
+        """Why the last saving failed, "" when it did not."""
+        return self._complained
 
     @staticmethod
     def choose(configured: str) -> Store:
@@ -32,12 +47,32 @@ class Store:
         """Map and last pose of an earlier run, None when either is missing or damaged."""
         if self._folder is None:
             return None
-        try:
-            stored_map, state = load_map(self._folder / MAP_NAME), load_state(self._folder / STATE_NAME)
-        except FileFormatError as e:
-            _log.warning("starting without the stored map: %s", e)
-            return None
+        self._sweep(self._folder)
+        stored_map = self._read(self._folder / MAP_NAME, load_map)
+        state = self._read(self._folder / STATE_NAME, load_state)
         return (stored_map, state) if stored_map is not None and state is not None else None
+
+    def _read(self, path: Path, load: Callable[[Path], _T | None]) -> _T | None:
+        try:
+            return load(path)
+        except FileFormatError as e:
+            _log.warning("starting without %s: %s", path.name, e)
+        aside = path.with_name(path.name + REJECTED)
+        try:
+            path.replace(aside)
+        except OSError as e:
+            _log.warning("%s: cannot be set aside: %s", path, e.strerror or e)
+        else:
+            _log.warning("%s: set aside as %s", path, aside.name)
+        return None
+
+    @staticmethod
+    def _sweep(folder: Path) -> None:
+        """What a process left that was killed while it wrote."""
+        for name in (MAP_NAME, STATE_NAME):
+            for left in folder.glob(f".{name}.*.tmp"):
+                with contextlib.suppress(OSError):
+                    left.unlink()
 
     def save(self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate) -> bool:
         """Write both files; False when nothing was written, with the reason in the log.
@@ -54,6 +89,8 @@ class Store:
                 self._complained = str(e)
                 _log.error("map and pose not saved: %s", e)
             return False
+        if self._complained:
+            _log.info("map and pose are saved again")
         self._complained = ""
         return True
 

@@ -22,6 +22,7 @@ _log = logging.getLogger("ceilvo.base")
 _BACKOFF_MIN_S = 0.05
 _FAILURES_BEFORE_REOPENING = 5
 _JOIN_S = 1.0
+GOOD = (State.TRACKING, State.DEGRADED)
 _WARN_PERIOD_S = 5.0
 
 
@@ -153,6 +154,8 @@ class BaseLink:
         estimate = self._latest
         now_ns = self._clock()
         telegram = no_estimate(self._heartbeat) if estimate is None else telegram_of(estimate, now_ns, self._heartbeat)
+        if telegram.state in GOOD and telegram.age_s > self._settings.stale_s:
+            telegram = replace(telegram, state=State.DEAD_RECKONING, quality=0.0)
         if self._final_state is None:
             return telegram
         return replace(telegram, state=self._final_state, quality=0.0)

@@ -7,10 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.drivers.ports import Camera, CameraInfo, Clock
 from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
+
+_COARSE_ROWS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +38,7 @@ class CaptureCounters:
         drops: good ones that a newer one replaced before they were taken.
         bad_frames: cut short, of the wrong size, or with an unusable stamp.
         bad_stamps: those of them whose stamp did not increase.
+        repeats: those of them whose picture was the last one again.
         losses: times that the camera was lost.
         reopens: times that it came back.
         last_error: the newest problem, "" when there was none.
@@ -44,6 +49,7 @@ class CaptureCounters:
     drops: int = 0
     bad_frames: int = 0
     bad_stamps: int = 0
+    repeats: int = 0
     losses: int = 0
     reopens: int = 0
     last_error: str = ""
@@ -201,6 +207,11 @@ class CaptureLoop:
             raise BadFrameError(
                 f"camera {info.name}: stamp {frame.stamp_ns} ns is not after the last one, {self._last.stamp_ns} ns"
             )
+        if info.live and self._cfg.refuse_repeats and self._last is not None and _repeats(frame, self._last):
+            self._count(repeats=self._counters.repeats + 1)
+            raise BadFrameError(
+                f"camera {info.name}: the picture is the last one again, byte for byte; the camera is frozen"
+            )
 
     def _deliver(self, frame: Frame, live: bool) -> None:
         self._last = frame
@@ -237,3 +248,11 @@ class CaptureLoop:
 
     def _say(self, kind: Literal["opened", "note", "lost", "bad_frame", "finished"], text: str) -> None:
         self._on_event(CaptureEvent(kind, text))
+
+
+def _repeats(frame: Frame, last: Frame) -> bool:
+    """Whether the picture is the last one; a uniform one (lights out, glare) repeats itself without being frozen."""
+    new, old = frame.gray, last.gray
+    if not np.array_equal(new[::_COARSE_ROWS], old[::_COARSE_ROWS]) or not np.array_equal(new, old):
+        return False
+    return bool(new.min() != new.max())

@@ -70,7 +70,7 @@ def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Comman
     if not exact:
         raise BusError(f"{where}: asked with a wildcard, expected the robot's full key; commands go to one robot")
     if len(payload) > MAX_COMMAND_BYTES:
-        raise BusError(f"{where}: payload of {len(payload)} bytes, expected at most {MAX_COMMAND_BYTES}; send less")
+        raise BusError(f"{where}: payload too large, expected at most {MAX_COMMAND_BYTES} bytes; send less")
     fields = wire.load_object(payload, where) if payload.strip() else {}
     if command == "initial_pose":
         return _parse_initial_pose(where, fields)

@@ -8,6 +8,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from ceilvo import se2
 from ceilvo.drivers.base_protocol import (
     ANGLE_UNIT_RAD,
     LENGTH_UNIT_M,
@@ -75,7 +78,7 @@ class BaseModel:
         self._arrived = threading.Condition()
         self._count = 0
         self._boot_ns = self.clock()
-        self._boot_odometry: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._boot_odometry = np.zeros(3)
         self._heartbeat: int | None = None
         self._heartbeat_ns = 0
         self._state = State.INIT
@@ -112,16 +115,17 @@ class BaseModel:
     def read_status(self) -> list[int]:
         """The status block now."""
         now_ns = self.clock()
-        x, y, theta = (now - boot for now, boot in zip(self.odometry(1e-9 * now_ns), self._boot_odometry, strict=True))
+        # seen from where it stood when it booted: x, y and heading begin at zero together
+        x, y, theta = se2.between(self._boot_odometry, np.array(self.odometry(1e-9 * now_ns), np.float64))
         return encode_status(
             BaseStatus(
                 motors_on=self.motors_on,
                 e_stop=self.e_stop,
                 fault=self.fault,
                 heartbeat_lost=self.heartbeat_lost,
-                wheel_x_count=round(x / LENGTH_UNIT_M),
-                wheel_y_count=round(y / LENGTH_UNIT_M),
-                wheel_theta_count=round(theta / ANGLE_UNIT_RAD),
+                wheel_x_count=round(float(x) / LENGTH_UNIT_M),
+                wheel_y_count=round(float(y) / LENGTH_UNIT_M),
+                wheel_theta_count=round(float(theta) / ANGLE_UNIT_RAD),
                 clock_ms=(now_ns - self._boot_ns) // 1_000_000,
                 version=PROTOCOL_VERSION + self.faults.wrong_version,
             )
@@ -130,7 +134,7 @@ class BaseModel:
     def reboot(self) -> None:
         """Clock and odometry begin at zero, the heartbeat is forgotten."""
         self._boot_ns = self.clock()
-        self._boot_odometry = tuple(float(v) for v in self.odometry(1e-9 * self._boot_ns))
+        self._boot_odometry = np.array(self.odometry(1e-9 * self._boot_ns), np.float64)
         self._heartbeat, self._state = None, State.INIT
 
     def wait_received(self, count: int, timeout_s: float = 5.0) -> bool:

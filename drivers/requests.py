@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.drivers import commands, wire
-from ceilvo.errors import CeilvoError
+from ceilvo.drivers.ports import Clock
+from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
+from ceilvo.errors import BusError, CeilvoError
 from ceilvo.types import Landmarks
 
 log = logging.getLogger(__name__)
@@ -48,10 +50,16 @@ class Answer:
 class Requests:
     """Answers requests by name ("map", "cmd/reset") and counts them."""
 
+    COMMANDS_PER_S, COMMAND_BURST = 5.0, 20
+    """A flood of commands must neither keep the estimator from its frames nor the disk busy."""
+    LOGGED_PER_S, LOG_BURST = 0.2, 20
+
     NAMES: tuple[str, ...] = (*wire.QUERIES, *(f"cmd/{c}" for c in commands.COMMANDS))
 
-    def __init__(self, robot: str, handlers: Handlers) -> None:
+    def __init__(self, robot: str, handlers: Handlers, clock: Clock = time.monotonic_ns) -> None:
         self._robot = robot
+        self._allowed = TokenBucket(self.COMMANDS_PER_S, self.COMMAND_BURST, clock)
+        self._refusals = QuietLog(log, self.LOGGED_PER_S, self.LOG_BURST, clock)
         self._handlers = handlers
         self._command_lock = threading.Lock()
         self._count_lock = threading.Lock()
@@ -69,7 +77,7 @@ class Requests:
         try:
             body = self._command(short_name, payload, exact) if is_command else self._query(name)
         except CeilvoError as e:
-            log.warning("%s refused: %s", name, e)
+            self._refusals.warning(f"{name} refused: {e}")
             return self._count("request_errors", Answer(False, wire.encode_error(self._robot, short_name, str(e))))
         except Exception as e:
             # A fault in a handler must reach the caller as an answer: a query without one hangs until its timeout.
@@ -98,6 +106,10 @@ class Requests:
 
     def _command(self, name: str, payload: bytes, exact: bool) -> bytes:
         request = commands.parse_command(name, payload, exact=exact)
+        if not self._allowed.take():
+            raise BusError(
+                f"command {name}: more than {self.COMMANDS_PER_S:g} commands per second, nothing was done; try again"
+            )
         with self._command_lock:
             result = self._dispatch(request)
         log.info("command %s: %s", name, dict(result))

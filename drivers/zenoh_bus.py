@@ -12,6 +12,7 @@ from typing import Any
 import zenoh
 
 from ceilvo.config import Zenoh
+from ceilvo.drivers.commands import MAX_COMMAND_BYTES
 from ceilvo.drivers.ports import Clock
 from ceilvo.drivers.requests import Handlers, Requests
 from ceilvo.drivers.wire import ON_DEMAND, Topic, robot_key
@@ -164,7 +165,7 @@ class ZenohBus:
 
         def respond(query: zenoh.Query) -> None:
             with query:
-                payload = b"" if query.payload is None else query.payload.to_bytes()
+                payload = _start_of(query.payload)
                 answer = self._requests.answer(name, payload, exact=str(query.key_expr) == key)
                 try:
                     if answer.ok:
@@ -209,3 +210,10 @@ class ZenohBus:
         with self._count_lock:
             for name in names:
                 self._counts[name] += 1
+
+
+def _start_of(payload: zenoh.ZBytes | None) -> bytes:
+    """A request's payload; in place of one that is too large something else that is too large, without copying it."""
+    if payload is None:
+        return b""
+    return payload.to_bytes() if len(payload) <= MAX_COMMAND_BYTES else bytes(MAX_COMMAND_BYTES + 1)

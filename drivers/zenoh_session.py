@@ -21,7 +21,20 @@ log = logging.getLogger(__name__)
 OPEN_WAIT_S = 3.0
 """Longest that open() waits; an absent router takes the rest of its time in the background."""
 CLOSE_WAIT_S = 1.0
-_RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 4.0
+_RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 1.0
+_RECEIVED: dict[str, Any] = {
+    "transport/link/rx/max_message_size": 1 << 20,
+    "low_pass_filter": [
+        {
+            "id": "requests",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": ["**"],
+            "size_limit": 1 << 16,
+        }
+    ],
+}
+"""The daemon is sent requests only, of at most 4 KiB: what is far larger is dropped before it is put together."""
 _IP_PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws")
 _STREAMS = ("tcp", "tls", "ws")
 _OTHER_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
@@ -39,7 +52,7 @@ def session_config(config: Zenoh) -> zenoh.Config:
     if config.config_file:
         return _from_file(config.config_file)
     listen, connect = checked_endpoints(config)
-    return _from_settings(_settings(config, listen, connect))
+    return _from_settings(_settings(config, listen, connect) | _RECEIVED)
 
 
 def watcher_config(config: Zenoh) -> zenoh.Config:
@@ -105,7 +118,7 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         # A peer retries in the background for ever. A client's open fails at once and is retried by Connection.
         "connect/timeout_ms": 0 if client else -1,
         "connect/exit_on_failure": client,
-        "connect/retry": {"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2},
+        "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
         "open/return_conditions/connect_scouted": client,
         # What the queue to a subscriber cannot take within this is dropped for that subscriber. With 0 a put would not
         # wait at all, but healthy subscribers lose images.

@@ -48,7 +48,7 @@ CONFLICTS = [
         ["camera.read_timeout_s=0.1", "camera.rate_hz=10"],
         "c.yaml: camera.read_timeout_s: found 0.1, expected more than 0.1",
     ),
-    (["camera.reopen_min_s=3"], "c.yaml: camera.reopen_min_s: found 3, expected at most camera.reopen_max_s 2"),
+    (["camera.reopen_min_s=3"], "c.yaml: camera.reopen_min_s: found 3, expected at most camera.reopen_max_s 1"),
     (
         ["camera.width_px=1280", "camera.height_px=720"],
         "c.yaml: camera.width_px: found 1280 x 720 pixels, expected 640 x 480",

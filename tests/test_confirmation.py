@@ -1,10 +1,10 @@
-"""An assumed pose against its rivals one tile away."""
+"""An assumed pose against its rivals whole tiles away."""
 
 import numpy as np
 import pytest
 
-from ceilvo.daemon.confirmation import Confirmation, rivals
-from ceilvo.types import Landmarks
+from ceilvo.daemon.confirmation import Confirmation, explained_at, rival_shifts
+from ceilvo.types import Landmarks, Observations
 
 NIS, NIS_MAX = 1.0, 3.0
 
@@ -15,7 +15,8 @@ def views(own: int, rival: int, seen: int, count: int, sure: bool = False, nis: 
 
 
 def test_the_better_pose_is_believed_after_a_few_views() -> None:
-    assert views(30, 28, 32, 10) == [False] * 3 + [True] * 7
+    assert views(30, 28, 32, 10) == [False] * 5 + [True] * 5
+    assert views(30, 20, 32, 10) == [False] * 5 + [True] * 5  # never by a few views alone
 
 
 def test_a_bare_grid_never_decides() -> None:
@@ -52,10 +53,32 @@ def test_rivals_stand_one_tile_away_along_the_axes(axis: float) -> None:
     n = len(grid)
     kinds = np.full(n, 4)
     landmarks = Landmarks(np.arange(n), grid, np.tile(np.eye(2), (n, 1, 1)), kinds, kinds)
-    found = rivals(np.array([1.0, 2.0, 0.5]), landmarks, axis)
-    shift = (found - [1.0, 2.0, 0.5])[:, :2] @ np.array([[c, -s], [s, c]])
-    assert found.shape == (8, 3)
-    assert np.allclose(np.abs(shift).max(axis=1), 0.6)
+    found = rival_shifts(landmarks, axis)
+    shift = found @ np.array([[c, -s], [s, c]])
+    assert found.shape == (48, 2)
     assert np.allclose(shift / 0.6, np.round(shift / 0.6))
+    assert abs(np.abs(shift).max() - 1.8) < 1e-9
+    assert len({(round(float(x), 6), round(float(y), 6)) for x, y in found}) == 48
     few = Landmarks(*(a[:3] for a in (landmarks.ids, grid, landmarks.cov_m2, kinds, kinds)))
-    assert len(rivals(np.zeros(3), few, axis)) == 0
+    assert rival_shifts(few, axis).shape == (0, 2)
+
+
+def test_explained_features_are_counted_by_kind_at_every_shift() -> None:
+    xy = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    landmarks = Landmarks(np.arange(3), xy, np.tile(np.eye(2), (3, 1, 1)), np.array([4, 4, 2]), np.ones(3, np.int64))
+    pose = np.array([2.0, 3.0, 0.5 * np.pi])
+    seen = (xy + np.array([0.6, 0.0]) - pose[:2]) @ np.array([[0.0, -1.0], [1.0, 0.0]])  # as from 0.6 m further on
+    o = Observations(seen, np.ones((3, 2)), np.array([4, 4, 8]), np.full(3, -1), 0.0, 1.0, 0.0)
+    counts = explained_at(np.array([[0.0, 0.0], [-0.6, 0.0], [0.4, 0.0]]), pose, o, landmarks, 0.2)
+    assert counts.tolist() == [0.0, 2.0, 1.0]
+
+
+def test_a_clearly_better_rival_is_named_and_a_draw_is_not() -> None:
+    confirmation = Confirmation(sure=False)
+    for _ in range(8):
+        assert not confirmation.weigh(np.array([20.0, 21.0, 27.0]), 30, NIS, NIS_MAX)
+    assert confirmation.better() == 1
+    draw = Confirmation(sure=False)
+    for _ in range(9):
+        draw.weigh(np.array([20.0, 24.0, 24.0]), 30, NIS, NIS_MAX)
+    assert draw.better() is None

@@ -118,8 +118,11 @@ def test_a_stored_pose_is_not_tracking_until_landmarks_confirm_it(world: World) 
 
 @pytest.mark.parametrize("shift", [(0.6, 0.0), (0.0, -0.6), (-1.2, 0.6)])
 def test_a_stored_pose_that_is_whole_tiles_off_is_never_tracking(world: World, shift: tuple[float, float]) -> None:
+    """It may find the tile it is under, and says TRACKING only there."""
     estimates, _ = restarted(world, shift)
-    assert State.TRACKING not in {e.state for e in estimates}
+    assert estimates[0].state is State.RELOCALISING
+    for e in estimates:
+        assert e.state is State.RELOCALISING or np.hypot(*error(world, e)[:2]) < 0.05
 
 
 def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World) -> None:

@@ -261,7 +261,7 @@ POSE = b'{"x_m": 1, "y_m": 2, "theta_rad": 3%s}'
         ("relocalise", b'{"now": true}', "expected no fields"),
         ("save_map", b"null", "payload is None"),
         ("save_map", b"[" * MAX_COMMAND_BYTES, "not JSON"),
-        ("save_map", b" " * (MAX_COMMAND_BYTES + 1), "payload of 4097 bytes, expected at most 4096"),
+        ("save_map", b" " * (MAX_COMMAND_BYTES + 1), "payload too large, expected at most 4096 bytes"),
         ("self_destruct", b"", "unknown, expected one of initial_pose"),
     ],
 )
