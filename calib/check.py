@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.calib.projection import from_grid
+from ceilvo.calib.grid import from_grid
 from ceilvo.calib.stand import Stand, errors_against_grid
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.observation import sigma
@@ -47,7 +47,7 @@ def check(calibration: Calibration, stands: list[Stand]) -> Check:
     b = calibration.camera_from_base.T
     roll, pitch = float(np.arctan2(b[2, 1], b[2, 2])), float(-np.arcsin(np.clip(b[2, 0], -1, 1)))
     now, _ = from_grid(calibration.camera, [s.views[0] for s in stands], tile_m, (roll, pitch))
-    errors = errors_against_grid(calibration, stands, tile_m)
+    errors = errors_against_grid(calibration, stands, tile_m, now.height_m)
     sx, sy = sigma(calibration.noise, errors.r_m)
     nis = float(np.mean(np.concatenate([(errors.dx_m / sx) ** 2, (errors.dy_m / sy) ** 2])))
     height_off = now.height_m - calibration.ceiling_height_m

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calib import bundle
-from ceilvo.calib.ceiling_view import GridView, spacing
-from ceilvo.calib.projection import GridSample, grid_residual, grid_samples, with_intrinsics_error
+from ceilvo.calib.ceiling_view import GridView
+from ceilvo.calib.grid import GridSample, grid_residual, grid_residuals, grid_samples
+from ceilvo.calib.projection import lens_of, with_lens_error
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -88,15 +89,13 @@ def calibrate(
     for name, part in ((SPIN, spin), (RUN, run)):
         if len(part) < _MIN_FRAMES:
             raise CalibrationError(f"mount: found {len(part)} usable pictures of the {name}, {_MIN_FRAMES} needed")
-    share, _ = spacing([s.view for s in steps[:: max(1, len(steps) // 20)]])
-    if not np.isfinite(share):
-        raise CalibrationError("mount: found no regular grid in the pictures; is the ceiling tiled?")
-    tracks = [_samples(part, share) for part in (spin, run)]
+    tracks = [_samples(part, tile_m / float(level[2])) for part in (spin, run)]
 
     best = _solve(camera, tracks, tile_m, level)
     _check(best)
     cov = _spread(best)
-    cov = with_intrinsics_error(lambda c: _again(c, best, tile_m), camera, intrinsics_cov, cov)
+    if intrinsics_cov is not None:
+        cov = with_lens_error(cov, _lens_response(camera, best, tile_m, intrinsics_cov.shape[0]), intrinsics_cov)
     scale, scale_sigma, turn = _wheels(spin, run, best, tracks)
     return Mount(
         xy_m=best.values[:2],
@@ -170,26 +169,38 @@ def _solve(camera: CameraModel, tracks: list[_Track], tile_m: float, level: Arra
 def _level(
     camera: CameraModel, some: list[GridSample], tile_m: float, level: Array, starts: Array, huber: float | None
 ) -> bundle.BundleFit:
-    def residuals(i: int, p: Array, view: Array) -> Array:
-        return grid_residual(camera, some[i], tile_m, p, view)
-
-    return bundle.solve(residuals, level, starts, huber=huber, rounds=12 if huber else 3)
+    return bundle.solve(grid_residuals(camera, some, tile_m), level, starts, huber=huber, rounds=12 if huber else 3)
 
 
-def _again(camera: CameraModel, best: _Solution, tile_m: float) -> Array:
-    """The values with a slightly different lens, from the best solution and without its outliers."""
+def _lens_response(camera: CameraModel, best: _Solution, tile_m: float, count: int) -> Array:
+    """(3, count) how the values move with the lens' parameters: tilt and height follow, then the pictures' poses."""
+    lens = lens_of(camera)
+    if lens is None:
+        return np.zeros((3, count))
+    of, p = lens
     every = [s for t in best.tracks for s in t.samples]
     poses = np.concatenate(best.own)
     step = max(1, -(-len(every) // _MOST_FRAMES))
-    level = _level(camera, every[::step], tile_m, best.level, poses[::step], huber=None).shared
-    own = []
-    for track, before in zip(best.tracks, best.own, strict=True):
-        fits = [
-            bundle.solve(partial(_lattice_off, camera, s, tile_m, level), np.zeros(0), p[None], rounds=3).views[0]
-            for s, p in zip(track.samples, before, strict=True)
+    some = every[::step]
+    level, _ = bundle.response(lambda q: grid_residuals(of(q), some, tile_m), p, best.level, poses[::step])
+
+    def given(q: Array) -> bundle.Residuals:
+        residuals = grid_residuals(of(q), every, tile_m)
+        return lambda i, _, view: residuals(i, best.level + level @ (q - p), view)
+
+    _, own = bundle.response(given, p, np.zeros(0), poses)
+    parts = np.split(own, [len(best.own[0])])
+    moved = []
+    for k in range(count):
+        h = 1e-6 / max(float(np.abs(own[:, :, k]).max()), 1e-9)  # of a micrometre
+        ends = [
+            _experiments(
+                best.level, best.tracks, [o + f * h * d[:, :, k] for o, d in zip(best.own, parts, strict=True)], tile_m
+            )
+            for f in (1.0, -1.0)
         ]
-        own.append(np.array(fits))
-    return _experiments(level, best.tracks, own, tile_m).values
+        moved.append((ends[0].values - ends[1].values) / (2.0 * h))
+    return np.column_stack(moved)
 
 
 def _experiments(level: Array, tracks: list[_Track], own: list[Array], tile_m: float) -> _Solution:

@@ -9,8 +9,9 @@ import numpy as np
 
 from ceilvo.calib.assemble import camera_from, update_file
 from ceilvo.calib.degeneracy import layout_problem
+from ceilvo.calib.grid import from_grid
 from ceilvo.calib.points_file import read_points
-from ceilvo.calib.projection import Mounting, from_grid, from_points, plausible, with_intrinsics_error
+from ceilvo.calib.projection import Mounting, from_points, plausible
 from ceilvo.calib.session import Session
 from ceilvo.calib.steps import bench_of, conclude, session_of, session_options, source_options
 from ceilvo.calib.views import collect, moved
@@ -36,6 +37,9 @@ def add(commands: Commands) -> None:
     session_options(p)
     source_options(p)
     p.add_argument("--tile-m", type=float, help="side of the ceiling's tiles; simulated: 0.6")
+    p.add_argument(
+        "--height-m", type=float, help="ceiling above the camera by tape, to a tenth; decides where two grids fit"
+    )
     p.add_argument("--points", type=str, metavar="CSV", help="measured points instead of the grid")
     p.add_argument("--units", choices=("m", "mm"), help="of the CSV, when it is doubtful")
     p.set_defaults(run=run)
@@ -56,7 +60,7 @@ def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: 
     tile_m = tile_of(args)
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
     got = collect(args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES)
-    found, _ = from_grid(camera, got.views, tile_m, got.tilt_rad, cov)
+    found, _ = from_grid(camera, got.views, tile_m, got.tilt_rad, cov, args.height_m)
     few = [f"{len(got.seen)} pictures, at least {_FEW} needed: other places, other headings"]
     return found, {"pictures": len(got.seen), "method": "grid", "problems": few if len(got.seen) < _FEW else []}
 
@@ -82,21 +86,10 @@ def _points(args: argparse.Namespace, camera: CameraModel, cov: Any) -> tuple[Mo
     reason = layout_problem(xyz, uv, (camera.width_px, camera.height_px), known_lens=True)
     if reason:
         raise CalibrationError(f"{path}: {reason}")
-    found = from_points(camera, xyz, uv)
-
-    def solve(other: CameraModel) -> Any:
-        m = from_points(other, xyz, uv)
-        return np.array([m.roll_rad, m.pitch_rad, m.height_m, m.yaw_rad, *_xy(m)])
-
-    whole = with_intrinsics_error(solve, camera, cov, found.cov)
-    found = Mounting(**{**found.__dict__, "cov": whole})
+    found = from_points(camera, xyz, uv, cov)
     worst = np.argsort(-np.hypot(*found.residual_px.T))
     listed = [f"point {i + 1}: {np.hypot(*found.residual_px[i]):.2f} px" for i in worst[:12]]
     return found, {"method": f"points of {path}", "points": len(xyz), "points_off": listed}
-
-
-def _xy(m: Mounting) -> tuple[float, float]:
-    return (0.0, 0.0) if m.xy_m is None else (float(m.xy_m[0]), float(m.xy_m[1]))
 
 
 def _result(m: Mounting) -> dict[str, Any]:
@@ -110,13 +103,14 @@ def _result(m: Mounting) -> dict[str, Any]:
         "cov": m.cov,
         "rms_px": m.rms_px,
         "tile_m": m.tile_m,
+        "evidence": m.evidence,
     }
 
 
 def _rows(m: Mounting, extra: dict[str, Any]) -> list[tuple[str, str]]:
     s = m.sigma
     rows = [
-        ("method", str(extra["method"])),
+        ("method", str(extra["method"]) + (f"; {m.evidence}" if m.evidence else "")),
         ("ceiling height", f"{m.height_m:.4f} +- {s[2]:.4f} m above the camera"),
         ("roll", f"{np.degrees(m.roll_rad):+.3f} +- {np.degrees(s[0]):.3f} deg"),
         ("pitch", f"{np.degrees(m.pitch_rad):+.3f} +- {np.degrees(s[1]):.3f} deg"),

@@ -26,9 +26,9 @@ from ceilvo.calib.assemble import UNMEASURED
 from ceilvo.calib.board import Board, BoardFinder
 from ceilvo.calib.ceiling_view import CeilingReader
 from ceilvo.calib.cli import mount_angles
+from ceilvo.calib.grid import from_grid
 from ceilvo.calib.intrinsics import Intrinsics, Shot, calibrate, parameters_of
 from ceilvo.calib.mount import Step
-from ceilvo.calib.projection import from_grid
 from ceilvo.calib.stand import Stand, errors_against_grid
 from ceilvo.calib.virtual_bench import VirtualBench, random_rig
 from ceilvo.calibration import Calibration, mount_rotation, projection_matrix
