@@ -101,7 +101,14 @@ class Daemon:
         self._outputs = Outputs(config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         self._report = Report(
-            self._estimator, self._capture, self._base, self._bus, plan.truth, clock, config.service.seed
+            self._estimator,
+            self._capture,
+            self._base,
+            self._bus,
+            plan.truth,
+            clock,
+            config.service.seed,
+            plan.calibration.driving_nis,
         )
         self._thread = threading.Thread(target=self._estimate, name="estimator", daemon=True)
 
