@@ -116,7 +116,7 @@ def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array, intrinsics_cov:
     best: bundle.BundleFit | None = None
 
     def residuals(other: CameraModel) -> bundle.Residuals:
-        return lambda _, p, __: _points_residual(other, p, xyz_m, uv_px)
+        return lambda _, p, __: points_residual(other, p, xyz_m, uv_px)
 
     for start in _point_starts(camera, xyz_m, uv_px):
         fit = bundle.solve(residuals(camera), start, np.zeros((1, 0)))
@@ -135,7 +135,7 @@ def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array, intrinsics_cov:
     return Mounting(roll, pitch, height, yaw, np.array([x, y]), cov, residual, uv_px, best.rms)
 
 
-def _points_residual(camera: CameraModel, p: Array, xyz_m: Array, uv_px: Array) -> Array:
+def points_residual(camera: CameraModel, p: Array, xyz_m: Array, uv_px: Array) -> Array:
     """p: roll, pitch, height, yaw, x, y."""
     rays = (xyz_m - np.array([p[4], p[5], -p[2]])) @ mount_rotation(p[3], p[0], p[1]).T
     return np.asarray(np.nan_to_num(camera.pixels(rays) - uv_px, nan=1e3).ravel())

@@ -17,6 +17,7 @@ from ceilvo.calib.sources import Picture
 from ceilvo.calib.virtual_board import board_shots
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
+from ceilvo.sim.ceiling_layout import CrossingKind
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec
 
@@ -95,6 +96,25 @@ class VirtualBench:
             pose = np.array([*at, rng.uniform(-np.pi, np.pi)])
             places += [Place(pose, f"stand {i}")] * looks
         return self._pictures(places, 5)
+
+    def circles(
+        self, radii_m: tuple[float, ...] = (0.25, 0.6, 0.95), each: int = 9
+    ) -> tuple[list[str], Iterator[Picture]]:
+        """What a person would measure with a tape, on circles about a crossing of joints, and pictures of each pose."""
+        rng = self._rng(6)
+        room = self._world.spec.lap.room_m
+        xy, kind = self._world.ceiling.true_crossings()
+        xy = xy[kind == CrossingKind.CROSS]
+        mark = xy[np.argmin(np.hypot(*(xy - 0.5 * room).T))]
+        poses, said = [], []
+        for r in radii_m:
+            for k in range(each):
+                a = 2.0 * np.pi * (k + rng.uniform(0, 0.5)) / each
+                pose = np.array([r * np.cos(a), r * np.sin(a), rng.uniform(-np.pi, np.pi)])
+                x, y, heading = pose + rng.normal(0, 1, 3) * [0.001, 0.001, 0.002]
+                said.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
+                poses.append(Place(pose + np.array([*mark, 0.0]), "circle"))
+        return said, self._pictures(poses, 7)
 
     def drive(self, frames: int, rate_hz: float = 10.0, lap_share: float = 1.0) -> Iterator[Picture]:
         """The lap of the simulated robot."""

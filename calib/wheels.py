@@ -58,27 +58,32 @@ def recorded(folder: Path) -> Wheels:
 
 
 class LiveWheels:
-    """Adds up the base's odometry from picture to picture; a picture it does not cover has none."""
+    """Adds up the base's odometry from picture to picture; after a gap in it nothing is known any more."""
 
-    def __init__(self, link: BaseLink, start: Array | None = None) -> None:
+    def __init__(self, link: BaseLink) -> None:
         self._link = link
-        self._pose: Array = np.zeros(3) if start is None else np.asarray(start, np.float64)
+        self._pose: Array = np.zeros(3)
         self._stamp_ns: int | None = None
 
     def __call__(self, picture: Picture) -> Array | None:
-        before, self._stamp_ns = self._stamp_ns, picture.stamp_ns
-        if before is None:
+        now = picture.stamp_ns
+        if self._stamp_ns is None:
+            if self._link.wheels.between(now, now) is None:
+                return None
+            self._stamp_ns = now
             return self._pose
-        motion = self._link.wheels.between(before, picture.stamp_ns)
+        motion = self._link.wheels.between(self._stamp_ns, now)
         if motion is None:
-            self._stamp_ns = before  # the base's next answer may reach back to it
-            return None
+            return None  # the base's next answer may cover it
+        self._stamp_ns = now
         self._pose = se2.compose(self._pose, motion.prev_from_curr)
         return self._pose
 
 
 @contextmanager
-def live_base(settings: Base, note: Callable[[str], None]) -> Iterator[BaseLink | None]:
+def live_base(
+    settings: Base, note: Callable[[str], None], patience_s: float = _FIRST_ANSWER_S
+) -> Iterator[BaseLink | None]:
     """The base of the configuration while it is asked for its wheels; None, with a note, when it does not answer."""
     if not (settings.enabled and settings.use_wheels):
         yield None
@@ -86,7 +91,7 @@ def live_base(settings: Base, note: Callable[[str], None]) -> Iterator[BaseLink 
     link = BaseLink(settings, ModbusBase(settings))
     link.start()
     try:
-        until = time.monotonic() + _FIRST_ANSWER_S
+        until = time.monotonic() + patience_s
         while not link.snapshot().up and time.monotonic() < until:
             time.sleep(0.02)
         if link.snapshot().up:
