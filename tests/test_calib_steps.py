@@ -23,7 +23,7 @@ from ceilvo.calib.virtual_bench import VirtualBench
 from ceilvo.calib.virtual_board import BoardRenderer, board_poses
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
-from ceilvo.sim.rig import simulated_camera
+from ceilvo.sim.rig import simulated_calibration, simulated_camera
 
 Gray = NDArray[np.uint8]
 
@@ -103,7 +103,7 @@ def test_a_board_that_is_never_seen_is_said_so(run: Run, tmp_path: Path) -> None
 
 
 def test_a_board_of_another_size_is_recognised(run: Run, tmp_path: Path) -> None:
-    code, _, err = intrinsics(run, folder(tmp_path / "i", draw(Board(columns=7, rows=5), 4)))
+    code, _, err = intrinsics(run, folder(tmp_path / "i", draw(Board(columns=7, rows=5), 2)))
     assert code == 78
     assert "found a board of 7 x 5 inner corners, expected 9 x 6" in err
 
@@ -171,7 +171,7 @@ def test_a_step_that_comes_too_early_says_which_is_missing(run: Run) -> None:
 
 @pytest.fixture(scope="module")
 def bench() -> VirtualBench:
-    return VirtualBench()
+    return VirtualBench(simulated_calibration(CAMERA))
 
 
 @pytest.fixture
@@ -265,7 +265,7 @@ def test_an_edited_calibration_is_not_replaced_unasked(run: Run, tmp_path: Path)
     [("600", "looks like millimetres; expected 0.6"), ("0.01", "expected 0.05 to 10"), ("", "--tile-m")],
 )
 def test_a_wrong_tile_is_refused(run: Run, tmp_path: Path, tile: str, reason: str) -> None:
-    images = folder(tmp_path / "i", [np.zeros((480, 640), np.uint8)])
+    images = folder(tmp_path / "i", [np.zeros((360, 480), np.uint8)])
     code, _, err = run("projection", "--images", str(images), *(["--tile-m", tile] if tile else []))
     assert code == 78 and reason in err
 
@@ -274,13 +274,13 @@ def test_a_wrong_tile_is_refused(run: Run, tmp_path: Path, tile: str, reason: st
 def test_pictures_of_another_size_than_the_lens_are_rejected(run: Run, tmp_path: Path) -> None:
     images = folder(tmp_path / "i", [np.full((240, 320), 100, np.uint8)])
     code, _, err = run("projection", "--images", str(images), "--tile-m", "0.6")
-    assert code == 78 and "is 320 x 240 px, the lens has 640 x 480" in err
+    assert code == 78 and "is 320 x 240 px, the lens has 480 x 360" in err
 
 
 @pytest.mark.usefixtures("known_lens")
 def test_a_blank_ceiling_is_said_so(run: Run, tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    images = folder(tmp_path / "i", [rng.integers(90, 110, (480, 640), np.uint8)])
+    images = folder(tmp_path / "i", [rng.integers(90, 110, (360, 480), np.uint8)])
     code, _, err = run("projection", "--images", str(images), "--tile-m", "0.6")
     assert code == 78 and "found no usable picture" in err
 
