@@ -100,13 +100,21 @@ def _supported(views: list[GridView], share: float) -> Spacing:
 def to_lattice(view: GridView, tile_share: float) -> Lattice | None:
     """Whole-tile coordinates, or None when too few crossings are on the grid."""
     c = _along(view)
-    phase = np.angle(np.exp(2j * np.pi * c / tile_share).sum(axis=0)) / (2 * np.pi)
+    phase = np.array([_phase(axis / tile_share) for axis in c.T])
     k = c / tile_share - phase
     index = np.rint(k).astype(np.int64)
     used = np.flatnonzero((np.abs(k - index) < _NEAR_SHARE).all(axis=1))
     if len(used) < MIN_CROSSINGS or (np.ptp(index[used], axis=0) < 1).any():
         return None
     return Lattice(index[used], used, np.array([*-phase, -view.psi_rad]))
+
+
+def _phase(k: Array) -> float:
+    """Where most of the coordinates lie within a whole, -0.5 to 0.5; their mean would lie between two crowds."""
+    turns = np.exp(2j * np.pi * k)
+    apart = np.abs(np.angle(turns[:, None] * turns.conj()[None])) / (2.0 * np.pi)
+    crowd = apart[int(np.argmax((apart < _NEAR_SHARE).sum(axis=1)))] < _NEAR_SHARE
+    return float(np.angle(turns[crowd].sum())) / (2.0 * np.pi)
 
 
 def _along(view: GridView) -> Array:
