@@ -53,8 +53,7 @@ bench-filter: $(VENV)/.installed-bench
 
 bench-calib: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.calib.study sigma --count 100
-	$(BIN)/python -m ceilvo.calib.study drift --count 3
-	$(BIN)/python -m ceilvo.calib.study stale --count 4
+	$(BIN)/python -m ceilvo.calib.study drive --count 8
 	$(BIN)/python -m ceilvo.calib.study rigs --count 50
 
 test-robot:

@@ -72,7 +72,7 @@ def assemble(session: Session) -> Calibration | None:
     lens, projection = session.result("intrinsics"), session.result("projection")
     if lens is None or projection is None:
         return None
-    mount, sigma, check = session.result("mount"), session.result("sigma"), session.result("check")
+    mount, sigma, survey, check = (session.result(step) for step in ("mount", "sigma", "survey", "check"))
     camera, _ = camera_from(lens)
     xy, yaw = projection.get("xy_m"), projection.get("yaw_rad")
     if mount is not None:
@@ -92,19 +92,31 @@ def assemble(session: Session) -> Calibration | None:
         meta["mount"] = {k: mount[k] for k in ("sigma", "wheel_scale")}
     if sigma is not None:
         meta["sigma"] = {k: sigma[k] for k in ("samples", "bias_m")}
+    projection_m = projection_matrix(camera, rotation, (float(xy[0]), float(xy[1])), projection["height_m"])
+    noise = UNMEASURED if sigma is None else noise_from(sigma)
+    driven = survey is not None and survey.get("nis") is not None
+    if survey is not None and driven and survey.get("of") == identity(projection_m, noise):
+        meta["survey"] = {"nis": survey["nis"]}
+    else:
+        notes.append("NIS of a drive not measured, a stale calibration is noticed late: 'calib survey' is to be done")
     if check is not None:
         meta["check"] = {k: check[k] for k in ("nis", "verdict")}
     if notes:
         meta["to_do"] = notes
     return Calibration(
         camera=camera,
-        projection=projection_matrix(camera, rotation, (float(xy[0]), float(xy[1])), projection["height_m"]),
-        noise=UNMEASURED if sigma is None else noise_from(sigma),
+        projection=projection_m,
+        noise=noise,
         camera_id=str(lens.get("camera_id", "")),
         created=date.today().isoformat(),
         tile_m=projection.get("tile_m"),
         meta=plain({**meta, "session": "calib"}),
     )
+
+
+def identity(projection: Array, noise: NoiseCurves) -> list[str]:
+    """Tells calibrations apart: a drive's NIS says nothing about another one."""
+    return [f"{v:.6g}" for v in (*projection.ravel(), *noise.sigma_x_m, *noise.sigma_y_m, noise.sigma_theta_rad)]
 
 
 def noise_from(result: Mapping[str, Any]) -> NoiseCurves:

@@ -113,6 +113,35 @@ def _cost(residuals: Residuals, x: Array, v: Array, scale: float) -> float:
     return total
 
 
+def response(residuals: Callable[[Array], Residuals], given: Array, shared: Array, views: Array) -> tuple[Array, Array]:
+    """How a solution moves with parameters (K,) that were given and not fitted, to first order.
+
+    Args:
+        residuals: of the given parameters.
+
+    Returns:
+        (P, K) of shared and (V, Q, K) of the views' own.
+    """
+    at, p = residuals(given), len(shared)
+    s, g = np.zeros((p, p)), np.zeros((p, len(given)))
+    own = []
+    for i in range(len(views)):
+        a = _jacobian(partial(_vary_shared, at, i, views[i]), shared)
+        b = _jacobian(partial(at, i, shared), views[i])
+        c = _jacobian(partial(_vary_given, residuals, i, shared, views[i]), given)
+        pull = np.linalg.pinv(b)
+        s += a.T @ (a - b @ (pull @ a))
+        g += a.T @ (c - b @ (pull @ c))
+        own.append((pull, a, c))
+    dx = -np.linalg.pinv(s, hermitian=True) @ g if p else g
+    dv = [-pull @ (c + a @ dx) for pull, a, c in own]
+    return dx, np.array(dv).reshape(len(views), -1, len(given))
+
+
+def _vary_given(residuals: Callable[[Array], Residuals], view: int, shared: Array, own: Array, given: Array) -> Array:
+    return residuals(given)(view, shared, own)
+
+
 _Block = tuple[Array, Array, Array, Array, Array]
 
 

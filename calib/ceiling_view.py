@@ -18,16 +18,14 @@ from ceilvo.daemon.lines import find_lines
 from ceilvo.types import Lines
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Gray = NDArray[np.uint8]
 
 GROOVES = 4
 """Crossing kind of two grooves (ceilvo.kinds)."""
 _LEVEL_ENOUGH_RAD = float(np.radians(0.1))
 _ROUNDS = 8
-_MIN_CROSSINGS = 6
+MIN_CROSSINGS = 6
 _SOFT_PX = 7.0
-_NEAR_SHARE = 0.12
 _ANY_NOISE = NoiseCurves((0.01,), (0.01,), 0.01, 0.0, 1.0)
 
 
@@ -103,8 +101,8 @@ class CeilingReader:
             return _none("no two straight joints seen")
         found = cross(lines, self._provisional, self._features)
         grooves = found.kind == GROOVES
-        if np.count_nonzero(grooves) < _MIN_CROSSINGS:
-            return _none(f"only {np.count_nonzero(grooves)} crossings of joints seen, {_MIN_CROSSINGS} needed")
+        if np.count_nonzero(grooves) < MIN_CROSSINGS:
+            return _none(f"only {np.count_nonzero(grooves)} crossings of joints seen, {MIN_CROSSINGS} needed")
         self._known = True
         self._features = replace(self._features, tilt_prior_deg=1.0)
         level = self._provisional.level_view
@@ -117,67 +115,10 @@ class CeilingReader:
         uv = self._camera.pixels(rays @ self._camera_from_level.T)
         w, h = self._camera.width_px, self._camera.height_px
         inside = np.isfinite(uv).all(axis=1) & (uv > 0).all(axis=1) & (uv < [w - 1, h - 1]).all(axis=1)
-        if np.count_nonzero(inside) < _MIN_CROSSINGS:
-            return _none(f"only {np.count_nonzero(inside)} crossings of joints in the picture, {_MIN_CROSSINGS} needed")
+        if np.count_nonzero(inside) < MIN_CROSSINGS:
+            return _none(f"only {np.count_nonzero(inside)} crossings of joints in the picture, {MIN_CROSSINGS} needed")
         return GridView(uv[inside], xy[inside], lines.psi_rad, lines.psi_sigma_rad)
 
 
 def _none(reason: str) -> GridView:
     return GridView(np.zeros((0, 2)), np.zeros((0, 2)), reason=reason)
-
-
-@dataclass(frozen=True)
-class Lattice:
-    """Crossings of one picture that are on the grid.
-
-    Attributes:
-        index: (K, 2) whole tiles from the picture's own origin, which is the crossing nearest to the camera's foot.
-        used: (K,) their rows in the GridView.
-        xy_yaw: (3,) the camera's place in the lattice in tiles, and its heading, to start a fit from.
-    """
-
-    index: Ints
-    used: Ints
-    xy_yaw: Array
-
-
-def spacing(views: list[GridView]) -> tuple[float, float]:
-    """Side of a tile over the ceiling's height, and how regular the crossings are (0..1).
-
-    The largest spacing that explains them nearly as well as any: half of it would as well.
-    """
-    s = np.geomspace(0.02, 2.5, 6000)
-    score, count = np.zeros(len(s)), 0
-    for view in views:
-        for c in _along(view).T:
-            waves = np.exp(2j * np.pi * c[None, :] / s[:, None])
-            score += np.abs(waves.sum(axis=1))
-            count += len(c)
-    if count == 0:
-        return float("nan"), 0.0
-    score = score / count
-    wide = np.array([max(np.ptp(_along(v), axis=0).min() for v in views)])
-    score[s > 0.75 * wide] = 0.0  # a wave that fits in less than twice explains anything
-    peaks = np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:])) + 1
-    if len(peaks) == 0:
-        return float("nan"), 0.0
-    best = peaks[score[peaks] >= 0.8 * score[peaks].max()].max()
-    return float(s[best]), float(score[best])
-
-
-def to_lattice(view: GridView, tile_share: float) -> Lattice | None:
-    """Whole-tile coordinates, or None when too few crossings are on the grid."""
-    c = _along(view)
-    phase = np.angle(np.exp(2j * np.pi * c / tile_share).sum(axis=0)) / (2 * np.pi)
-    k = c / tile_share - phase
-    index = np.rint(k).astype(np.int64)
-    used = np.flatnonzero((np.abs(k - index) < _NEAR_SHARE).all(axis=1))
-    if len(used) < _MIN_CROSSINGS or (np.ptp(index[used], axis=0) < 1).any():
-        return None
-    return Lattice(index[used], used, np.array([*-phase, -view.psi_rad]))
-
-
-def _along(view: GridView) -> Array:
-    """(N, 2) crossings in the grid's own axes."""
-    c, s = np.cos(view.psi_rad), np.sin(view.psi_rad)
-    return np.asarray(view.xy @ np.array([[c, -s], [s, c]]))

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calib import bundle
-from ceilvo.calib.ceiling_view import GridView, spacing
-from ceilvo.calib.projection import GridSample, grid_residual, grid_samples, with_intrinsics_error
+from ceilvo.calib.ceiling_view import GridView
+from ceilvo.calib.grid import GridSample, grid_residual, grid_residuals, grid_samples
+from ceilvo.calib.projection import lens_of, with_lens_error
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -23,8 +24,6 @@ MIN_RUN_M = 0.8
 _MIN_FRAMES = 12
 _MOST_FRAMES = 45
 _BLOCKS = 8
-_PLACE_FLOOR_M = 1e-4
-"""A picture's place is never known better: errors that all pictures of a run share do not show in its scatter."""
 _OUTLIER, _OUTLIER_PX = 4.0, 0.3
 
 
@@ -88,15 +87,13 @@ def calibrate(
     for name, part in ((SPIN, spin), (RUN, run)):
         if len(part) < _MIN_FRAMES:
             raise CalibrationError(f"mount: found {len(part)} usable pictures of the {name}, {_MIN_FRAMES} needed")
-    share, _ = spacing([s.view for s in steps[:: max(1, len(steps) // 20)]])
-    if not np.isfinite(share):
-        raise CalibrationError("mount: found no regular grid in the pictures; is the ceiling tiled?")
-    tracks = [_samples(part, share) for part in (spin, run)]
+    tracks = [_samples(part, tile_m / float(level[2])) for part in (spin, run)]
 
     best = _solve(camera, tracks, tile_m, level)
     _check(best)
-    cov = _spread(best)
-    cov = with_intrinsics_error(lambda c: _again(c, best, tile_m), camera, intrinsics_cov, cov)
+    cov = _spread(best, _place_sigma(camera, best, tile_m))
+    if intrinsics_cov is not None:
+        cov = with_lens_error(cov, _lens_response(camera, best, tile_m, intrinsics_cov.shape[0]), intrinsics_cov)
     scale, scale_sigma, turn = _wheels(spin, run, best, tracks)
     return Mount(
         xy_m=best.values[:2],
@@ -170,26 +167,38 @@ def _solve(camera: CameraModel, tracks: list[_Track], tile_m: float, level: Arra
 def _level(
     camera: CameraModel, some: list[GridSample], tile_m: float, level: Array, starts: Array, huber: float | None
 ) -> bundle.BundleFit:
-    def residuals(i: int, p: Array, view: Array) -> Array:
-        return grid_residual(camera, some[i], tile_m, p, view)
-
-    return bundle.solve(residuals, level, starts, huber=huber, rounds=12 if huber else 3)
+    return bundle.solve(grid_residuals(camera, some, tile_m), level, starts, huber=huber, rounds=12 if huber else 3)
 
 
-def _again(camera: CameraModel, best: _Solution, tile_m: float) -> Array:
-    """The values with a slightly different lens, from the best solution and without its outliers."""
+def _lens_response(camera: CameraModel, best: _Solution, tile_m: float, count: int) -> Array:
+    """(3, count) how the values move with the lens' parameters: tilt and height follow, then the pictures' poses."""
+    lens = lens_of(camera)
+    if lens is None:
+        return np.zeros((3, count))
+    of, p = lens
     every = [s for t in best.tracks for s in t.samples]
     poses = np.concatenate(best.own)
     step = max(1, -(-len(every) // _MOST_FRAMES))
-    level = _level(camera, every[::step], tile_m, best.level, poses[::step], huber=None).shared
-    own = []
-    for track, before in zip(best.tracks, best.own, strict=True):
-        fits = [
-            bundle.solve(partial(_lattice_off, camera, s, tile_m, level), np.zeros(0), p[None], rounds=3).views[0]
-            for s, p in zip(track.samples, before, strict=True)
+    some = every[::step]
+    level, _ = bundle.response(lambda q: grid_residuals(of(q), some, tile_m), p, best.level, poses[::step])
+
+    def given(q: Array) -> bundle.Residuals:
+        residuals = grid_residuals(of(q), every, tile_m)
+        return lambda i, _, view: residuals(i, best.level + level @ (q - p), view)
+
+    _, own = bundle.response(given, p, np.zeros(0), poses)
+    parts = np.split(own, [len(best.own[0])])
+    moved = []
+    for k in range(count):
+        h = 1e-6 / max(float(np.abs(own[:, :, k]).max()), 1e-9)  # of a micrometre
+        ends = [
+            _experiments(
+                best.level, best.tracks, [o + f * h * d[:, :, k] for o, d in zip(best.own, parts, strict=True)], tile_m
+            )
+            for f in (1.0, -1.0)
         ]
-        own.append(np.array(fits))
-    return _experiments(level, best.tracks, own, tile_m).values
+        moved.append((ends[0].values - ends[1].values) / (2.0 * h))
+    return np.column_stack(moved)
 
 
 def _experiments(level: Array, tracks: list[_Track], own: list[Array], tile_m: float) -> _Solution:
@@ -285,13 +294,23 @@ def _check(s: _Solution) -> None:
     if turned < MIN_TURN_RAD:
         raise CalibrationError(
             f"mount: found a spin of {np.degrees(turned):.0f} deg, at least {np.degrees(MIN_TURN_RAD):.0f} needed; "
-            "turn the robot once round on the spot"
+            "turn the robot on the spot, four times round"
         )
     if run < MIN_RUN_M:
         raise CalibrationError(f"mount: found a run of {run:.2f} m, at least {MIN_RUN_M} needed; drive straight on")
 
 
-def _spread(s: _Solution) -> Array:
+def _place_sigma(camera: CameraModel, s: _Solution, tile_m: float) -> float:
+    """Of a picture's place in the run, m, from its crossings' residuals."""
+    residuals = grid_residuals(camera, s.tracks[1].samples, tile_m)
+    variances = [
+        float(np.mean(residuals(i, s.level, v) ** 2)) / len(t.index)
+        for i, (v, t) in enumerate(zip(s.own[1], s.tracks[1].samples, strict=True))
+    ]
+    return float(np.sqrt(np.mean(variances)) * s.level[2] / camera.fx_px)
+
+
+def _spread(s: _Solution, place_m: float) -> Array:
     """(3, 3) of x, y, yaw from the residuals, neighbours counting as one: they err together."""
     n = len(s.spin)
     c, sn = np.cos(s.spin[:, 2]), np.sin(s.spin[:, 2])
@@ -306,7 +325,8 @@ def _spread(s: _Solution) -> Array:
     b = np.zeros((2 * m, 3))
     b[0::2, 0] = b[1::2, 1] = 1.0
     b[:, 2] = across.ravel()
-    yaw_var = _block_cov(b, s.run_off)[2, 2] + 2.0 * (_PLACE_FLOOR_M / s.run_m) ** 2
+    # errors of places change so slowly under a grid that the scatter on the way does not show them: two ends count
+    yaw_var = max(_block_cov(b, s.run_off)[2, 2], 2.0 * (place_m / s.run_m) ** 2)
     rot = se2.rotation(yaw)
     lever = np.array([-s.values[1], s.values[0]])
     cov = np.zeros((3, 3))
@@ -319,11 +339,18 @@ def _spread(s: _Solution) -> Array:
 def _wander_var(heading: Array, off: Array) -> float:
     """Variance of each coordinate of the offset from a robot that does not turn exactly on the spot.
 
-    Wandering that goes round once with the robot looks the same as an offset; how much of it there is follows from
-    the wandering that goes round twice, three times, or backwards.
+    Wandering that goes round once a turn looks the same as an offset; how much of it there is follows from wandering
+    of nearly the same frequency: what goes round once or twice more, or less often, in the whole spin.
     """
+    turns = float(np.ptp(heading)) / (2.0 * np.pi)
+    frequencies = [1.0 + j / turns for j in (-2, -1, 1, 2)]
     z = off[:, 0] + 1j * off[:, 1]
-    return float(np.mean([abs(np.mean(z * np.exp(-1j * k * heading))) ** 2 for k in (-2, -1, 2, 3)]) / 2.0)
+    powers = [
+        abs(np.mean(z * np.exp(-1j * k * heading))) ** 2
+        for k in frequencies
+        if abs(k) * turns > 0.6  # nothing is left of what stands still
+    ]
+    return float(np.mean(powers) / 2.0)
 
 
 def _block_cov(a: Array, off: Array) -> Array:
@@ -344,15 +371,22 @@ def _wheels(
     spin: list[Step], run: list[Step], s: _Solution, tracks: list[_Track]
 ) -> tuple[float | None, float | None, float | None]:
     """True over reported: distance with its sigma, and turn."""
-    told = [spin[i].wheels for i in tracks[0].rows], [run[i].wheels for i in tracks[1].rows]
-    if any(w is None for part in told for w in part):
+    known = [
+        np.flatnonzero([part[i].wheels is not None for i in track.rows])
+        for part, track in zip((spin, run), tracks, strict=True)
+    ]
+    if any(len(k) < _MIN_FRAMES for k in known):
         return None, None, None
-    turns, way = (np.array(part, np.float64) for part in told)
-    true_step = np.hypot(*np.diff(s.run_base, axis=0).T)
+    turns, way = (
+        np.array([part[track.rows[i]].wheels for i in k], np.float64)
+        for part, track, k in zip((spin, run), tracks, known, strict=True)
+    )
+    base = s.run_base[known[1]]
+    true_step = np.hypot(*np.diff(base, axis=0).T)
     told_step = np.hypot(*np.diff(way[:, :2], axis=0).T)
     if told_step.sum() < 0.1 * s.run_m:
         return None, None, None
-    scale = s.run_m / float(np.hypot(*(way[-1, :2] - way[0, :2])))
+    scale = float(np.hypot(*(base[-1] - base[0])) / np.hypot(*(way[-1, :2] - way[0, :2])))
     parts = [
         float(t.sum() / max(w.sum(), 1e-9))
         for t, w in zip(np.array_split(true_step, 5), np.array_split(told_step, 5), strict=True)
@@ -361,7 +395,7 @@ def _wheels(
     return (
         scale,
         float(np.std(parts, ddof=1) / np.sqrt(5)),
-        float(np.ptp(s.spin[:, 2])) / turned if turned > 1 else None,
+        float(np.ptp(s.spin[known[0], 2])) / turned if turned > 1 else None,
     )
 
 
@@ -370,7 +404,7 @@ def problems(m: Mount) -> list[str]:
     out = []
     if m.sigma[:2].max() > 0.005:
         out.append(
-            f"the offset is known to {1e3 * m.sigma[:2].max():.1f} mm only, 5 needed: turn on the spot, once round"
+            f"the offset is known to {1e3 * m.sigma[:2].max():.1f} mm only, 5 needed: turn on the spot, more rounds"
         )
     if m.sigma[2] > np.radians(0.3):
         out.append(f"the yaw is known to {np.degrees(m.sigma[2]):.2f} deg only, 0.3 needed: a longer, straighter run")

@@ -1,16 +1,15 @@
-"""The 3x4 matrix M of eq. 5: from point correspondences, or from the ceiling's own grid."""
+"""The 3x4 matrix M of eq. 5 from point correspondences, and what a mounting is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib import bundle
-from ceilvo.calib.ceiling_view import GridView, Lattice, spacing, to_lattice
 from ceilvo.calib.intrinsics import camera_of, parameters_of
 from ceilvo.calibration import mount_rotation
 from ceilvo.camera import CameraModel
@@ -18,13 +17,8 @@ from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
-_REGULAR = 0.6
-_ON_GRID = 0.4
-_HUBER = 3.0
+HEIGHTS_M = (0.3, 30.0)
 _MODEL_OF = {("fisheye", 4): "fisheye", ("pinhole", 8): "pinhole8", ("pinhole", 5): "pinhole"}
-
-
-# -- from points
 
 
 def dlt(xyz_m: Array, uv_px: Array) -> Array:
@@ -90,7 +84,7 @@ class Mounting:
         cov: of (roll, pitch, height) or of (roll, pitch, height, yaw, x, y); intrinsics' errors included when known.
         residual_px: (N, 2) reprojection error of each point, uv_px (N, 2) where.
         rms_px: of one coordinate.
-        tile_m: of the grid, None = not from a grid.
+        tile_m: of the grid, None = not from a grid; evidence: what speaks for it.
     """
 
     roll_rad: float
@@ -103,25 +97,29 @@ class Mounting:
     uv_px: Array
     rms_px: float
     tile_m: float | None = None
+    evidence: str = ""
 
     @property
     def sigma(self) -> Array:
         return np.sqrt(np.diag(self.cov))
 
 
-def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array) -> Mounting:
+def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array, intrinsics_cov: Array | None = None) -> Mounting:
     """Pose of a known lens from four or more points, raw pixels; planar or not.
+
+    Args:
+        intrinsics_cov: of fx, fy, cx, cy and the distortion; None = the lens is taken as exact.
 
     Raises:
         CalibrationError: no pose, or one that looks down.
     """
     best: bundle.BundleFit | None = None
+
+    def residuals(other: CameraModel) -> bundle.Residuals:
+        return lambda _, p, __: points_residual(other, p, xyz_m, uv_px)
+
     for start in _point_starts(camera, xyz_m, uv_px):
-
-        def residuals(_: int, p: Array, __: Array) -> Array:
-            return _points_residual(camera, p, xyz_m, uv_px)
-
-        fit = bundle.solve(residuals, start, np.zeros((1, 0)))
+        fit = bundle.solve(residuals(camera), start, np.zeros((1, 0)))
         if fit.shared[2] > 0 and (best is None or fit.rms < best.rms):
             best = fit
     if best is None:
@@ -130,11 +128,14 @@ def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array) -> Mounting:
             "ceiling?"
         )
     roll, pitch, height, yaw, x, y = (float(v) for v in best.shared)
-    residual = best.residuals[0].reshape(-1, 2)
-    return Mounting(roll, pitch, height, yaw, np.array([x, y]), best.cov, residual, uv_px, best.rms)
+    residual, cov, lens = best.residuals[0].reshape(-1, 2), best.cov, lens_of(camera)
+    if intrinsics_cov is not None and lens is not None:
+        moves, _ = bundle.response(lambda p: residuals(lens[0](p)), lens[1], best.shared, np.zeros((1, 0)))
+        cov = with_lens_error(cov, moves, intrinsics_cov)
+    return Mounting(roll, pitch, height, yaw, np.array([x, y]), cov, residual, uv_px, best.rms)
 
 
-def _points_residual(camera: CameraModel, p: Array, xyz_m: Array, uv_px: Array) -> Array:
+def points_residual(camera: CameraModel, p: Array, xyz_m: Array, uv_px: Array) -> Array:
     """p: roll, pitch, height, yaw, x, y."""
     rays = (xyz_m - np.array([p[4], p[5], -p[2]])) @ mount_rotation(p[3], p[0], p[1]).T
     return np.asarray(np.nan_to_num(camera.pixels(rays) - uv_px, nan=1e3).ravel())
@@ -167,151 +168,29 @@ def _point_starts(camera: CameraModel, xyz_m: Array, uv_px: Array) -> list[Array
     return out
 
 
-def with_intrinsics_error(
-    solve: Callable[[CameraModel], Array], camera: CameraModel, intrinsics_cov: Array | None, cov: Array
-) -> Array:
-    """cov plus what the lens' own uncertainty does to the parameters that solve() finds, to first order.
-
-    Args:
-        intrinsics_cov: of fx, fy, cx, cy and the distortion; None = the lens is taken as known.
-    """
-    if intrinsics_cov is None:
-        return cov
+def lens_of(camera: CameraModel) -> tuple[Callable[[Array], CameraModel], Array] | None:
+    """The camera as a function of its parameters, and those; None when its model is none of calib's."""
     model = _MODEL_OF.get((camera.kind, len(camera.distortion)))
     if model is None:
-        return cov
-    values, vectors = np.linalg.eigh(intrinsics_cov)
-    p, size = parameters_of(camera), (camera.width_px, camera.height_px)
-    total = np.array(cov, np.float64)
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value <= 0:
-            continue
-        step = np.sqrt(value) * vector
-        up, down = solve(camera_of(model, p + step, size)), solve(camera_of(model, p - step, size))
-        total += np.outer(up - down, up - down) / 4.0
-    return total
+        return None
+    size = (camera.width_px, camera.height_px)
+    return (lambda p: camera_of(model, p, size)), parameters_of(camera)
 
 
-# -- from the ceiling's grid
-
-
-@dataclass(frozen=True)
-class GridSample:
-    """A picture's crossings on the lattice: index (K, 2) tiles, uv_px (K, 2), start (3,) in tiles and rad."""
-
-    index: Array
-    uv_px: Array
-    start: Array
-
-
-def grid_samples(views: list[GridView], tile_share: float) -> list[GridSample | None]:
-    """For each picture its crossings on the lattice, None where too few are."""
-    out: list[GridSample | None] = []
-    for view in views:
-        lattice: Lattice | None = to_lattice(view, tile_share)
-        if lattice is None:
-            out.append(None)
-        else:
-            out.append(GridSample(lattice.index.astype(np.float64), view.uv_px[lattice.used], lattice.xy_yaw))
-    return out
-
-
-def from_grid(
-    camera: CameraModel,
-    views: list[GridView],
-    tile_m: float,
-    tilt_rad: tuple[float, float],
-    intrinsics_cov: Array | None = None,
-) -> tuple[Mounting, Array]:
-    """Static tilt and height from pictures of a tiled ceiling; also (V, 3) each camera pose in its picture's lattice.
-
-    Args:
-        tile_m: side of a tile.
-        tilt_rad: roll, pitch to start from.
-
-    Raises:
-        CalibrationError: the crossings are not regular.
-    """
-    share, regular = spacing(views)
-    if not regular >= _REGULAR:
-        raise CalibrationError(
-            f"projection: found crossings that are regular to {100 * regular:.0f} %, {100 * _REGULAR:.0f} % expected; "
-            "is the ceiling tiled? measure points and use --points instead"
-        )
-    samples = [s for s in grid_samples(views, share) if s is not None]
-    if not samples:
-        raise CalibrationError("projection: found no picture with six crossings on the grid; take others")
-    on_grid = sum(len(s.index) for s in samples) / sum(len(v.xy) for v in views)
-    if on_grid < _ON_GRID:
-        raise CalibrationError(
-            f"projection: found only {100 * on_grid:.0f} % of the crossings on the grid, "
-            f"{100 * _ON_GRID:.0f} % expected; is --tile-m the ceiling's tile? are there fewer lamps elsewhere?"
-        )
-    start = np.array([*tilt_rad, tile_m / share])
-    fit, samples = _grid_fit(camera, samples, tile_m, start)
-
-    def solve(other: CameraModel) -> Array:
-        return _grid_solve(other, samples, tile_m, fit.shared, fit.views, rounds=10).shared
-
-    cov = fit.cluster_cov if len(samples) >= 8 else np.maximum(fit.cov, fit.cluster_cov)
-    cov = with_intrinsics_error(solve, camera, intrinsics_cov, _at_least(cov, fit.cov))
-    residual = np.concatenate(fit.residuals).reshape(-1, 2)
-    uv = np.concatenate([s.uv_px for s in samples])
-    roll, pitch, height = (float(v) for v in fit.shared)
-    return Mounting(roll, pitch, height, None, None, cov, residual, uv, fit.rms, tile_m), fit.views
-
-
-def _at_least(cov: Array, floor: Array) -> Array:
-    """cov with no variance below the floor's."""
-    grow = np.sqrt(np.maximum(np.diag(floor) / np.maximum(np.diag(cov), 1e-300), 1.0))
-    return np.asarray(cov * np.outer(grow, grow))
-
-
-def _grid_fit(
-    camera: CameraModel, samples: list[GridSample], tile_m: float, start: Array
-) -> tuple[bundle.BundleFit, list[GridSample]]:
-    """Robust first, then without the crossings that do not belong."""
-    views = np.array([[s.start[0] * tile_m, s.start[1] * tile_m, s.start[2]] for s in samples])
-    fit = _grid_solve(camera, samples, tile_m, start, views, rounds=30, huber=_HUBER)
-    noise = 1.4826 * float(np.median(np.abs(np.concatenate(fit.residuals))))
-    clean = []
-    for sample, r in zip(samples, fit.residuals, strict=True):
-        good = (np.abs(r.reshape(-1, 2)) < max(5.0 * noise, 0.3)).all(axis=1)
-        clean.append(replace(sample, index=sample.index[good], uv_px=sample.uv_px[good]))
-    keep = [i for i, s in enumerate(clean) if len(s.index) >= 4]
-    clean = [clean[i] for i in keep]
-    return _grid_solve(camera, clean, tile_m, fit.shared, fit.views[keep], rounds=30), clean
-
-
-def _grid_solve(
-    camera: CameraModel,
-    samples: list[GridSample],
-    tile_m: float,
-    shared: Array,
-    views: Array,
-    rounds: int,
-    huber: float | None = None,
-) -> bundle.BundleFit:
-    def residuals(i: int, p: Array, view: Array) -> Array:
-        return grid_residual(camera, samples[i], tile_m, p, view)
-
-    return bundle.solve(residuals, shared, views, rounds=rounds, huber=huber)
-
-
-def grid_residual(camera: CameraModel, sample: GridSample, tile_m: float, shared: Array, view: Array) -> Array:
-    """Pixels; shared: roll, pitch, height; view: the camera's x, y in the lattice (m) and heading."""
-    xyz = np.column_stack([sample.index * tile_m - view[:2], np.full(len(sample.index), shared[2])])
-    rays = xyz @ mount_rotation(view[2], shared[0], shared[1]).T
-    return np.asarray(np.nan_to_num(camera.pixels(rays) - sample.uv_px, nan=1e3).ravel())
+def with_lens_error(cov: Array, response: Array, lens_cov: Array) -> Array:
+    """cov plus what the lens' own uncertainty (K, K) does to the parameters, which move by response (P, K)."""
+    return np.asarray(cov + response @ lens_cov @ response.T)
 
 
 def plausible(m: Mounting, size: tuple[int, int], limit_px: float = 1.0) -> list[str]:
     """What keeps the mounting from a PASS, with what to do."""
     out = []
     tilt = float(np.degrees(np.hypot(m.roll_rad, m.pitch_rad)))
-    if not 0.3 <= m.height_m <= 30.0:
+    low, high = HEIGHTS_M
+    if not low <= m.height_m <= high:
         out.append(
-            f"the ceiling is {m.height_m:.2f} m above the camera, 0.3 to 30 expected: right tile size? right units?"
+            f"the ceiling is {m.height_m:.2f} m above the camera, {low:g} to {high:g} expected: "
+            "are tile and units right?"
         )
     if tilt > 15.0:
         out.append(f"the camera leans by {tilt:.1f} deg, at most 15 expected: straighten it")

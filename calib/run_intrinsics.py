@@ -140,7 +140,7 @@ def _collect(
                 if not source.info.live:
                     progress.note(f"{picture.name}: rejected, {reason}")
                 progress.tell(f"{len(shots)} taken; {reason}")
-                if "not seen" in reason and len(unseen) < 5:
+                if "not seen" in reason and len(unseen) < 3:
                     unseen.append(picture)
             else:
                 h, w = picture.gray.shape

@@ -8,23 +8,32 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.calib import plots
 from ceilvo.calib.assemble import camera_from, update_file
 from ceilvo.calib.ceiling_view import GridView
 from ceilvo.calib.mount import RUN, SPIN, Mount, Step, calibrate, problems
-from ceilvo.calib.steps import bench_of, conclude, session_of, session_options, source_options
+from ceilvo.calib.session import Session
+from ceilvo.calib.steps import Progress, bench_of, conclude, session_of, session_options, source_options
 from ceilvo.calib.views import Collection, collect, moved
+from ceilvo.calib.wheels import LiveWheels, Wheels, live_base, no_wheels, recorded
+from ceilvo.camera import CameraModel
+from ceilvo.config import Base
+from ceilvo.config_file import load_config
 from ceilvo.errors import CalibrationError
 
 if TYPE_CHECKING:
     from ceilvo.calib.cli import Commands
 
+Array = NDArray[np.float64]
+
 STEP = "mount"
-_TURN_RAD = float(np.radians(375.0))
+_TURNS = 4
+_TURN_RAD = float(np.radians(360.0 * _TURNS + 15.0))
 _RUN_M = 2.0
 _ASK = {
-    SPIN: "turn the robot once round on the spot, slowly, and a little more",
+    SPIN: f"turn the robot {_TURNS} times round on the spot, slowly, and a little more",
     RUN: f"drive straight ahead by {_RUN_M:g} m, slowly",
 }
 
@@ -33,8 +42,11 @@ def add(commands: Commands) -> None:
     p = commands.add_parser(
         STEP,
         help="3. where the camera sits on the robot, from a turn on the spot and a straight run",
-        description="First turn the robot once round on the spot, then drive it two metres straight ahead.",
-        epilog="example: calib mount --device /dev/video0; recorded: --images DIR with folders spin/ and run/ in it",
+        description=f"First turn the robot {_TURNS} times round on the spot (its wandering averages out; once does), "
+        "then drive it two metres straight ahead.",
+        epilog="example: calib mount --config /etc/ceilvo/config.yaml (with its base: the wheels' scale as well); "
+        "recorded: --images DIR with folders spin/ and run/ in it, each with wheels.csv where there are wheels: "
+        "name,x_m,y_m,theta_rad, a row for each picture",
     )
     session_options(p)
     source_options(p)
@@ -53,33 +65,46 @@ def run(args: argparse.Namespace) -> int:
         for part in (SPIN, RUN):
             session.set_aside(f"{STEP}-{part}")
     level = np.array([projection[k] for k in ("roll_rad", "pitch_rad", "height_m")])
-    simulated = list(bench_of(args).spin_and_run()) if args.simulate else None
-    steps: list[Step] = []
-    for part in (SPIN, RUN):
-        mine = copy.copy(args)
-        if args.images is not None:
-            mine.images = args.images / part
-            if not mine.images.is_dir():
-                raise CalibrationError(f"{args.images}: found no folder {part!r} in it, expected spin/ and run/")
-        elif simulated is None:
-            print(f"{STEP}: now {_ASK[part]}", file=sys.stderr)
-        got = collect(
-            mine,
-            session,
-            f"{STEP}-{part}",
-            camera,
-            None if simulated is None else [p for p in simulated if p.label == part],
-            tilt_rad=(level[0], level[1]),
-            wanted=moved,
-            enough=_turned if part == SPIN else lambda c: _travelled(c) * level[2] >= _RUN_M,
-        )
-        steps += [Step(part, s.view, s.wheels) for s in got.seen]
+    steps = _steps(args, session, camera, level)
     found = calibrate(camera, steps, tile_m, level, cov)
     bad = problems(found)
     session.save(STEP, _result(found) | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
     plots.save(session, "mount/paths.svg", plots.paths(found.spin_xy_m.tolist(), found.run_xy_m.tolist()))
     print(update_file(session))
     return conclude(STEP, _rows(found), bad, args)
+
+
+def _steps(args: argparse.Namespace, session: Session, camera: CameraModel, level: Array) -> list[Step]:
+    """Pictures of the spin, then of the run, each with its wheels where they are known."""
+    simulated = list(bench_of(args).spin_and_run()) if args.simulate else None
+    base = load_config(args.config).base if args.config is not None else Base(enabled=False)
+    steps: list[Step] = []
+    with live_base(base, Progress(STEP).note) as link:
+        for part in (SPIN, RUN):
+            mine = copy.copy(args)
+            wheels: Wheels = no_wheels
+            if args.images is not None:
+                mine.images = args.images / part
+                if not mine.images.is_dir():
+                    raise CalibrationError(f"{args.images}: found no folder {part!r} in it, expected spin/ and run/")
+                wheels = recorded(mine.images)
+            elif simulated is None:
+                print(f"{STEP}: now {_ASK[part]}", file=sys.stderr)
+            if link is not None:
+                wheels = LiveWheels(link)
+            got = collect(
+                mine,
+                session,
+                f"{STEP}-{part}",
+                camera,
+                None if simulated is None else [p for p in simulated if p.label == part],
+                tilt_rad=(level[0], level[1]),
+                wanted=moved,
+                enough=_turned if part == SPIN else lambda c: _travelled(c) * level[2] >= _RUN_M,
+                wheels=wheels,
+            )
+            steps += [Step(part, s.view, s.wheels) for s in got.seen]
+    return steps
 
 
 def _turned(c: Collection) -> bool:

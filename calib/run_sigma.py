@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.calib import plots
+from ceilvo.calib import circles, plots
 from ceilvo.calib.assemble import assemble, update_file
 from ceilvo.calib.ceiling_view import GridView
 from ceilvo.calib.points_file import ask_on_terminal, in_metres, read_table
@@ -17,7 +18,7 @@ from ceilvo.calib.session import Session
 from ceilvo.calib.sigma import Curve, Errors, Noise, fit, problems
 from ceilvo.calib.sources import Picture
 from ceilvo.calib.stand import Stand, errors_against_grid
-from ceilvo.calib.steps import bench_of, conclude, session_of, session_options, source_options
+from ceilvo.calib.steps import Progress, bench_of, conclude, pictures, session_of, session_options, source_options
 from ceilvo.calib.views import Collection, Seen, collect
 from ceilvo.calibration import Calibration
 from ceilvo.errors import CalibrationError
@@ -43,6 +44,10 @@ def add(commands: Commands) -> None:
     )
     session_options(p)
     source_options(p)
+    p.add_argument(
+        "--circles", action="store_true", help="asks for the robot's measured pose, looks, and asks for the next: "
+        "three or more circles about one crossing of joints, which is the origin"
+    )  # fmt: skip
     p.add_argument("--csv", type=Path, metavar="FILE", help="the measurements, instead of pictures")
     p.add_argument("--units", choices=("m", "mm"), help="of the CSV, when it is doubtful")
     p.set_defaults(run=run)
@@ -51,8 +56,12 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     session = session_of(args)
     session.begin(STEP)
+    if session.force:
+        session.set_aside(circles.SAMPLES)
     if args.csv is not None:
         errors, how = errors_of_csv(args.csv, args.units), str(args.csv)
+    elif args.circles:
+        errors, how = _circles(args, session)
     else:
         errors, how = _standing(args, session)
     noise = fit(errors)
@@ -105,10 +114,36 @@ def errors_of_csv(path: Path, units: str | None) -> Errors:
     return Errors(r, dx, dy, dth)
 
 
-def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
+def _circles(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
+    """Live, from a folder in the order of the poses, or on the virtual bench, which answers the questions itself."""
+    calibration = _so_far(session)
+    prompt: circles.Prompt = circles.terminal_prompt
+    bench = None
+    if args.simulate:
+        answers, bench = bench_of(args).circles()
+        prompt = partial(_answer, answers)
+    with pictures(args, bench) as source:
+        subject = {"source": source.info.name, "size": [calibration.camera.width_px, calibration.camera.height_px]}
+        tilt, take, note = _tilt(calibration), circles.taker(source), Progress(STEP).note
+        samples = circles.collect(calibration, session, subject, take, tilt, prompt, note)
+    return circles.errors_of(calibration, samples), f"{len(samples)} measured poses"
+
+
+def _answer(answers: list[str], number: int, _: str) -> str:
+    return answers[number] if number < len(answers) else ""
+
+
+def _so_far(session: Session) -> Calibration:
     session.need("projection", "the noise")
     calibration = assemble(session)
-    if calibration is None or calibration.tile_m is None:
+    if calibration is None:
+        raise CalibrationError(f"{session.folder}: found no lens and projection; run 'calib intrinsics' first")
+    return calibration
+
+
+def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
+    calibration = _so_far(session)
+    if calibration.tile_m is None:
         raise CalibrationError("sigma: found no tile size in the session, standing still needs it; measure with --csv")
     bench = bench_of(args).stands(_STANDS, _LOOKS) if args.simulate else None
     got = collect(

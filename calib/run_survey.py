@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from ceilvo.calib.assemble import identity, update_file
 from ceilvo.calib.session import Session
 from ceilvo.calib.steps import (
     Progress,
@@ -56,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     survey, ended = _drive(args, calibration)
     light = flicker(survey.light)
     bad = survey.problems()
-    _save(session, survey, light.text, bad)
+    _save(session, survey, calibration, light.text, bad)
+    print(update_file(session))
     rows = [
         ("drive", f"{len(survey.path)} frames, {len(survey.cells)} places of 0.5 m{', ended early' if ended else ''}"),
         ("crossings", f"{survey.density:.1f} a square metre"),
@@ -64,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
         ("poor places", f"{len(survey.poor())}"),
         ("dark places", f"{len(survey.dark())}"),
         ("vision failed", f"{100 * survey.failed:.1f} % of the frames"),
+        ("NIS", "too few updates" if survey.mean_nis is None else f"{survey.mean_nis:.2f} per degree of freedom"),
         ("flicker", light.text),
         ("map", str(session.folder / "survey" / "map.png")),
     ]
@@ -90,7 +93,7 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
                 estimate = pipeline.step(Frame(len(survey.path), picture.stamp_ns, picture.gray))
                 view = pipeline.view
                 ok = estimate.motion.ok or not survey.path
-                survey.add(picture.stamp_ns, picture.gray, estimate.pose, view.crossings if view else None, ok)
+                survey.add(picture.gray, estimate, view.crossings if view else None, ok)
                 progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")
                 if source.info.live and (last_ns - first_ns) * 1e-9 > args.seconds:
                     break
@@ -105,7 +108,7 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
     return survey, ended
 
 
-def _save(session: Session, survey: Survey, light: str, bad: list[str]) -> None:
+def _save(session: Session, survey: Survey, calibration: Calibration, light: str, bad: list[str]) -> None:
     ok, png = cv2.imencode(".png", survey.picture())
     if ok:
         session.write("survey/map.png", png.tobytes())
@@ -117,6 +120,8 @@ def _save(session: Session, survey: Survey, light: str, bad: list[str]) -> None:
         "poor_places": len(survey.poor()),
         "dark_places": len(survey.dark()),
         "failed_share": survey.failed,
+        "nis": survey.mean_nis,
+        "of": identity(calibration.projection, calibration.noise),
         "flicker": light,
         "notes": survey.notes(),
         "problems": bad,

@@ -115,7 +115,8 @@ def circles(r_m: Array) -> NDArray[np.int64]:
     label[order[1:]] = np.cumsum(gaps > max(0.04 * span, 1e-6))
     counts = np.bincount(label)
     widest = max((float(np.ptp(r_m[label == k])) for k in range(len(counts))), default=0.0)
-    if span > 0 and widest > 0.25 * span:
+    spread = widest > 0.25 * span or len(counts) * MIN_PER_CIRCLE > len(r_m) >= MIN_CIRCLES * MIN_PER_CIRCLE
+    if span > 0 and spread:
         bins = min(_BINS, max(len(r_m) // MIN_PER_CIRCLE, 1))
         for k, rows in enumerate(np.array_split(order, bins)):
             label[rows] = k

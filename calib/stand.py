@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.ceiling_view import GridView, spacing, to_lattice
+from ceilvo.calib.ceiling_view import GridView
+from ceilvo.calib.lattice import to_lattice
 from ceilvo.calib.sigma import Errors
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.crossings import to_ceiling
@@ -35,16 +36,21 @@ def in_base(calibration: Calibration, uv_px: Array) -> Array:
     return to_ceiling(calibration.ceiling_from_level, calibration.level_view.from_raw(uv_px))
 
 
-def errors_against_grid(calibration: Calibration, stands: list[Stand], tile_m: float) -> Errors:
+def errors_against_grid(
+    calibration: Calibration, stands: list[Stand], tile_m: float, height_m: float | None = None
+) -> Errors:
     """What is left of each crossing when the grid is laid on all of them, in base axes.
 
     Pictures of one stand are averaged: they share what calibration does to them. The three freedoms of laying the
     grid are given back by the usual factor.
 
+    Args:
+        height_m: of the ceiling above the camera as seen now, to find the grid; None is the calibration's.
+
     Raises:
         CalibrationError: too few stands under a regular ceiling.
     """
-    share, _ = spacing([s.views[0] for s in stands])
+    share = tile_m / (calibration.ceiling_height_m if height_m is None else height_m)
     r, dx, dy, dtheta = [], [], [], []
     used = 0
     for stand in stands:

@@ -1,19 +1,23 @@
 """What commissioning's figures are worth, over many simulated rigs and experiments (make bench-calib).
 
-    python -m ceilvo.calib.study rigs --count 50     truth against the reported sigma
     python -m ceilvo.calib.study sigma --count 100   generating curves against the confidence band
-    python -m ceilvo.calib.study drift --count 3     the daemon's drift with the found calibration and with the true one
-    python -m ceilvo.calib.study stale --count 4     false alarms of the staleness monitor, and what it notices
+    python -m ceilvo.calib.study drive --count 8     drift with the found calibration, false alarms, what is noticed
+    python -m ceilvo.calib.study rigs --count 50     truth against the reported sigma
 
-Exit code 1 when a bar is missed.
+Figures of each rig are kept in build/bench/calib-*.samples.jsonl: an interrupted study goes on, unless the code has
+changed. Summaries are in build/bench/calib-*.json. Exit code 1 when a bar is missed.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,28 +25,29 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib import mount, sigma
+from ceilvo.calib import mount, sigma, study_drive
 from ceilvo.calib.assemble import UNMEASURED
 from ceilvo.calib.board import Board, BoardFinder
 from ceilvo.calib.ceiling_view import CeilingReader
 from ceilvo.calib.cli import mount_angles
+from ceilvo.calib.grid import from_grid
 from ceilvo.calib.intrinsics import Intrinsics, Shot, calibrate, parameters_of
 from ceilvo.calib.mount import Step
-from ceilvo.calib.projection import from_grid
+from ceilvo.calib.session import Session
 from ceilvo.calib.stand import Stand, errors_against_grid
 from ceilvo.calib.virtual_bench import VirtualBench, random_rig
 from ceilvo.calibration import Calibration, mount_rotation, projection_matrix
-from ceilvo.config import Config
-from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.staleness import StalenessMonitor
 from ceilvo.errors import CalibrationError
-from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Frame
 
 Array = NDArray[np.float64]
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "roll", "pitch", "height", "x", "y", "yaw")
 GENERATING = ((0.004,), (0.003, 0.004), (0.003, 0.0, 0.002), (0.002, 0.001, 0.001, 0.0008))
+FOLDER = Path("build/bench")
+_DECIDES = (
+    *("board", "bundle", "ceiling_view", "grid", "intrinsics", "lattice", "mount", "projection", "sigma", "stand"),
+    *("virtual_bench", "virtual_board"),
+)
 
 
 @dataclass(frozen=True)
@@ -54,16 +59,16 @@ class RigResult:
     calibration: Calibration
 
 
-def commission(rig: Calibration, seed: int, shots: int = 20, places: int = 14, frames: int = 44) -> RigResult:
+def commission(rig: Calibration, seed: int) -> RigResult:
     """Lens, projection and mount of one rig as `calib --simulate` does them, without the command line."""
     bench = VirtualBench(rig, seed=seed, world_seed=1 + seed % 3)
-    lens = _lens(bench, shots)
+    lens = _lens(bench, shots=20)
     reader, tile_m = CeilingReader(lens.camera), rig.tile_m or 0.6
-    views = [v for v in (reader(p.gray) for p in bench.places(places)) if v.ok]
+    views = [v for v in (reader(p.gray) for p in bench.places(14)) if v.ok]
     projection, _ = from_grid(lens.camera, views, tile_m, reader.tilt_rad, lens.cov)
     level = np.array([projection.roll_rad, projection.pitch_rad, projection.height_m])
     steps = []
-    for p in bench.spin_and_run(frames, frames):
+    for p in bench.spin_and_run(80, 44):
         view = reader(p.gray)
         if view.ok:
             steps.append(Step(p.label, view, p.wheels))
@@ -109,112 +114,108 @@ def _lens(bench: VirtualBench, shots: int) -> Intrinsics:
     return calibrate(good, (w, h), "pinhole")
 
 
-def rigs(count: int, first: int = 0) -> int:
+# -- kept between runs
+
+
+def _code() -> str:
+    """Fingerprint of all that decides the figures."""
+    root = Path(__file__).resolve().parents[1]
+    outputs = ("app", "cli", "screen", "overlay", "staleness")  # staleness is judged from what is kept
+    files = [root / "calib" / f"{name}.py" for name in _DECIDES]
+    for folder in ("sim", "daemon"):
+        files += [p for p in sorted((root / folder).glob("*.py")) if not p.name.startswith(outputs)]
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def each_rig(name: str, count: int, first: int, work: Callable[[int], dict[str, Any]]) -> list[dict[str, Any]]:
+    """One record a rig, from the earlier run where there is one; progress goes to standard error."""
+    store = Session(FOLDER, force=True)
+    done = {r["rig"]: r for r in store.samples(name, {"code": _code()})}
+    out: list[dict[str, Any]] = []
+    for seed in range(first, first + count):
+        if seed not in done:
+            started = time.process_time()
+            try:
+                done[seed] = {"rig": seed, **work(seed)}
+            except CalibrationError as e:
+                done[seed] = {"rig": seed, "refused": str(e)}
+            done[seed]["cpu_s"] = round(time.process_time() - started, 1)
+            store.add_sample(name, done[seed])
+            text = done[seed].get("refused") or f"{done[seed]['cpu_s']} s"
+            print(f"{name}: rig {seed}, {len(out) + 1} of {count}: {text}", file=sys.stderr, flush=True)
+        out.append(done[seed])
+    return out
+
+
+def _report(name: str, figures: dict[str, Any]) -> None:
+    path = Session(FOLDER, force=True).save(name, {"code": _code(), **figures})
+    print(f"figures in {path}")
+
+
+# -- studies
+
+
+def rigs(count: int, first: int) -> int:
     """Print a table; the number of bars missed."""
-    results = []
-    for seed in range(first, first + count):
-        try:
-            results.append(commission(random_rig(seed), seed))
-        except CalibrationError as e:
-            print(f"rig {seed}: {e}")
-            continue
-        z = results[-1].error / results[-1].sigma
-        print(f"rig {seed}: " + " ".join(f"{n} {v:+.1f}" for n, v in zip(NAMES, z, strict=True)), flush=True)
-    z = np.array([r.error / r.sigma for r in results])
-    inside = np.mean(np.abs(z) <= 3.0)
-    spread = np.sqrt(np.mean(z**2, axis=0))
-    print(f"{len(results)} of {count} rigs commissioned")
-    for name, s, part in zip(NAMES, spread, np.mean(np.abs(z) <= 3.0, axis=0), strict=True):
-        print(f"  {name:<7} observed over reported sigma {s:.2f}, inside 3 sigma {100 * part:.0f} %")
+
+    def work(seed: int) -> dict[str, Any]:
+        r = commission(random_rig(seed), seed)
+        return {"error": r.error.tolist(), "sigma": r.sigma.tolist()}
+
+    records = each_rig("calib-rigs", count, first, work)
+    good = [r for r in records if "error" in r]
+    z = np.array([r["error"] for r in good]) / np.array([r["sigma"] for r in good])
+    error = np.sqrt(np.mean(np.square([r["error"] for r in good]), axis=0))
+    inside, spread = np.abs(z) <= 3.0, np.sqrt(np.mean(z**2, axis=0))
+    print(f"{len(good)} of {count} rigs commissioned, {np.mean([r['cpu_s'] for r in good]):.1f} s of processor each")
+    print(f"  {'':<7} {'rms error':>10}  observed over reported sigma (bar 0.75-1.25), inside 3 sigma (bar 95 %)")
+    for k, name in enumerate(NAMES):
+        print(f"  {name:<7} {error[k]:>10.2g}  {spread[k]:.2f}  {100 * inside[:, k].mean():.0f} %")
     ratio = float(np.sqrt(np.mean(z**2)))
-    print(f"all: inside 3 sigma {100 * inside:.1f} % (bar 95), observed over reported {ratio:.2f} (bar 0.75-1.25)")
-    return int(inside < 0.95) + int(not 0.75 <= ratio <= 1.25) + int(len(results) < count)
+    outside = [n for n, s in zip(NAMES, spread, strict=True) if not 0.75 <= s <= 1.25]
+    print(f"all     inside 3 sigma {100 * inside.mean():.1f} %, observed over reported {ratio:.2f}")
+    print(f"parameters beyond 25 %: {', '.join(outside) or 'none'}")
+    for r in records:
+        if "refused" in r:
+            print(f"rig {r['rig']}: {r['refused']}")
+    rows = {n: {"ratio": s, "inside": i} for n, s, i in zip(NAMES, spread, inside.mean(axis=0), strict=True)}
+    _report("calib-rigs", {"rigs": len(good), "of": count, "inside": inside.mean(), "ratio": ratio, "each": rows})
+    return int(inside.mean() < 0.95) + len(outside) + int(len(good) < count)
 
 
-def drift(count: int, first: int = 0) -> int:
-    """Odometry's error after a lap and the filter's worst error, found against true calibration; bars missed."""
-    total = np.zeros((2, 2))
-    for seed in range(first, first + count):
+def drive(count: int, first: int) -> int:
+    """Drift with the found calibration against the true one; staleness; the number of bars missed."""
+
+    def work(seed: int) -> dict[str, Any]:
         rig = random_rig(seed)
         found = with_noise(commission(rig, seed).calibration, rig, seed)
-        world = World(WorldSpec(seed=1 + seed % 3), rig)
-        figures = np.array([_lap(world, c) for c in (found, rig)])
-        total += figures**2
-        print(
-            f"rig {seed}: end of odometry {1e3 * figures[0, 0]:.1f} mm found, {1e3 * figures[1, 0]:.1f} true; "
-            f"worst pose {1e3 * figures[0, 1]:.1f} found, {1e3 * figures[1, 1]:.1f} true",
-            flush=True,
-        )
-    ratio = np.sqrt(total[0] / total[1])
-    print(f"found over true: drift of odometry {ratio[0]:.2f}, worst pose {ratio[1]:.2f} (bar 1.2)")
-    return int(ratio[1] > 1.2)
+        return study_drive.figures(rig, found, 1 + seed % 3)
+
+    records = [r for r in each_rig("calib-drive", count, first, work) if "refused" not in r]
+    figures = study_drive.summary(records)
+    for line in study_drive.lines(records, figures):
+        print(line)
+    _report("calib-drive", figures)
+    return sum(not ok for ok in study_drive.bars(figures))
 
 
-def _lap(world: World, calibration: Calibration, rate_hz: float = 12.0) -> tuple[float, float]:
-    pipeline = Pipeline(calibration, _config(world), np.random.default_rng(1))
-    worst, last = 0.0, np.zeros(3)
-    for i in range(round(rate_hz * (world.path.lap_m / world.spec.lap.speed_mps + 2.0))):
-        t = i / rate_hz
-        estimate = pipeline.step(Frame(i, 1 + round(1e9 * t), world.frame_at(t)))
-        truth = world.truth_at(t)
-        worst = max(worst, float(np.hypot(*(estimate.pose - truth)[:2])))
-        last = se2.between(truth, se2.compose(world.truth_at(0.0), estimate.odom))
-    return float(np.hypot(*last[:2])), worst
-
-
-def _config(world: World) -> Config:
-    x, y, theta = (float(v) for v in world.initial_pose)
-    start = replace(
-        Config().filter, initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta))
-    )
-    return replace(Config(), filter=start)
-
-
-def stale(count: int, first: int = 0, laps: float = 3.0, rate_hz: float = 8.0) -> int:
-    """False alarms an hour with a good calibration, and whether a lens that changed is noticed; bars missed."""
-    alarms, hours, missed, highest = 0, 0.0, 0, 0.0
-    for seed in range(first, first + count):
-        rig = random_rig(seed)
-        good = with_noise(commission(rig, seed).calibration, rig, seed)
-        k1, *rest = good.camera.distortion
-        bent = replace(good, camera=replace(good.camera, distortion=(k1 + 0.04, *rest)))
-        world = World(WorldSpec(seed=1 + seed % 3), rig)
-        pipelines = [Pipeline(c, _config(world), np.random.default_rng(1)) for c in (good, bent)]
-        monitors = [StalenessMonitor(), StalenessMonitor()]
-        raised, worst = [0, 0], [0.0, 0.0]
-        seconds = laps * world.path.lap_m / world.spec.lap.speed_mps
-        for i in range(round(rate_hz * seconds)):
-            stamp_ns, gray = 1 + round(1e9 * i / rate_hz), world.frame_at(i / rate_hz)
-            for k, (pipeline, monitor) in enumerate(zip(pipelines, monitors, strict=True)):
-                before = monitor.last.stale
-                e = pipeline.step(Frame(i, stamp_ns, gray))
-                now = monitor.add(stamp_ns, e.depletion.nis, e.depletion.nis_dof)
-                raised[k] += int(now.stale and not before)
-                worst[k] = max(worst[k], np.nan_to_num(now.mean_nis))
-        alarms, hours, highest = alarms + raised[0], hours + seconds / 3600.0, max(highest, worst[0])
-        missed += int(not raised[1])
-        print(f"rig {seed}: mean NIS at most {worst[0]:.2f} good, {worst[1]:.2f} bent; alarms {raised}", flush=True)
-    print(f"{alarms} false alarms in {hours:.2f} h (highest mean NIS {highest:.2f})")
-    print(f"{missed} of {count} bent lenses missed")
-    return alarms + missed
-
-
-def curves(count: int, first: int = 0, circles: int = 4, each: int = 20) -> int:
+def curves(count: int, first: int) -> int:
     """Print a table; the number of bars missed."""
-    missed = 0
+    shares = {}
     for k in GENERATING:
         hits = [0, 0]
         for seed in range(first, first + count):
-            noise = sigma.fit(experiment(k, seed, circles, each), seed)
+            noise = sigma.fit(experiment(k, seed, circles=4, each=20), seed)
             for axis, curve in enumerate((noise.x, noise.y)):
                 hits[axis] += curve.covers(np.asarray(polyval(curve.r_m, k), np.float64))
-        share = [h / count for h in hits]
-        missed += sum(s < 0.9 for s in share)
-        print(
-            f"sigma(r) = {k}: inside the 95 % band x {100 * share[0]:.0f} %, y {100 * share[1]:.0f} % (bar 90)",
-            flush=True,
-        )
-    return missed
+        x, y = shares[str(k)] = [h / count for h in hits]
+        text = f"inside the 95 % band x {100 * x:.0f} %, y {100 * y:.0f} % (bar 90)"
+        print(f"sigma(r) = {k}: {text}", flush=True)
+    _report("calib-sigma", {"inside": shares, "of": count})
+    return sum(s < 0.9 for pair in shares.values() for s in pair)
 
 
 def experiment(coefficients: tuple[float, ...], seed: int, circles: int, each: int) -> sigma.Errors:
@@ -227,13 +228,15 @@ def experiment(coefficients: tuple[float, ...], seed: int, circles: int, each: i
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    p = argparse.ArgumentParser(prog="python -m ceilvo.calib.study", description=__doc__)
-    p.add_argument("what", choices=("rigs", "sigma", "drift", "stale"))
+    p = argparse.ArgumentParser(
+        prog="python -m ceilvo.calib.study", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument("what", choices=("rigs", "sigma", "drive"))
     p.add_argument("--count", type=int, default=0)
     p.add_argument("--first", type=int, default=0, help="first seed (%(default)s)")
     args = p.parse_args(argv)
     cv2.setNumThreads(1)
-    what = {"rigs": (rigs, 50), "sigma": (curves, 100), "drift": (drift, 3), "stale": (stale, 4)}
+    what = {"rigs": (rigs, 50), "sigma": (curves, 100), "drive": (drive, 8)}
     study, usual = what[args.what]
     return int(study(args.count or usual, args.first) > 0)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.calib.stand import in_base
 from ceilvo.calibration import Calibration
-from ceilvo.types import Crossings
+from ceilvo.types import Crossings, Estimate
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
@@ -21,6 +21,8 @@ FEW_CROSSINGS = 8.0
 DARK_LEVEL = 25.0
 AMBIGUOUS = 0.9
 FLICKER = 0.01
+HIGHEST_NIS = 6.0
+MIN_UPDATES = 60
 _MATCH_M = 0.05
 _MAINS = ((50.0, 10_000), (60.0, 8_333))
 
@@ -66,6 +68,7 @@ class Survey:
         self.densities: list[float] = []
         self.ambiguities: list[float] = []
         self.light: list[tuple[float, float]] = []
+        self.nis: list[float] = []
         camera = calibration.camera
         x, y = np.linspace(0, camera.width_px - 1, 17), np.linspace(0, camera.height_px - 1, 13)
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -75,8 +78,9 @@ class Survey:
         self._seen_m2 = max(float(cv2.contourArea(hull)), 1e-3)
         self._reach_m = float(np.hypot(*(on_ceiling[near] - calibration.mount_xy_m).T).max())
 
-    def add(self, stamp_ns: int, gray: Gray, pose: Array, crossings: Crossings | None, motion_ok: bool) -> None:
-        """One frame: pose (3,) map_from_base, what the front end found, whether it gave a motion."""
+    def add(self, gray: Gray, estimate: Estimate, crossings: Crossings | None, motion_ok: bool) -> None:
+        """One frame: the daemon's estimate, what the front end found, whether it gave a motion."""
+        pose = estimate.pose
         key = (int(np.floor(pose[0] / CELL_M)), int(np.floor(pose[1] / CELL_M)))
         cell = self.cells.setdefault(key, Cell())
         n = 0 if crossings is None else len(crossings)
@@ -86,12 +90,19 @@ class Survey:
         cell.frames += 1
         cell.failed += int(not motion_ok)
         self.path.append(pose)
-        self.light.append((1e-9 * stamp_ns, level))
+        self.light.append((1e-9 * estimate.stamp_ns, level))
+        if estimate.depletion.nis_dof > 0 and np.isfinite(estimate.depletion.nis):
+            self.nis.append(estimate.depletion.nis)
         if crossings is not None and n:
             r = np.hypot(*(crossings.xy_base_m - self._calibration.mount_xy_m).T)
             self.densities.append(float(np.sum(r <= self._reach_m)) / self._seen_m2)
             if self._calibration.tile_m:
                 self.ambiguities.append(ambiguity(crossings, self._calibration.tile_m))
+
+    @property
+    def mean_nis(self) -> float | None:
+        """Of the filter's updates, per degree of freedom; None after too few of them."""
+        return float(np.mean(self.nis)) if len(self.nis) >= MIN_UPDATES else None
 
     @property
     def density(self) -> float:
@@ -127,6 +138,11 @@ class Survey:
             out.append(f"{len(self.dark())} of {n} places are dark: a longer exposure or light (blue on the map)")
         if self.failed > 0.05:
             out.append(f"vision failed in {100 * self.failed:.0f} % of the frames, 5 allowed: drive slower, more light")
+        if self.mean_nis is not None and self.mean_nis > HIGHEST_NIS:
+            out.append(
+                f"NIS is {self.mean_nis:.1f} per degree of freedom, at most {HIGHEST_NIS:g} expected: "
+                "lens or projection do not describe this camera; run 'calib check'"
+            )
         return out
 
     def notes(self) -> list[str]:

@@ -14,6 +14,7 @@ from ceilvo.calib.ceiling_view import CeilingReader, GridView
 from ceilvo.calib.session import Session
 from ceilvo.calib.sources import Picture
 from ceilvo.calib.steps import Progress, check_size, pictures
+from ceilvo.calib.wheels import Wheels, no_wheels
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -64,6 +65,7 @@ def collect(
     wanted: Wanted,
     enough: Enough,
     label: Callable[[Picture], str] = lambda p: p.label,
+    wheels: Wheels = no_wheels,
 ) -> Collection:
     """Read the source to its end, or a live one until there is enough.
 
@@ -86,6 +88,7 @@ def collect(
                 continue
             if (out.live and k >= _LIVE_FRAMES) or (out.live and enough(out)):
                 break
+            odometry = wheels(picture)
             reason = picture.problem or check_size(picture, (camera.width_px, camera.height_px), "the lens has")
             view = None if reason else reader(picture.gray)
             if view is not None and not view.ok:
@@ -97,7 +100,7 @@ def collect(
             if out.live and not wanted(out, view, picture):
                 progress.tell(f"{len(out.seen)} pictures; go on moving")
                 continue
-            seen = Seen(picture.name, label(picture), view, picture.wheels, picture.stamp_ns)
+            seen = Seen(picture.name, label(picture), view, odometry, picture.stamp_ns)
             session.add_sample(step, _record(seen))
             out.seen.append(seen)
             progress.tell(f"{len(out.seen)} pictures, {len(out.rejected)} rejected")

@@ -17,6 +17,7 @@ from ceilvo.calib.sources import Picture
 from ceilvo.calib.virtual_board import board_shots
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
+from ceilvo.sim.ceiling_layout import CrossingKind
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec
 
@@ -62,13 +63,13 @@ class VirtualBench:
         poses = [np.array([*rng.uniform(0.3 * room, 0.7 * room, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(count)]
         return self._pictures([Place(p, f"place {i}") for i, p in enumerate(poses)], 1)
 
-    def spin_and_run(self, spin_frames: int = 72, run_frames: int = 60) -> Iterator[Picture]:
-        """Once round on the spot, wandering by a millimetre, then 2.4 m straight on with a hand's wobble."""
+    def spin_and_run(self, spin_frames: int = 150, run_frames: int = 60, turns: float = 4.0) -> Iterator[Picture]:
+        """Round and round on the spot, wandering by a millimetre, then 2.4 m straight on with a hand's wobble."""
         rng = self._rng(2)
         room = self._world.spec.lap.room_m
         middle = np.array([0.5 * room, 0.5 * room])
-        wander = 0.001 * np.column_stack([_smooth(rng, spin_frames), _smooth(rng, spin_frames)])
-        turn = np.linspace(0, 2 * np.pi * 1.05, spin_frames) + rng.uniform(-3, 3)
+        wander = 0.001 * np.column_stack([_smooth(rng, spin_frames, turns) for _ in range(2)])
+        turn = np.linspace(0, 2 * np.pi * (turns + 0.05), spin_frames) + rng.uniform(-3, 3)
         spin = [np.array([*(middle + w), a]) for w, a in zip(wander, turn, strict=True)]
         heading = rng.uniform(-3, 3)
         pose = np.array([*(middle - 1.2 * np.array([np.cos(heading), np.sin(heading)])), heading])
@@ -96,6 +97,25 @@ class VirtualBench:
             places += [Place(pose, f"stand {i}")] * looks
         return self._pictures(places, 5)
 
+    def circles(
+        self, radii_m: tuple[float, ...] = (0.25, 0.6, 0.95), each: int = 9
+    ) -> tuple[list[str], Iterator[Picture]]:
+        """What a person would measure with a tape, on circles about a crossing of joints, and pictures of each pose."""
+        rng = self._rng(6)
+        room = self._world.spec.lap.room_m
+        xy, kind = self._world.ceiling.true_crossings()
+        xy = xy[kind == CrossingKind.CROSS]
+        mark = xy[np.argmin(np.hypot(*(xy - 0.5 * room).T))]
+        poses, said = [], []
+        for r in radii_m:
+            for k in range(each):
+                a = 2.0 * np.pi * (k + rng.uniform(0, 0.5)) / each
+                pose = np.array([r * np.cos(a), r * np.sin(a), rng.uniform(-np.pi, np.pi)])
+                x, y, heading = pose + rng.normal(0, 1, 3) * [0.001, 0.001, 0.002]
+                said.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
+                poses.append(Place(pose + np.array([*mark, 0.0]), "circle"))
+        return said, self._pictures(poses, 7)
+
     def drive(self, frames: int, rate_hz: float = 10.0, lap_share: float = 1.0) -> Iterator[Picture]:
         """The lap of the simulated robot."""
         seconds = frames / rate_hz
@@ -115,10 +135,13 @@ class VirtualBench:
         return np.random.default_rng([self.seed, 0xBE9C4, stream])
 
 
-def _smooth(rng: np.random.Generator, n: int) -> Array:
-    """(n,) a wandering of about one unit."""
-    t = np.linspace(0, 2 * np.pi, n)
-    return np.asarray(sum(rng.normal(0, 0.6) * np.sin(k * t + rng.uniform(0, 6.28)) for k in (1, 2, 3)))
+def _smooth(rng: np.random.Generator, n: int, turns: float = 1.0) -> Array:
+    """(n,) a wandering of about one unit, as slow as three times a turn and slower."""
+    t, waves = np.linspace(0, 2 * np.pi, n), round(3 * turns)
+    size = 0.6 * np.sqrt(3 / waves)
+    return np.asarray(
+        sum(rng.normal(0, size) * np.sin(k * t + rng.uniform(0, 6.28)) for k in range(1, waves + 1)), np.float64
+    )
 
 
 def _wheels(poses: list[Array]) -> list[Array]:

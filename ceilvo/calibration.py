@@ -85,6 +85,13 @@ class Calibration:
         """Ceiling above the camera."""
         return float(-self._pose[1][2])
 
+    @property
+    def driving_nis(self) -> float | None:
+        """The filter's mean NIS per degree of freedom in the drive of `calib survey`, None = not measured."""
+        survey = self.meta.get("survey")
+        nis = survey.get("nis") if isinstance(survey, Mapping) else None
+        return float(nis) if isinstance(nis, int | float) and np.isfinite(nis) and nis > 0 else None
+
     @cached_property
     def level_view(self) -> LevelView:
         f = 0.5 * (self.camera.fx_px + self.camera.fy_px)

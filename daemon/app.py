@@ -109,7 +109,15 @@ class Daemon:
         )
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         self._report = Report(
-            self._estimator, self._capture, self._base, self._bus, plan.truth, clock, config.service.seed, self._store
+            self._estimator,
+            self._capture,
+            self._base,
+            self._bus,
+            plan.truth,
+            clock,
+            config.service.seed,
+            plan.calibration.driving_nis,
+            self._store,
         )
         self._thread = threading.Thread(target=self._estimate, name="estimator", daemon=True)
 

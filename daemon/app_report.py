@@ -24,8 +24,15 @@ from ceilvo.types import Array, Estimate, State
 
 _PATH_POINTS = 400
 _PATH_STEP_M = 0.05
+_MOVING_MPS, _MOVING_RADPS = 0.02, 0.05
 
 Truth = Callable[[int], Array]
+
+
+def _moving(estimate: Estimate) -> bool:
+    """Where the robot stands the same few errors would be counted for as long as it does."""
+    vx, vy, omega = estimate.twist
+    return bool(np.hypot(vx, vy) > _MOVING_MPS or abs(omega) > _MOVING_RADPS)
 
 
 class Report:
@@ -40,13 +47,14 @@ class Report:
         truth: Truth | None,
         clock: Callable[[], int],
         seed: int,
+        driving_nis: float | None = None,
         store: Store | None = None,
     ) -> None:
         self._estimator, self._capture, self._base, self._bus = estimator, capture, base, bus
         self._truth, self._clock, self._store = truth, clock, store
         self._started_ns = clock()
         self._stats = RunStatistics(seed)
-        self._staleness = StalenessMonitor()
+        self._staleness = StalenessMonitor(driving_nis)
         self._lock = threading.Lock()
         self._path: deque[Array] = deque(maxlen=_PATH_POINTS)
 
@@ -63,7 +71,7 @@ class Report:
             self._stats.add_latency("photon_to_published", published_ms)
             if estimate.state in UNUSABLE:
                 self._staleness.reset()
-            elif estimate.motion.ok:
+            elif estimate.motion.ok and _moving(estimate):
                 self._staleness.add(estimate.stamp_ns, estimate.depletion.nis, estimate.depletion.nis_dof)
         if not self._path or np.hypot(*(estimate.pose - self._path[-1])[:2]) > _PATH_STEP_M:
             self._path.append(estimate.pose)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ceilvo.calib.survey import DARK_LEVEL, Survey, ambiguity, flicker
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Crossings
+from ceilvo.types import Array, Crossings, Depletion, Estimate, Motion, State
 
 
 def crossings(xy: Array) -> Crossings:
@@ -51,13 +53,18 @@ def test_a_rate_that_hides_the_ripple_is_said_so() -> None:
     assert "cannot be seen" in flicker(light(100.0, 0.1, 27.0, 8)).text
 
 
+ESTIMATE = Estimate(
+    0, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros(3), State.TRACKING, 1.0, "",
+    Motion(np.zeros(3), np.zeros((3, 3)), 10, 0.0), Depletion(100, 50.0, 50, 0.0, 0.7, 20), 30, 10,
+)  # fmt: skip
+
+
 def drive(level: int, few: bool) -> Survey:
     survey = Survey(simulated_calibration())
     gray = np.full((480, 640), level, np.uint8)
     for i in range(40):
-        pose = np.array([0.1 * i, 1.0, 0.0])
         seen = crossings(GRID[:4] if few else GRID)
-        survey.add(i * 100_000_000, gray, pose, seen, motion_ok=not few)
+        survey.add(gray, replace(ESTIMATE, pose=np.array([0.1 * i, 1.0, 0.0]), stamp_ns=i * 100_000_000), seen, not few)
     return survey
 
 
