@@ -13,7 +13,7 @@ from ceilvo.daemon.conditional import Conditional, Predicted, given_pose_chi2, j
 from ceilvo.daemon.curve_fit import systematic
 from ceilvo.daemon.fastslam import independent, usable
 from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
-from ceilvo.daemon.joint_map import JITTER
+from ceilvo.daemon.joint_map import JITTER, along_the_turn, turn_about
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import chi_square_bounds, normalised
 from ceilvo.daemon.search import Bank, shifted_scores
@@ -293,7 +293,11 @@ class Pfcf(JointFilter):
         return gain @ nu, root_of(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
 
     def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
-        """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
+        """Mean and covariance of pose and map: the inliers' Kalman update.
+
+        On a known map it is linearised at the fitted pose. A map in the making turns with the pose's heading, and the
+        covariance must not learn of that common turn: the features' lever is the estimate's, not the measured one.
+        """
         mean, cov = self._joint.mean.copy(), self._joint.cov
         if np.any(prior.spread):
             cov = cov.copy()
@@ -301,14 +305,16 @@ class Pfcf(JointFilter):
         mean[:3] += prior.shift
         which = np.flatnonzero(fitted.inliers)
         take, k = np.repeat(fitted.inliers, 2), 2 * len(which)
-        arm = view.xy[which] @ rotation(float(fitted.pose[2])).T
-        h = np.concatenate([jacobian(arm), [[0.0, 0.0, 1.0]] if fitted.heading else np.empty((0, 3))])
+        at = fitted.pose if self._known is not None else mean[:3].copy()
+        arm = view.xy[which] @ rotation(float(at[2])).T
+        lever = arm if self._known is not None else view.landmark[which] - at[:2]
+        h = np.concatenate([jacobian(lever), [[0.0, 0.0, 1.0]] if fitted.heading else np.empty((0, 3))])
         if not len(h):
             return mean, cov
-        off = fitted.pose - mean[:3]
+        off = at - mean[:3]
         off[2] = wrap_array(off[2:])[0]
         innovation = h @ off
-        innovation[:k] -= (fitted.pose[:2] + arm - view.landmark[which]).ravel()
+        innovation[:k] -= (at[:2] + arm - view.landmark[which]).ravel()
         innovation[k:] = wrap_array(view.heading - mean[2:3])[: len(h) - k]
         cross = h @ cov[:3]
         if self._known is None:
@@ -326,7 +332,12 @@ class Pfcf(JointFilter):
         total[k:, k:] += view.heading_var
         white = np.linalg.solve(np.linalg.cholesky(total), np.column_stack([innovation, cross]))
         cross = np.ascontiguousarray(white[:, 1:])
-        return mean + cross.T @ white[:, 0], cov - cross.T @ cross  # a product with itself comes out symmetric
+        step = cross.T @ white[:, 0]
+        cov = cov - cross.T @ cross  # a product with itself comes out symmetric
+        if self._known is None:
+            step = along_the_turn(step)
+            turn_about(cov, step)
+        return mean + step, cov
 
     def _merge(self, weight: Array, parts: list[tuple[Array, Array]]) -> None:
         """One Gaussian with the mean and the covariance of the hypotheses together."""
