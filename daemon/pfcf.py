@@ -70,7 +70,7 @@ class Pfcf(JointFilter):
         self._slipping = 0.0
         self._health = (float(n), float("nan"))
         self._white = self._normals()
-        self._refused, self._surprise = 0, 0.0
+        self._refused, self._surprise, self._surprises = 0, 0.0, 0
         self._tiles: tuple[int, KnownMap, Tiles] | None = None
         self._bank: Bank | None = None
         if not np.all(np.isfinite(cov)):
@@ -153,11 +153,13 @@ class Pfcf(JointFilter):
     def _chance_of_slip(self) -> float:
         """That the pose is a tile further than at the last view, from how much this one surprises."""
         dof = self._nis_dof - 2
-        if self._surprise <= chi_square_bounds(dof, 2.0)[1]:
+        self._surprises = self._surprises + 1 if self._surprise > chi_square_bounds(dof, 2.0)[1] else 0
+        if not self._surprises:
             return CALM
         if self._known is None:
             return SURPRISED_MAPPING
-        return SURPRISED if self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
+        again = self._surprises > 1
+        return SURPRISED if again or self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
 
     def _watch_tiles(self, obs: Observations) -> None:
         """Belief in this tile against its neighbours, where association was left to the filter."""

@@ -203,6 +203,32 @@ def test_heading_noise_alone_turns_about_the_robot():
     np.testing.assert_allclose(f.landmarks().xy_map_m[0], rotation(f.estimate()[0][2]) @ [1.0, 0.0], atol=1e-3)
 
 
+def test_pose_and_map_may_turn_together():
+    """Without a measured heading nothing tells how the map lies in the room: the filter must not think it learns it."""
+    rng = np.random.default_rng(SEED)
+    points = rng.uniform([-1, -2], [5, 2], (30, 2))
+    f = make_filter(
+        replace(Filter(method="pfcf"), feature_independence=1.0, slip_per_m=0.0, birth_sightings=1),
+        np.random.default_rng(SEED),
+    )
+    truth, start = np.zeros(3), 0.15
+    f.reset(truth, np.diag([1e-6, 1e-6, start**2]))
+    for i in range(80):
+        turn = 0.1 if (i // 20) % 2 else -0.1
+        truth = compose(truth, np.array([0.1, 0.0, turn]))
+        told = np.array([0.1, 0.0, turn]) + 0.02 * rng.standard_normal(3)
+        f.predict(Motion(told, np.diag([4e-4] * 3), 9, 0.0))
+        at = transform(inverse(truth), points)
+        seen = np.flatnonzero(np.hypot(*at.T) < 2.0)
+        z = at[seen] + 0.1 * rng.standard_normal((len(seen), 2))
+        m = f.landmarks()
+        label = np.array([np.append(np.flatnonzero(m.kind == k), NO_LANDMARK)[0] for k in seen], np.int64)
+        f.update(Observations(z, np.full((len(seen), 2), 0.01), seen.astype(np.int64), label))
+    sigma = np.sqrt(f.estimate()[1][2, 2])
+    print(f"seed {SEED}: heading sigma {start} before, {sigma:.4f} after")
+    assert sigma > 0.99 * start
+
+
 def test_twins_become_one_with_the_information_of_both():
     j = JointMap(np.zeros(3), np.diag([1e-10, 1e-10, 1e-12]))
     at = np.array([[1.0, 0.5], [1.006, 0.5], [1.5, 0.5]])
