@@ -105,7 +105,8 @@ def _powers(bearing: Array) -> Array:
 
 
 def _clipped(basis: Array, values: Array) -> tuple[float, ...]:
-    keep, found = np.ones(len(values), bool), np.zeros(basis.shape[1])
+    keep = np.ones(len(values), bool)
+    found: Array = np.zeros(basis.shape[1])
     for _ in range(CLIP_ROUNDS):
         found = np.linalg.lstsq(basis[keep], values[keep], rcond=None)[0]
         off = np.abs(values - basis @ found)
