@@ -11,7 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from rich.table import Table
 from ceilvo.bench import mrclam_peers as peers
 from ceilvo.bench import mrclam_run as runs
 from ceilvo.bench.mrclam_data import Run, World, read_run, read_world
-from ceilvo.bench.mrclam_noise import Noise, fit, inflated, odometry_scale, scaled
+from ceilvo.bench.mrclam_noise import Bias, Noise, bias_of, fit, inflated, without
 from ceilvo.bench.paper_bars import Bar, as_json, plain, table
 from ceilvo.bench.paper_store import Store, fingerprint, run_all
 from ceilvo.errors import CeilvoError, ConfigError
@@ -57,7 +57,7 @@ class Job:
     folder: Path
     noise: Noise
     trials: int
-    scale: tuple[float, float]
+    bias: Bias
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--trials", type=int, default=60, metavar="N", help="starts, and jumps, over all test robots (60)")
     p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes at once; above 1 disturbs times (1)")
     p.add_argument(
-        "--calibrate-odometry", action="store_true", help="scale odometry as the training robots need it (off: raw)"
+        "--raw", action="store_true", help="leave latency and bias of sensors and odometry in (off: taken out)"
     )
     p.add_argument("--no-peers", action="store_true", help="leave filterpy, particles and stonesoup out")
     p.add_argument("--json", type=Path, default=Path("build/bench/mrclam.json"), metavar="FILE")
@@ -111,17 +111,15 @@ def experiment(args: argparse.Namespace, folder: Path) -> None:
     if set(train) & set(test):
         raise ConfigError(f"--train {args.train} --test {args.test}: a robot is in both, expected apart")
     training = [read_run(folder, r, world) for r in train]
-    scale = odometry_scale(training) if args.calibrate_odometry else (1.0, 1.0)
-    training = [scaled(run, scale) for run in training]
-    testing = [scaled(read_run(folder, r, world), scale) for r in test]
     _warm_up(training[0], world)
-    noise, tried = fitted(training, world)
+    bias, noise, tried = fitted(training, world, args.raw)
+    testing = [without(read_run(folder, r, world), bias) for r in test]
     cells = _cells(args, testing)
-    code = fingerprint(FILES, str(folder.resolve()), repr((noise, scale)), str(args.trials), _contents(folder))
+    code = fingerprint(FILES, str(folder.resolve()), repr((noise, bias)), str(args.trials), _contents(folder))
     store = Store(args.json.with_suffix(".jsonl"), code, lambda k: Cell(**k))
-    jobs = {c: Job(c, folder, noise, args.trials // len(testing), scale) for c in cells}
+    jobs = {c: Job(c, folder, noise, args.trials // len(testing), bias) for c in cells}
     run_all(store, cells, asdict, _Work(jobs), args.jobs)
-    _report(args, [*training, *testing], noise, scale, tried, {c: store.results[c] for c in cells})
+    _report(args, [*training, *testing], noise, bias, tried, {c: store.results[c] for c in cells})
 
 
 @dataclass(frozen=True)
@@ -141,14 +139,32 @@ def _warm_up(run: Run, world: World) -> None:
         pass
 
 
-def fitted(training: Sequence[Run], world: World) -> tuple[Noise, list[dict[str, float]]]:
-    """Noise with the inflation under which the gated UKF gives the truth of the training robots most likelihood."""
+def fitted(training: Sequence[Run], world: World, raw: bool) -> tuple[Bias, Noise, list[dict[str, float]]]:
+    """Bias and noise of the training robots, and all inflations tried.
 
-    def score(noise: Noise) -> float:
-        found = [runs.localise(runs.make(SCORE_FILTER, 10, 0), run, world, noise)["nll_mean"] for run in training]
+    The inflation is that under which the gated UKF gives the truth of each training robot most likelihood when bias and
+    noise come from the others: robots differ, and one to be evaluated is none of these.
+    """
+
+    def of(runs_: Sequence[Run]) -> tuple[Bias, Noise]:
+        bias = Bias() if raw else bias_of(runs_, world)
+        return bias, fit([without(run, bias) for run in runs_], world)
+
+    folds = []
+    for run in training:
+        others = [other for other in training if other is not run] or [run]
+        bias, noise = of(others)
+        folds.append((without(run, bias), noise))
+
+    def score(sigma_factor: float, odometry_factor: float) -> float:
+        found = []
+        for run, noise in folds:
+            chosen = replace(noise, sigma_factor=sigma_factor, odometry_factor=odometry_factor)
+            found.append(runs.localise(runs.make(SCORE_FILTER, 10, 0), run, world, chosen)["nll_mean"])
         return float(np.mean(found))
 
-    return inflated(fit(training, world), score)
+    bias, noise = of(training)
+    return bias, *inflated(noise, score)
 
 
 def _cells(args: argparse.Namespace, testing: Sequence[Run]) -> list[Cell]:
@@ -172,7 +188,7 @@ def _cells(args: argparse.Namespace, testing: Sequence[Run]) -> list[Cell]:
 def measure(job: Job) -> dict[str, Any]:
     """The figures of a cell; an empty dict for a trial that the run has no room for."""
     cell = job.cell
-    world, run = _recording(job.folder, cell.robot, job.scale)
+    world, run = _recording(job.folder, cell.robot, job.bias)
     if cell.filter in peers.PEERS:
         moments = runs.from_truth(runs.events(run))
         return peers.localise_peer(cell.filter, moments, world, job.noise, cell.particles)
@@ -191,9 +207,9 @@ def measure(job: Job) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=8)
-def _recording(folder: Path, robot: int, scale: tuple[float, float]) -> tuple[World, Run]:
+def _recording(folder: Path, robot: int, bias: Bias) -> tuple[World, Run]:
     world = read_world(folder)
-    return world, scaled(read_run(folder, robot, world), scale)
+    return world, without(read_run(folder, robot, world), bias)
 
 
 def _contents(folder: Path) -> str:
@@ -267,7 +283,7 @@ def _report(
     args: argparse.Namespace,
     used: Sequence[Run],
     noise: Noise,
-    scale: tuple[float, float],
+    bias: Bias,
     tried: list[dict[str, float]],
     results: dict[Cell, dict[str, Any]],
 ) -> None:
@@ -283,7 +299,7 @@ def _report(
             "trials": args.trials,
             "particles": args.particles,
             **runs.stated(),
-            "odometry_scale": scale,
+            "bias": asdict(bias),
             "noise": noise.as_dict(),
             "inflation_tried": tried,
             "filters": {n: asdict(runs.settings(n, args.particles)) for n in runs.FILTERS},

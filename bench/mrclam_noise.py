@@ -1,4 +1,4 @@
-"""Noise of range, bearing and odometry, fitted on training robots against their ground truth."""
+"""Bias and noise of range, bearing and odometry, fitted on training robots against their ground truth."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ WINDOW_S = 1.0
 """Odometry is compared with the truth over windows of this length."""
 NEAR_M = 0.3
 MAD_TO_SIGMA = 1.4826
-SIGMA_FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-ODOMETRY_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
+SIGMA_FACTORS = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
+ODOMETRY_FACTORS = (2.0, 4.0, 8.0, 16.0)
 _MIN_WINDOWS = 20
+LATENCIES_S = np.arange(-10, 16) * 0.01
+TRIM = 0.97
+"""Share of the smallest bearing errors by which latencies are compared."""
+CLIP_SIGMAS, CLIP_ROUNDS = 3.0, 8
 
 
 @dataclass(frozen=True)
@@ -56,9 +60,63 @@ class Noise:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class Bias:
+    """What observations and odometry are wrong by on average: a camera's ranges depend on the direction it looks in.
+
+    latency_s: how much older a measurement is than its stamp; range_share: relative error of the range, bearing_rad:
+    error of the bearing, both as c0 + c1 b + c2 b^2 of the bearing b; odometry: factors of speed and turn rate.
+    """
+
+    latency_s: float = 0.0
+    range_share: tuple[float, ...] = (0.0, 0.0, 0.0)
+    bearing_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
+    odometry: tuple[float, float] = (1.0, 1.0)
+
+
+def bias_of(runs: Sequence[Run], world: World) -> Bias:
+    """Least squares without what is beyond 3 robust sigmas; the latency is the one with the least bearing error."""
+
+    def bearing_error(latency_s: float) -> float:
+        off = np.sort(residuals([without(run, Bias(latency_s)) for run in runs], world)[2] ** 2)
+        return float(np.mean(off[: int(TRIM * len(off))]))
+
+    latency = min(LATENCIES_S, key=bearing_error)
+    late = [without(run, Bias(float(latency))) for run in runs]
+    r, off_range, off_bearing, bearing = residuals(late, world)
+    basis = _powers(bearing)
+    return Bias(float(latency), _clipped(basis, off_range / r), _clipped(basis, off_bearing), odometry_scale(runs))
+
+
+def without(run: Run, bias: Bias) -> Run:
+    """The run as it would be without the bias."""
+    basis = _powers(run.bearing_rad)
+    return replace(
+        run,
+        odometry=run.odometry * [1.0, *bias.odometry],
+        seen_s=np.clip(run.seen_s - bias.latency_s, run.begin_s, run.end_s),
+        range_m=run.range_m / (1.0 + basis @ np.array(bias.range_share)),
+        bearing_rad=run.bearing_rad - basis @ np.array(bias.bearing_rad),
+    )
+
+
+def _powers(bearing: Array) -> Array:
+    return np.column_stack([np.ones_like(bearing), bearing, bearing**2])
+
+
+def _clipped(basis: Array, values: Array) -> tuple[float, ...]:
+    keep = np.ones(len(values), bool)
+    found: Array = np.zeros(basis.shape[1])
+    for _ in range(CLIP_ROUNDS):
+        found = np.linalg.lstsq(basis[keep], values[keep], rcond=None)[0]
+        off = np.abs(values - basis @ found)
+        keep = off <= CLIP_SIGMAS * MAD_TO_SIGMA * float(np.median(off))
+    return tuple(float(x) for x in found)
+
+
 def fit(runs: Sequence[Run], world: World) -> Noise:
     """Spread of the residuals by distance (median absolute deviation: outliers do not count), lines through it."""
-    r, off_range, off_bearing = residuals(runs, world)
+    r, off_range, off_bearing, _ = residuals(runs, world)
     at, range_sigma = _spread_by_bin(r, off_range)
     _, bearing_sigma = _spread_by_bin(r, off_bearing)
     motion, error, seconds = odometry_errors(runs)
@@ -72,8 +130,8 @@ def fit(runs: Sequence[Run], world: World) -> Noise:
     )
 
 
-def residuals(runs: Sequence[Run], world: World) -> tuple[Array, Array, Array]:
-    """True distances (K,), errors of range (K,) and of bearing (K,) of all observations that have a truth."""
+def residuals(runs: Sequence[Run], world: World) -> tuple[Array, Array, Array, Array]:
+    """True distances, errors of range and bearing, and bearings (each (K,)) of all observations that have a truth."""
     out = []
     for run in runs:
         truth = run.truth_at(run.seen_s)
@@ -82,11 +140,11 @@ def residuals(runs: Sequence[Run], world: World) -> tuple[Array, Array, Array]:
         distance = np.hypot(*at.T)
         bearing = wrap_array(run.bearing_rad - np.arctan2(at[:, 1], at[:, 0]) + truth[:, 2])
         good = np.isfinite(distance)
-        out.append(np.stack([distance, run.range_m - distance, bearing])[:, good])
-    r, off_range, off_bearing = np.concatenate(out, axis=1)
+        out.append(np.stack([distance, run.range_m - distance, bearing, run.bearing_rad])[:, good])
+    r, off_range, off_bearing, at_bearing = np.concatenate(out, axis=1)
     if len(r) < 5 * BINS:
         raise FileFormatError(f"training runs: found {len(r)} observations with a truth, expected at least {5 * BINS}")
-    return r, off_range, off_bearing
+    return r, off_range, off_bearing, at_bearing
 
 
 def odometry_errors(runs: Sequence[Run]) -> tuple[Array, Array, Array]:
@@ -113,11 +171,6 @@ def odometry_scale(runs: Sequence[Run]) -> tuple[float, float]:
     real = motion - error
     forward, turn = (float(motion[:, i] @ real[:, i] / (motion[:, i] @ motion[:, i])) for i in (0, 2))
     return forward, turn
-
-
-def scaled(run: Run, scale: tuple[float, float]) -> Run:
-    """The same run with its odometry multiplied."""
-    return replace(run, odometry=run.odometry * [1.0, *scale])
 
 
 def _spread_by_bin(r: Array, off: Array) -> tuple[Array, Array]:
@@ -148,12 +201,11 @@ def _variances(error: Array, drivers: Array) -> tuple[float, ...]:
     return (*rates[:-1], max(rates[-1], floor))
 
 
-def inflated(noise: Noise, score: Callable[[Noise], float]) -> tuple[Noise, list[dict[str, float]]]:
+def inflated(noise: Noise, score: Callable[[float, float], float]) -> tuple[Noise, list[dict[str, float]]]:
     """The factors with the least score (mean negative log-likelihood of the truth), and all that were tried."""
     tried = []
     for s in SIGMA_FACTORS:
         for q in ODOMETRY_FACTORS:
-            value = score(replace(noise, sigma_factor=s, odometry_factor=q))
-            tried.append({"sigma_factor": s, "odometry_factor": q, "score": value})
+            tried.append({"sigma_factor": s, "odometry_factor": q, "score": score(s, q)})
     best = min(tried, key=lambda row: row["score"])
     return replace(noise, sigma_factor=best["sigma_factor"], odometry_factor=best["odometry_factor"]), tried

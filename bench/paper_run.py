@@ -21,9 +21,9 @@ from ceilvo.bench.paper_world import (
     room_scene,
 )
 from ceilvo.config import States
-from ceilvo.daemon.particles import SURE, PoseFilter
+from ceilvo.daemon.particles import SURE, PoseFilter, chi_square_bounds
 from ceilvo.daemon.states import Evidence, StateMachine
-from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Ints, Landmarks, Motion, Observations, State
+from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations, State
 
 START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 """m, m, rad: the start is known."""
@@ -78,14 +78,15 @@ def recovery_recording(experiment: str, setting: Setting, world: np.random.Gener
 def mapping(f: PoseFilter, recording: Recording, labelled: bool) -> Figures:
     """Start known, map unknown."""
     f.reset(recording.start, np.diag(START_SIGMA**2))
-    errors, nees, elapsed = [], [], 0.0
+    errors, nees, elapsed, health = [], [], 0.0, Health()
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks() if labelled else None)
         begun = time.process_time()
         f.predict(Motion(step.told, step.told_cov, len(step.seen), 0.0))
         f.update(observations)
-        pose, cov, _ = f.estimate()
+        pose, cov, depletion = f.estimate()
         elapsed += time.process_time() - begun
+        health.add(depletion)
         off = pose[:2] - step.truth[:2]
         errors.append(float(np.hypot(*off)))
         nees.append(mahalanobis2(off, cov[:2, :2]))
@@ -98,6 +99,7 @@ def mapping(f: PoseFilter, recording: Recording, labelled: bool) -> Figures:
         "position_nees": [round(x, 4) for x in nees[::KEEP_EVERY]],
         "us_per_step": 1e6 * elapsed / len(recording.steps),
     }
+    out |= health.figures(f)
     return out | (_map_figures(f.landmarks(), recording.scene) if labelled else {})
 
 
@@ -125,11 +127,12 @@ def on_a_map(f: PoseFilter, recording: Recording, anywhere: bool) -> Figures:
     cov = np.full((3, 3), np.inf) if anywhere else np.diag(START_SIGMA**2)
     start = np.zeros(3) if anywhere else recording.start
     f.reset(start, cov, known_map(scene.xy_m, scene.kind), known=True)
-    machine, errors, claimed = StateMachine(States()), [], []
+    machine, errors, claimed, health = StateMachine(States()), [], [], Health()
     for i, step in enumerate(recording.steps):
         f.predict(Motion(step.told, step.told_cov, len(step.seen), 0.0))
         f.update(observed(step, scene, None))
         errors.append(float(np.hypot(*(f.estimate()[0] - step.truth)[:2])))
+        health.add(f.estimate()[2])
         claimed.append(machine.step(evidence(f, i, len(step.seen))).state is State.TRACKING)
     begin = max(recording.kidnapped, 0)
     wrong = np.array(errors) > LOST_M
@@ -141,7 +144,29 @@ def on_a_map(f: PoseFilter, recording: Recording, anywhere: bool) -> Figures:
         "tracking_share": float(np.mean(claimed)),
         "position_end_m": errors[-1],
         "lost_before": float(np.any(wrong[:begin])),
-    }
+    } | health.figures(f)
+
+
+class Health:
+    """What a filter says of itself with every estimate, averaged over a run."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, ...]] = []
+
+    def add(self, d: Depletion) -> None:
+        low, high = chi_square_bounds(d.nis_dof)
+        inside = float(low <= d.nis <= high) if d.nis_dof else float("nan")
+        nis = d.nis if d.nis_dof else float("nan")
+        kept = d.unique_ancestors / d.particles
+        self._rows.append((d.ess / d.particles, kept, d.fit_residual, nis, inside, d.mode_weight))
+
+    def figures(self, f: PoseFilter) -> Figures:
+        """Shares of the particles that are effective and that have descendants, NIS and how often its bounds hold."""
+        names = ("ess_share", "ancestors_share", "fit_residual", "nis", "nis_in_bounds", "mode_weight")
+        rows = np.array(self._rows)
+        known = {n: column[np.isfinite(column)] for n, column in zip(names, rows.T, strict=True)}
+        out: Figures = {f"health_{n}": float(np.mean(v)) for n, v in known.items() if len(v)}
+        return out | {f"count_{n}": float(v) for n, v in f.counters().items()}
 
 
 def evidence(f: PoseFilter, step: int, seen: int) -> Evidence:

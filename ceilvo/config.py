@@ -119,9 +119,9 @@ class Odometry:
 @dataclass(frozen=True)
 class Filter:
     method: str = key(
-        "pfcf_paper",
-        "pfcf_paper = eqs. 21-25 to the letter, cheap; pfcf = one shared map, more accurate, finds itself again, "
-        "dearer; pf = FastSLAM 1.0; ukf = unscented Kalman filter",
+        "pfcf",
+        "pfcf = particles on one shared map, finds itself again; pfcf_paper = eqs. 21-25 to the letter; "
+        "pf = FastSLAM 1.0; ukf = unscented Kalman filter",
         choices=("pfcf", "pfcf_paper", "pf", "ukf"),
     )
     particles: int = key(100, "number of pose hypotheses", low=10, high=100000)

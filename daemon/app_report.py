@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ceilvo.daemon.estimator import Estimator
+from ceilvo.daemon.particles import chi_square_bounds
 from ceilvo.daemon.screen import BaseLink as ScreenBase
 from ceilvo.daemon.screen import Snapshot
 from ceilvo.daemon.staleness import StalenessMonitor
@@ -20,7 +21,7 @@ from ceilvo.daemon.summary import RunStatistics
 from ceilvo.drivers.base_link import BaseLink
 from ceilvo.drivers.capture import CaptureLoop
 from ceilvo.drivers.ports import Publisher
-from ceilvo.types import Array, Estimate, State
+from ceilvo.types import Array, Depletion, Estimate, State
 
 _PATH_POINTS = 400
 _PATH_STEP_M = 0.05
@@ -100,6 +101,7 @@ class Report:
             "calibration_mean_nis": stale.mean_nis if np.isfinite(stale.mean_nis) else None,
             "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
         }
+        out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.depletion))
         if self._base is not None:
             link = self._base.snapshot()
             out |= {
@@ -179,3 +181,19 @@ class Report:
                 telegrams_failed=0 if link is None else link.telegrams_failed,
                 zenoh_samples=0 if self._bus is None else self._bus.counters()["samples"],
             )
+
+
+def _health(d: Depletion) -> dict[str, float | None]:
+    """Depletion and consistency of the last estimate; NIS is of chance between its bounds."""
+    low, high = chi_square_bounds(d.nis_dof)
+    known = d.nis_dof > 0
+    return {
+        "particles": d.particles,
+        "ess": d.ess,
+        "unique_ancestors": d.unique_ancestors,
+        "fit_residual": d.fit_residual if np.isfinite(d.fit_residual) else None,
+        "nis": d.nis if known else None,
+        "nis_low": low if known else None,
+        "nis_high": high if known else None,
+        "mode_weight": d.mode_weight,
+    }

@@ -88,11 +88,16 @@ def systematic(weights: Array, rng: np.random.Generator, count: int | None = Non
 
 def nearest(poses: Array, ancestors: Array, scale: Array, block: int = 1024) -> Ints:
     """(N,) index of the ancestor nearest to each pose, (N, 3) and (M, 3), axes divided by scale (3,)."""
-    out = np.empty(len(poses), np.int64)
+    p, a = poses - ancestors[0], ancestors - ancestors[0]
+    p[:, 2], a[:, 2] = wrap_array(p[:, 2]), wrap_array(a[:, 2])
+    wide = max(np.max(p[:, 2]), np.max(a[:, 2])) - min(np.min(p[:, 2]), np.min(a[:, 2])) >= np.pi
+    p, a = p / scale, a / scale
+    half, out = 0.5 * np.sum(a * a, axis=1), np.empty(len(poses), np.int64)
     for start in range(0, len(poses), block):
-        part = poses[start : start + block]
-        dx = (part[:, None, 0] - ancestors[None, :, 0]) / scale[0]
-        dy = (part[:, None, 1] - ancestors[None, :, 1]) / scale[1]
-        dt = wrap_array(part[:, None, 2] - ancestors[None, :, 2]) / scale[2]
-        out[start : start + block] = np.argmin(dx * dx + dy * dy + dt * dt, axis=1)
+        part = p[start : start + block]
+        near = half - part @ a.T
+        if wide:  # the shorter way round
+            d = part[:, None, 2] - a[None, :, 2]
+            near += 0.5 * ((wrap_array(d * scale[2]) / scale[2]) ** 2 - d * d)
+        out[start : start + block] = np.argmin(near, axis=1)
     return out

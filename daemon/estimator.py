@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -139,6 +139,11 @@ class Estimator:
         with self._lock:
             particles, weights = self._pipeline.particles()
             return Shown(self._pipeline.view, particles, weights, self._pipeline.landmarks())
+
+    def counters(self) -> Mapping[str, int]:
+        """Of the filter, see particles.COUNTERS."""
+        with self._lock:
+            return self._pipeline.counters()
 
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:

@@ -20,9 +20,12 @@ from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Depletion, Ints, Landma
 EXPIRES_UPDATES = 20
 DUPLICATE_SHARE = 0.25
 """No landmark is born nearer to one of its kind than this share of the association gate."""
+TWINS_EVERY = 4
+"""Updates in which every landmark in view is looked at once, whether it is there twice."""
 VAR_FLOOR = 1e-12
 NIS_CAP = 50.0
 CANDIDATE_GATE = 25.0
+_POSE = np.arange(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +48,24 @@ class View:
     def __len__(self) -> int:
         return len(self.xy)
 
+    def of(self, which: Ints, inflation: float) -> View:
+        """The features `which` in that order, with another inflation."""
+        rows = np.concatenate([_POSE, np.column_stack([3 + 2 * which, 4 + 2 * which]).ravel()])
+        joint = self.joint[rows[:, None], rows]
+        return replace(
+            self,
+            xy=self.xy[which],
+            var=self.var[which],
+            landmark=self.landmark[which],
+            joint=joint,
+            inflation=inflation,
+        )
+
 
 def noise_in_map(theta: float, var: Array) -> Array:
     """(K, 2, 2) of variances (K, 2) along base x and y."""
     r = rotation(theta)
-    return np.asarray(np.einsum("ij,kj,lj->kil", r, var, r), np.float64)
+    return np.asarray((r * var[:, None, :]) @ r.T, np.float64)
 
 
 class JointFilter:
@@ -198,7 +214,7 @@ class JointFilter:
     def _merge_twins(self, labels: Ints) -> None:
         """At most one pair per update: two landmarks of one kind whose difference is zero within the gate are one."""
         j = self._joint
-        labels = labels[labels < len(j)]
+        labels = labels[labels < len(j)][self._now % TWINS_EVERY :: TWINS_EVERY]
         xy, reach = j.xy(labels), DUPLICATE_SHARE * self._settings.association_gate_m
         near = self._candidates_near(xy, reach, np.empty(0, np.int64), np.array([UNLABELLED]))
         apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))

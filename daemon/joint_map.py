@@ -158,10 +158,12 @@ class JointMap:
         if float(off @ np.linalg.solve(total, off)) > gate_chi2:
             return False
         gain = np.linalg.solve(total, cross.T).T
-        self.mean = self.mean - gain @ off
+        step = along_the_turn(-gain @ off)
+        self.mean = self.mean + step
         self.mean[2] = wrap(float(self.mean[2]))
         cov = self.cov - gain @ cross.T
         self.cov = 0.5 * (cov + cov.T)
+        turn_about(self.cov, step)
         self.sightings[keep] += self.sightings[drop]
         self.confirmed[keep] |= self.confirmed[drop]
         self.forget(np.array([drop]))
@@ -206,3 +208,27 @@ class JointMap:
             kind=self.kind[labels],
             sightings=self.sightings[labels],
         )
+
+
+def along_the_turn(step: Array) -> Array:
+    """A correction (3 + 2 W,) of pose and landmarks, its displacements along the arcs of its change of heading."""
+    half = 0.5 * step[2]
+    c, s = np.cos(half) * np.sinc(half / np.pi), np.sin(half) * np.sinc(half / np.pi)
+    out: Array = step.copy()
+    out[0], out[1] = c * step[0] - s * step[1], s * step[0] + c * step[1]
+    out[3::2], out[4::2] = c * step[3::2] - s * step[4::2], s * step[3::2] + c * step[4::2]
+    return out
+
+
+def turn_about(cov: Array, step: Array) -> None:
+    """Let the error of heading turn the estimate where it is now, not where it was before a step (3 + 2 W,); in place.
+
+    Else a filter learns its heading from its own corrections: pose and map together may turn freely (the invariant
+    error of Barrau and Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015).
+    """
+    lever = np.zeros(len(step))
+    lever[0], lever[1] = -step[1], step[0]
+    lever[3::2], lever[4::2] = -step[4::2], step[3::2]
+    half = cov[2] + (0.5 * cov[2, 2]) * lever
+    change = np.outer(lever, half)
+    cov += change + change.T

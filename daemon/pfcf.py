@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon import log_quadratic
+from ceilvo.daemon.conditional import Conditional, Predicted, given_pose_chi2, jacobian, root_of, surprise_of
 from ceilvo.daemon.curve_fit import systematic
 from ceilvo.daemon.fastslam import independent, usable
 from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
-from ceilvo.daemon.joint_map import JITTER
+from ceilvo.daemon.joint_map import JITTER, along_the_turn, turn_about
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import chi_square_bounds, normalised
 from ceilvo.daemon.search import Bank, shifted_scores
@@ -22,6 +23,8 @@ from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, 
 
 ROUNDS = (10.0, 1.25)
 """Gates of the rounds of fitting, in units of filter.gate_chi2."""
+CURVE_FEATURES = 24
+"""Features at most that a curve is fitted on; all are gated at the fitted pose and update the map."""
 WIDEN = 1.2
 """Standard deviations of a round's proposal in those of the last fit."""
 SLIP_LENGTH_M = 0.3
@@ -53,61 +56,6 @@ class Fitted:
     ess: float
 
 
-class Conditional:
-    """p(features | pose) of one hypothesis: the landmarks given the pose are N(m + B (x - mu), C)."""
-
-    def __init__(self, view: View, mu: Array, cov: Array) -> None:
-        self.view, self.mu, self.cov = view, mu, cov
-        cross = view.joint[3:, :3]
-        self.follow = np.linalg.solve(cov, cross.T).T
-        noise = noise_in_map(float(mu[2]), view.var * view.inflation)
-        self.total = view.joint[3:, 3:] - self.follow @ cross.T
-        add_blocks(self.total, noise)
-        self.lower = np.linalg.cholesky(self.total) if len(view) else np.zeros((0, 0))
-        self._inverse = np.linalg.inv(self.lower) if len(view) else self.lower
-
-    def innovations(self, poses: Array) -> Array:
-        """(N, 2 K) features in map minus landmarks, each as the pose has them."""
-        c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-        x, y = self.view.xy[:, 0], self.view.xy[:, 1]
-        off = poses - self.mu
-        off[:, 2] = wrap_array(off[:, 2])
-        out = -off @ self.follow.T - self.view.landmark.ravel()
-        out[:, 0::2] += poses[:, :1] + c * x - s * y
-        out[:, 1::2] += poses[:, 1:2] + s * x + c * y
-        return np.asarray(out, np.float64)
-
-    def distances(self, poses: Array, gate: float) -> Array:
-        """(N, K) squared normalised innovations, each given the earlier ones that are within the gate."""
-        nu = self.innovations(poses)
-        white = nu @ self._inverse.T
-        out = white[:, 0::2] ** 2 + white[:, 1::2] ** 2
-        if np.any(out > gate):
-            self._eliminate(nu, white, out, gate)
-        return np.asarray(out, np.float64)
-
-    def _eliminate(self, nu: Array, white: Array, out: Array, gate: float) -> None:
-        """One feature after the other; those beyond the gate do not condition the later ones."""
-        inverse = self._inverse
-        diagonal = [inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(out.shape[1])]
-        for k in range(out.shape[1]):
-            at = slice(2 * k, 2 * k + 2)
-            e = (nu[:, at] - white[:, : 2 * k] @ self.lower[at, : 2 * k].T) @ diagonal[k].T
-            out[:, k] = e[:, 0] ** 2 + e[:, 1] ** 2
-            white[:, at] = e * (out[:, k] <= gate)[:, None]
-
-    def log_likelihood(self, poses: Array, gate: float) -> Array:
-        """(N,) with every term saturated at the gate."""
-        d = self.distances(poses, gate)
-        total = np.sum(np.logaddexp(-0.5 * d, -0.5 * gate), axis=1)
-        return np.asarray(total + np.logaddexp(-0.5 * self.heading_distance(poses), -0.5 * gate), np.float64)
-
-    def heading_distance(self, poses: Array) -> Array:
-        if not np.isfinite(self.view.heading_var):
-            return np.zeros(len(poses))
-        return np.asarray(wrap_array(poses[:, 2] - self.view.heading) ** 2 / self.view.heading_var, np.float64)
-
-
 class Pfcf(JointFilter):
     """State: N pose particles and one map p(m | x); see docs/filter.md."""
 
@@ -122,7 +70,7 @@ class Pfcf(JointFilter):
         self._slipping = 0.0
         self._health = (float(n), float("nan"))
         self._white = self._normals()
-        self._refused, self._surprise = 0, 0.0
+        self._refused, self._surprise, self._surprises = 0, 0.0, 0
         self._tiles: tuple[int, KnownMap, Tiles] | None = None
         self._bank: Bank | None = None
         if not np.all(np.isfinite(cov)):
@@ -205,11 +153,13 @@ class Pfcf(JointFilter):
     def _chance_of_slip(self) -> float:
         """That the pose is a tile further than at the last view, from how much this one surprises."""
         dof = self._nis_dof - 2
-        if self._surprise <= chi_square_bounds(dof, 2.0)[1]:
+        self._surprises = self._surprises + 1 if self._surprise > chi_square_bounds(dof, 2.0)[1] else 0
+        if not self._surprises:
             return CALM
         if self._known is None:
             return SURPRISED_MAPPING
-        return SURPRISED if self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
+        again = self._surprises > 1
+        return SURPRISED if again or self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
 
     def _watch_tiles(self, obs: Observations) -> None:
         """Belief in this tile against its neighbours, where association was left to the filter."""
@@ -237,11 +187,16 @@ class Pfcf(JointFilter):
             self._counters["tile_slips"] += 1
 
     def _absorb(self, view: View, rows: Ints) -> Bools:
-        priors = self._priors()
-        self._telemetry(view)
-        if len(priors) > 1 and self._implausible(view, priors[1]):
+        pose, cov = self._joint.pose, self._joint.pose_cov
+        surprise = self._telemetry(view)
+        chosen = self._chosen(surprise)
+        part = view.of(chosen, max(1.0, view.inflation * len(chosen) / len(view))) if len(view) else view
+        priors, predicted = self._priors(), Predicted(part, pose, cov)
+        if len(priors) > 1 and implausible(predicted, priors[1]):
             priors = priors[:1]
-        fits = [self._fit(view, prior) for prior in priors]
+        fits = [self._fit(view, part, chosen, priors[0], predicted)]
+        for p in priors[1:]:
+            fits.append(self._fit(view, part, chosen, p, Predicted(part, pose + p.shift, cov + p.spread)))
         log_weight = np.array([p.log_weight + f.log_evidence for p, f in zip(priors, fits, strict=True)])
         weight = normalised(log_weight)
         self._slipping = float(weight[1]) if len(weight) > 1 else 0.0
@@ -257,6 +212,16 @@ class Pfcf(JointFilter):
         self._counters["resamplings"] += 1
         return fits[best].inliers
 
+    def _chosen(self, surprise: Array) -> Ints:
+        """Features that the curve is fitted on: a bounded number that takes turns, the least surprising first.
+
+        The order decides which are gated given which; the doubtful ones are judged by the others.
+        """
+        k = len(surprise)
+        step = -(-k // CURVE_FEATURES)
+        chosen = np.arange(self._now % step, k, step) if step > 1 else np.arange(k)
+        return chosen[np.argsort(surprise[chosen], kind="stable")]
+
     def _priors(self) -> list[Prior]:
         """The motion as reported, and with a part of it swallowed by slip."""
         cfg, way = self._settings, self._reported_m
@@ -271,25 +236,22 @@ class Pfcf(JointFilter):
             Prior(float(np.log(p)), -0.5 * lost, np.outer(lost, lost) / 12.0),
         ]
 
-    def _fit(self, view: View, prior: Prior) -> Fitted:
-        """Rounds of drawing around the last fit and fitting the weights anew."""
+    def _fit(self, view: View, part: View, chosen: Ints, prior: Prior, predicted: Predicted) -> Fitted:
+        """Rounds of drawing around the last fit and fitting the weights anew; then all features judged at the fit."""
         mu, cov = self._joint.pose + prior.shift, self._joint.pose_cov + prior.spread
-        given = Conditional(view, mu, cov)
+        given = Conditional(part, mu, cov)
         gate = self._settings.gate_chi2
         prior_root = root_of(cov)
         prior_inverse = np.linalg.inv(prior_root)
-        centre, root, widen = self._proposal(view, mu, cov)
+        centre, root, widen = self._proposal(part, mu, cov, predicted)  # centre is counted from mu
         residual, u = float("nan"), self._white
         for i, level in enumerate(ROUNDS):
             if i:
                 u = self._normals()
             proposal = root * widen
-            poses = centre + u @ proposal.T
-            off = poses - mu
-            off[:, 2] = wrap_array(off[:, 2])
-            white = off @ prior_inverse.T
-            log_f = given.log_likelihood(poses, level * gate) + 0.5 * (
-                np.sum(u * u, axis=1) - np.sum(white * white, axis=1)
+            white = u @ (prior_inverse @ proposal).T + prior_inverse @ centre
+            log_f = given.log_likelihood(centre + u @ proposal.T, level * gate) + 0.5 * (
+                np.einsum("ni,ni->n", u, u) - np.einsum("ni,ni->n", white, white)
             )
             curve = log_quadratic.fit(u, log_f)
             if curve is None:
@@ -298,68 +260,86 @@ class Pfcf(JointFilter):
             centre, root = log_quadratic.posterior(centre, proposal, curve[0], curve[1])
             residual, widen = curve[2], WIDEN
         w = normalised(log_f)
-        ess = float(1.0 / np.sum(w * w))
         at = centre[None]
-        inliers = given.distances(at, gate)[0] <= gate
+        pose = mu + centre
+        inliers = given_pose_chi2(view, pose, mu, cov) <= gate if len(chosen) < len(view) else np.empty(len(view), bool)
+        inliers[chosen] = given.distances(at, gate)[0] <= gate
         heading = bool(given.heading_distance(at)[0] <= gate) and np.isfinite(view.heading_var)
-        white = prior_inverse @ np.append((centre - mu)[:2], wrap_array((centre - mu)[2:]))
+        white = prior_inverse @ centre
         spread = np.linalg.slogdet(root)[1] - np.linalg.slogdet(prior_root)[1]
         evidence = float(given.log_likelihood(at, gate)[0] - 0.5 * white @ white + spread)
-        return Fitted(centre, root, evidence, inliers, heading, residual, ess)
+        return Fitted(pose, root, evidence, inliers, heading, residual, float(1.0 / np.sum(w * w)))
 
-    def _proposal(self, view: View, mu: Array, cov: Array) -> tuple[Array, Array, float]:
-        """Where the first round draws: the prior moved by the features that its own width explains.
+    def _proposal(self, view: View, mu: Array, cov: Array, predicted: Predicted) -> tuple[Array, Array, float]:
+        """Where the first round draws, from mu: the prior moved by the features that its own width explains.
 
         A cloud far wider than the likelihood would have next to no particle where the posterior is.
         """
         gate = self._settings.gate_chi2
-        nu, h, total = predicted(view, mu, cov, view.inflation)
-        use = feature_chi2(nu, total) <= gate
-        cross = cov @ h.T - view.joint[:3, 3:]
-        nu, take = -nu.ravel(), np.repeat(use, 2)
+        total = predicted.total
+        nu, take = -predicted.nu.ravel(), np.repeat(predicted.chi2() <= gate, 2)
+        cross = cov @ predicted.h.T - view.joint[:3, 3:]
         off = float(wrap_array(view.heading - mu[2:])[0]) if np.isfinite(view.heading_var) else 0.0
         if np.isfinite(view.heading_var) and off**2 <= gate * (cov[2, 2] + view.heading_var):
             nu, take = np.append(nu, off), np.append(take, True)
             wider = np.empty((len(nu), len(nu)))
             wider[:-1, :-1], wider[-1, -1] = total, cov[2, 2] + view.heading_var
             wider[-1, :-1] = wider[:-1, -1] = cross[2]
-            total, cross = wider, np.column_stack([cross, cov[:, 2]])
+            total, cross = wider, np.concatenate([cross, cov[:, 2:]], axis=1)
         if not np.any(take):
-            return mu, root_of(cov), 1.0
-        gain = np.linalg.solve(total[np.ix_(take, take)], cross[:, take].T).T
-        narrowed = cov - gain @ cross[:, take].T
-        return mu + gain @ nu[take], root_of(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
+            return np.zeros(3), root_of(cov), 1.0
+        if not np.all(take):
+            nu, cross, total = nu[take], cross[:, take], total[np.ix_(take, take)]
+        gain = np.linalg.solve(total, cross.T).T
+        narrowed = cov - gain @ cross.T
+        return gain @ nu, root_of(0.5 * (narrowed + narrowed.T) + np.diag(JITTER)), WIDEN
 
     def _posterior(self, view: View, rows: Ints, prior: Prior, fitted: Fitted) -> tuple[Array, Array]:
-        """Mean and covariance of pose and map: the inliers' Kalman update, linearised at the fitted pose."""
-        mean, cov = self._joint.mean.copy(), self._joint.cov.copy()
+        """Mean and covariance of pose and map: the inliers' Kalman update.
+
+        On a known map it is linearised at the fitted pose. A map in the making turns with the pose's heading, and the
+        covariance must not learn of that common turn: the features' lever is the estimate's, not the measured one.
+        """
+        mean, cov = self._joint.mean.copy(), self._joint.cov
+        if np.any(prior.spread):
+            cov = cov.copy()
+            cov[:3, :3] += prior.spread
         mean[:3] += prior.shift
-        cov[:3, :3] += prior.spread
         which = np.flatnonzero(fitted.inliers)
         take, k = np.repeat(fitted.inliers, 2), 2 * len(which)
-        arm = view.xy[which] @ rotation(float(fitted.pose[2])).T
-        h = np.concatenate([jacobian(arm), [[0.0, 0.0, 1.0]] if fitted.heading else np.empty((0, 3))])
+        at = fitted.pose if self._known is not None else mean[:3].copy()
+        arm = view.xy[which] @ rotation(float(at[2])).T
+        lever = arm if self._known is not None else view.landmark[which] - at[:2]
+        h = np.concatenate([jacobian(lever), [[0.0, 0.0, 1.0]] if fitted.heading else np.empty((0, 3))])
         if not len(h):
             return mean, cov
-        off = fitted.pose - mean[:3]
+        off = at - mean[:3]
         off[2] = wrap_array(off[2:])[0]
         innovation = h @ off
-        innovation[:k] -= (fitted.pose[:2] + arm - view.landmark[which]).ravel()
+        innovation[:k] -= (at[:2] + arm - view.landmark[which]).ravel()
         innovation[k:] = wrap_array(view.heading - mean[2:3])[: len(h) - k]
-        cross = cov[:, :3] @ h.T
+        cross = h @ cov[:3]
         if self._known is None:
-            cross[:, :k] -= cov[:, rows[take]]
-            total = h @ cross[:3]
-            total[:k] -= cross[rows[take]]
+            cross[:k] -= cov[rows[take]]
+            total = cross[:, :3] @ h.T
+            total[:, :k] -= cross[:, rows[take]]
         else:
-            total = h @ cross[:3]
+            total = cross[:, :3] @ h.T
             total[:k, :k] += view.joint[3:, 3:][np.ix_(take, take)]
-        noise = np.zeros((k, k))
-        add_blocks(noise, noise_in_map(float(fitted.pose[2]), view.var[which] * view.inflation))
-        total[:k, :k] += noise
+        noise = noise_in_map(float(fitted.pose[2]), view.var[which] * view.inflation)
+        i = np.arange(len(which))
+        for a in range(2):
+            for b in range(2):
+                total[2 * i + a, 2 * i + b] += noise[:, a, b]
         total[k:, k:] += view.heading_var
-        gain = np.linalg.solve(total, cross.T).T
-        return mean + gain @ innovation, cov - gain @ cross.T
+        white = np.linalg.solve(np.linalg.cholesky(total), np.column_stack([innovation, cross]))
+        cross = np.ascontiguousarray(white[:, 1:])
+        step = cross.T @ white[:, 0]
+        cov = cov - cross.T @ cross  # a product with itself comes out symmetric
+        if self._known is None:
+            step = along_the_turn(step)
+            turn_about(cov, step)
+        return mean + step, cov
 
     def _merge(self, weight: Array, parts: list[tuple[Array, Array]]) -> None:
         """One Gaussian with the mean and the covariance of the hypotheses together."""
@@ -371,66 +351,26 @@ class Pfcf(JointFilter):
             mean = weight @ means
             off = (means - mean) * np.sqrt(weight)[:, None]
             cov = sum((w * c for w, (_, c) in zip(weight, parts, strict=True)), off.T @ off)
-        j.mean, j.cov = mean, 0.5 * (cov + cov.T)
+            cov = 0.5 * (cov + cov.T)
+        j.mean, j.cov = mean, cov
         j.mean[2] = wrap(float(j.mean[2]))
 
-    def _implausible(self, view: View, slip: Prior) -> bool:
-        """Whether no amount of slip explains the innovations so much better that it could matter."""
-        nu, _, total = predicted(view, self._joint.pose, self._joint.pose_cov, view.inflation)
-        way = np.tile(slip.shift[:2], len(view))
-        towards = np.linalg.solve(total, way) if len(view) else way
-        steepness = float(way @ towards)
-        gain = 0.5 * float(nu.ravel() @ towards) ** 2 / steepness if steepness > 0.0 else 0.0
-        return bool(slip.log_weight + gain < np.log(NEGLIGIBLE))
-
-    def _telemetry(self, view: View) -> None:
-        """NIS of every feature at the predicted pose."""
+    def _telemetry(self, view: View) -> Array:
+        """NIS of every feature at the predicted pose; returns the squares (K,)."""
         self._nis, self._nis_dof, self._surprise = 0.0, 2 * len(view), 0.0
         if not len(view):
-            return
-        nu, _, total = predicted(view, self._joint.pose, self._joint.pose_cov, 1.0)
-        nis = feature_chi2(nu, total)
+            return np.empty(0)
+        pose, cov = self._joint.pose, self._joint.pose_cov
+        nis = surprise_of(view, pose, cov, 1.0)
         self._nis = float(np.mean(np.minimum(nis, NIS_CAP))) / 2.0
         self._surprise = float(np.mean(np.sort(nis)[:-1])) / 2.0 if len(nis) > 1 else 0.0
+        return nis
 
 
-def predicted(view: View, pose: Array, cov: Array, inflation: float) -> tuple[Array, Array, Array]:
-    """Innovations (K, 2) in map at a predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
-    arm = view.xy @ rotation(float(pose[2])).T
-    h = jacobian(arm)
-    cross = h @ view.joint[:3, 3:]
-    total = h @ cov @ h.T - cross - cross.T + view.joint[3:, 3:]
-    add_blocks(total, noise_in_map(float(pose[2]), view.var * inflation))
-    return pose[:2] + arm - view.landmark, h, total
-
-
-def feature_chi2(nu: Array, total: Array) -> Array:
-    """(K,) squared normalised innovation of every feature by itself."""
-    k = np.arange(len(nu))
-    own = total.reshape(len(nu), 2, len(nu), 2)[k, :, k]
-    det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
-    x, y = nu[:, 0], nu[:, 1]
-    return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
-
-
-def root_of(cov: Array) -> Array:
-    """A root of a covariance, also of one that rounding has made slightly indefinite."""
-    try:
-        return np.asarray(np.linalg.cholesky(cov), np.float64)
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(cov)
-        return np.asarray(vectors * np.sqrt(np.maximum(values, JITTER[0])), np.float64)
-
-
-def jacobian(arm: Array) -> Array:
-    """(2 K, 3) of features in map by the pose; arm (K, 2) is from the robot to them."""
-    h = np.zeros((2 * len(arm), 3))
-    h[0::2, 0] = h[1::2, 1] = 1.0
-    h[0::2, 2], h[1::2, 2] = -arm[:, 1], arm[:, 0]
-    return h
-
-
-def add_blocks(square: Array, blocks: Array) -> None:
-    """Add (K, 2, 2) to the diagonal of (2 K, 2 K), in place."""
-    k = np.arange(len(blocks))
-    square.reshape(len(blocks), 2, len(blocks), 2)[k, :, k] += blocks
+def implausible(predicted: Predicted, slip: Prior) -> bool:
+    """Whether no amount of slip explains the innovations so much better that it could matter."""
+    way = np.tile(slip.shift[:2], len(predicted.nu))
+    towards = np.linalg.solve(predicted.total, way) if len(way) else way
+    steepness = float(way @ towards)
+    gain = 0.5 * float(predicted.nu.ravel() @ towards) ** 2 / steepness if steepness > 0.0 else 0.0
+    return bool(slip.log_weight + gain < np.log(NEGLIGIBLE))

@@ -13,8 +13,8 @@ BIN_M = 0.04
 PERIODIC = 0.35
 """Share of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
 CALM, WARY, SURPRISED, SURPRISED_MAPPING = 1e-4, 0.05, 0.2, 0.01
-"""Chance per update that the pose is a tile further: always, and when the view surprises (2 and 3 sigma). A map in the
-making grew along the way of the robot, which ties it to its tile."""
+"""Chance per update that the pose is a tile further: always, and when the view surprises (2 sigma; 3 sigma, or
+twice in a row). A map in the making grew along the way of the robot, which ties it to its tile."""
 
 
 def periods(landmarks: Landmarks) -> Array:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import gzip
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ceilvo.bench import mrclam, mrclam_noise, mrclam_run
 from ceilvo.bench.mrclam_data import arc, read_run, read_world, robots_in
-from ceilvo.bench.mrclam_noise import Noise, fit, odometry_errors
+from ceilvo.bench.mrclam_noise import Bias, Noise, bias_of, fit, odometry_errors, residuals, without
 from ceilvo.errors import FileFormatError
 from ceilvo.se2 import compose, wrap
 
@@ -103,6 +104,27 @@ def test_the_fit_finds_the_noise_that_is_there(folder):
     motion, error, _ = odometry_errors([read_run(folder, 1, world)])
     cov = np.diagonal(noise.motion_cov(motion[0], 1.0))
     assert np.sqrt(cov[[0, 2]]) == pytest.approx(np.std(error, axis=0)[[0, 2]], rel=0.35)
+
+
+def test_bias_is_found_and_taken_out(folder):
+    world = read_world(folder)
+    share, late_s, factor = np.array([0.04, 0.01, -0.02]), 0.05, 0.8
+    biased = []
+    for robot in (1, 2):
+        run = read_run(folder, robot, world)
+        b = run.bearing_rad
+        far = run.range_m * (1.0 + np.column_stack([np.ones_like(b), b, b**2]) @ share)
+        biased.append(
+            replace(run, range_m=far, seen_s=run.seen_s + late_s, odometry=run.odometry / [1, factor, factor])
+        )
+    found = bias_of(biased, world)
+    print(f"seed 9: {found}; expected {share}, {late_s} s, {factor}")
+    assert found.range_share == pytest.approx(share, abs=0.006)
+    assert found.latency_s == pytest.approx(late_s, abs=0.021)
+    assert found.odometry == pytest.approx((factor, factor), rel=0.02)
+    left = residuals([without(run, found) for run in biased], world)
+    assert abs(float(np.mean(left[1]))) < 0.02
+    assert without(biased[0], Bias()).range_m == pytest.approx(biased[0].range_m)
 
 
 @pytest.mark.parametrize(
