@@ -150,4 +150,4 @@ class LevelView:
         centre = np.array([self.camera.cx_px, self.camera.cy_px])
         uv = (self.from_raw(grid.reshape(-1, 2)) - centre).reshape(grid.shape)
         uv[~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))] = np.nan
-        return uv.astype(np.float32)
+        return np.asarray(uv, np.float32)

@@ -76,7 +76,9 @@ def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: floa
     low = float(at.min()) - margin
     bins = int((float(at.max()) - low + margin) / _COVERAGE_BIN_PX) + 2
     normal = _normals(lines.psi_rad)[along_axis]
-    hit = kernel.hits(lines.points, row[lines.point_line], normal, low, _COVERAGE_BIN_PX, (len(ids), bins))
+    hit = kernel.hits(
+        np.asarray(lines.points, np.float32), row[lines.point_line], normal, low, _COVERAGE_BIN_PX, (len(ids), bins)
+    )
     total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
     cells = [
         ((at + d - low) / _COVERAGE_BIN_PX).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)

@@ -6,9 +6,10 @@ import math
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.daemon import _kernel
-from ceilvo.daemon.kernel_numpy import Array, Array32, Bools, Ends, Int16s, Int32s, Int64s, NDArray
+from ceilvo.daemon.kernel_numpy import Array, Array32, Bools, Ends, Int16s, Int32s, Int64s
 
 
 def level_points(

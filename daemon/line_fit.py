@@ -81,12 +81,13 @@ class JointFit:
     def axis(self) -> Ints:
         return np.asarray(self.line_group // 2, np.int64)
 
-    def uv(self) -> Array:
+    def uv(self) -> Array32:
         """(P, 2) px of the remaining points as a level robot would see them."""
         half, c, s = self.ends[2], np.float32(np.cos(self.psi)), np.float32(np.sin(self.psi))
         first, second = self.rho.copy(), self.tangent.copy()
         first[half:], second[half:] = -self.tangent[half:], self.rho[half:]
-        return np.column_stack([c * first - s * second, s * first + c * second]) * np.float32(self._focal)
+        uv = np.column_stack([c * first - s * second, s * first + c * second])
+        return np.asarray(uv * np.float32(self._focal), np.float32)
 
     def extents(self) -> tuple[Array, Array]:
         """Where the points of every line (L,) begin and end along it, px."""

@@ -48,7 +48,7 @@ def dominant_direction(phi_deg: Array32) -> float | None:
 
 
 def _modulo_90(degrees: Array32) -> Array32:
-    return degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0))
+    return np.asarray(degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0)), np.float32)
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ def turned_by(fit: RigidFit, a: Array, b: Array, theta_rad: float, theta_sigma_r
     """
     centre = rotation(theta_rad) @ a[fit.used].mean(axis=0)
     t = b[fit.used].mean(axis=0) - centre  # eq. 12
-    n = max(np.count_nonzero(fit.used), 1)
+    n = max(int(np.count_nonzero(fit.used)), 1)
     lever = np.array([centre[1], -centre[0], 1.0])
     cov = theta_sigma_rad**2 * np.outer(lever, lever)
     cov[[0, 1], [0, 1]] += fit.variance_m2 / n
@@ -136,7 +136,7 @@ def _gate(eta: Array, sigmas: float, max_m: float, sigma_m: float) -> float:
 
 def _covariance(a: Array, fit: Array, variance: float) -> Array:
     turned = a @ rotation(float(fit[2])).T
-    n, sx, sy = float(len(a)), *turned.sum(axis=0).tolist()
+    n, (sx, sy) = float(len(a)), turned.sum(axis=0).tolist()
     info = np.array([[n, 0.0, -sy], [0.0, n, sx], [-sy, sx, float(np.vdot(turned, turned))]])
     try:
         return np.asarray(variance * np.linalg.inv(info))
