@@ -35,7 +35,7 @@ SEED = 5
 RATE_HZ = 15.0
 SPEED_MPS = 0.1
 """Slow, so that what the robot sees after a fault is in its map, however long a busy machine makes the fault last."""
-PATIENCE_S = 60.0
+PATIENCE_S = 25.0
 """Never waited for unless something is broken."""
 GOOD = (State.TRACKING, State.DEGRADED)
 
