@@ -6,6 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
+.PHONY: soak bench-faults bench-latency kill-test fuzz
 .PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-calib
 .DEFAULT_GOAL := help
 
@@ -20,6 +21,11 @@ help:
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
 	@echo "make bench-filter      time of a filter's step, as ratios"
 	@echo "make bench-calib       commissioning over 50 simulated rigs and 400 noise experiments (half an hour)"
+	@echo "make soak              the daemon with faults for hours: HOURS=1; verdict, plot and JSON in build/bench/"
+	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults"
+	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
+	@echo "make kill-test         kill -9 while it saves, KILLS=200 times"
+	@echo "make fuzz              every reader of bytes, MINUTES=10 each; by coverage where atheris can be installed"
 	@echo "make dist              wheel and source archive in dist/"
 	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
@@ -55,6 +61,22 @@ bench-calib: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.calib.study sigma --count 100
 	$(BIN)/python -m ceilvo.calib.study drive --count 8
 	$(BIN)/python -m ceilvo.calib.study rigs --count 50
+
+soak: $(VENV)/.installed-bench
+	$(BIN)/python -m ceilvo.bench.soak --hours $(or $(HOURS),1)
+
+bench-faults: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10)
+
+bench-latency: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.bench.latency --seconds $(or $(SECONDS),60)
+
+kill-test: $(VENV)/.installed-dev
+	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/test_faults_files.py -k killed -q
+
+fuzz: $(VENV)/.installed-dev
+	@$(PIP) -e '.[fuzz]' -c constraints.txt || echo "atheris cannot be installed here: mutations at random instead"
+	$(BIN)/python -m ceilvo.bench.fuzz --minutes $(or $(MINUTES),10)
 
 test-robot:
 	bash tests/robot/run.sh

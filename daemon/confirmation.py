@@ -21,6 +21,7 @@ _FOUND_VIEWS = 40
 _FEWEST = 5
 _FEWEST_LANDMARKS = 6
 _REACH_TILES = 3
+_SMALLEST_TILE_M = 0.28
 
 
 class Confirmation:
@@ -101,8 +102,11 @@ def rival_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
     if len(same) < _FEWEST_LANDMARKS:
         return np.zeros((0, 2))
     apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])
-    np.fill_diagonal(apart, np.inf)
-    tile = float(np.median(np.min(apart, axis=1)))
+    apart[apart < _SMALLEST_TILE_M] = np.inf  # itself, and the other edge of the same joint
+    nearest = np.min(apart, axis=1)
+    if not np.any(np.isfinite(nearest)):
+        return np.zeros((0, 2))
+    tile = float(np.median(nearest[np.isfinite(nearest)]))
     reach = range(-_REACH_TILES, _REACH_TILES + 1)
     steps = np.array([(i, j) for i in reach for j in reach if (i, j) != (0, 0)], np.float64)
     return np.asarray(tile * steps @ rotation(map_axis_rad).T)

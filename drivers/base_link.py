@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from ceilvo import config
 from ceilvo.drivers.base_protocol import BaseStatus, PoseTelegram, no_estimate, telegram_of
 from ceilvo.drivers.ports import Base, Clock
+from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.wheel_track import WheelTrack
 from ceilvo.errors import BaseLinkError
 from ceilvo.types import Estimate, State
@@ -24,6 +25,8 @@ _FAILURES_BEFORE_REOPENING = 5
 _JOIN_S = 1.0
 GOOD = (State.TRACKING, State.DEGRADED)
 _WARN_PERIOD_S = 5.0
+_WARNED_PER_S, _WARN_BURST = 0.2, 10
+"""A link that comes and goes must not fill the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ class BaseLink:
         self._opened = 0
         self._failures_in_row = 0
         self._warned_s = -math.inf
+        self._warnings = QuietLog(_log, _WARNED_PER_S, _WARN_BURST)
 
     @property
     def wheels(self) -> WheelTrack:
@@ -189,6 +193,6 @@ class BaseLink:
         changed = str(error) != self._snapshot.last_error and now_s - self._warned_s > _WARN_PERIOD_S
         if self._snapshot.up or changed:
             self._warned_s = now_s
-            _log.warning("base link: %s", error)
+            self._warnings.warning(f"base link: {error}")
         failed = self._snapshot.telegrams_failed + telegrams
         self._snapshot = replace(self._snapshot, up=False, telegrams_failed=failed, last_error=str(error))

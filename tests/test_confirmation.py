@@ -59,6 +59,9 @@ def test_rivals_stand_one_tile_away_along_the_axes(axis: float) -> None:
     assert np.allclose(shift / 0.6, np.round(shift / 0.6))
     assert abs(np.abs(shift).max() - 1.8) < 1e-9
     assert len({(round(float(x), 6), round(float(y), 6)) for x, y in found}) == 48
+    double = np.concatenate([grid, grid + 0.03])  # both edges of every joint, of one kind
+    both = Landmarks(np.arange(2 * n), double, np.tile(np.eye(2), (2 * n, 1, 1)), np.full(2 * n, 4), np.full(2 * n, 4))
+    assert np.allclose(np.sort(np.hypot(*rival_shifts(both, axis).T))[:4], 0.6, atol=0.05)
     few = Landmarks(*(a[:3] for a in (landmarks.ids, grid, landmarks.cov_m2, kinds, kinds)))
     assert rival_shifts(few, axis).shape == (0, 2)
 
