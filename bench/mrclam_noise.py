@@ -108,7 +108,7 @@ def _clipped(basis: Array, values: Array) -> tuple[float, ...]:
     keep = np.ones(len(values), bool)
     found: Array = np.zeros(basis.shape[1])
     for _ in range(CLIP_ROUNDS):
-        found = np.linalg.lstsq(basis[keep], values[keep], rcond=None)[0]
+        found = np.asarray(np.linalg.lstsq(basis[keep], values[keep], rcond=None)[0], np.float64)
         off = np.abs(values - basis @ found)
         keep = off <= CLIP_SIGMAS * MAD_TO_SIGMA * float(np.median(off))
     return tuple(float(x) for x in found)
