@@ -209,6 +209,7 @@ def printed(results: tables.Results) -> list[Table]:
                 r["setting"], r["filter"], str(r["runs"]), str(r["failures"]), str(r["position"]), str(r["to_ekf"])
             )
         out.append(t)
+    out.append(_health(tables.health_rows(results)))
     for experiment, seconds in tables.RECOVERY_S.items():
         rows = tables.recovery_rows(results, experiment)
         if rows:
@@ -248,6 +249,19 @@ def _short(i: Interval) -> str:
     return "-" if i.value != i.value else f"{i.value:.3f}\n[{i.low:.3f} {i.high:.3f}]"
 
 
+def _health(rows: list[dict[str, Any]]) -> Table:
+    """The counters that say something; all of them are in the JSON."""
+    shares = ("ess_share", "ancestors_share", "fit_residual", "nis", "nis_in_bounds", "mode_weight")
+    counts = ("observations", "outliers", "rejected_updates", "slips", "searches", "recoveries", "tile_slips")
+    heads = (*(n.replace("_", "\n") for n in shares), *(n.replace("_", "\n") for n in counts))
+    t = Table("experiment", "filter", *heads, title="Health with every estimate, and counters: means over runs")
+    for r in rows:
+        cells = (f"{r[k]:.3f}" if k in r else "-" for k in (f"health_{n}" for n in shares))
+        told = (f"{r[k]:.1f}" if k in r else "-" for k in (f"count_{n}" for n in counts))
+        t.add_row(f"{r['experiment']} {r['setting']}", r["filter"], *cells, *told)
+    return t
+
+
 def _recovery(rows: list[dict[str, Any]], title: str) -> Table:
     t = Table("filter", "recovered", "median s", "longest wrong\nTRACKING s", "runs > 1 s", title=title)
     for r in rows:
@@ -268,6 +282,7 @@ def as_document(results: tables.Results) -> dict[str, Any]:
         "table1": {f"{e} {s}": [bare(r) for r in tables.table1(results, e, s)] for e, s in laps},
         "against_n": plots_paper.against_n(results),
         "grid": [bare(r) for r in tables.grid_rows(results)],
+        "health": tables.health_rows(results),
         "recovery": {e: tables.recovery_rows(results, e) for e in tables.RECOVERY_S},
     }
 

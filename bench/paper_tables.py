@@ -71,6 +71,20 @@ def table1(results: Results, experiment: str, setting: str) -> list[dict[str, An
     return rows
 
 
+def health_rows(results: Results) -> list[dict[str, Any]]:
+    """What the filters say of themselves: means over runs of each setting of depletion, NIS and counters."""
+    cells: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for c in sorted(results):
+        cells.setdefault((c.experiment, c.setting, c.filter), []).append(results[c])
+    rows = []
+    for (experiment, setting, name), runs in cells.items():
+        row: dict[str, Any] = {"experiment": experiment, "setting": setting, "filter": name, "runs": len(runs)}
+        for figure in dict.fromkeys(k for r in runs for k in r if k.startswith(("health_", "count_"))):
+            row[figure] = float(np.mean([r[figure] for r in runs if figure in r]))
+        rows.append(row)
+    return rows
+
+
 def _finite(values: Mapping[int, float]) -> Array:
     v = np.array(list(values.values()), np.float64)
     return v[np.isfinite(v)]
