@@ -224,14 +224,17 @@ class Service:
 class Recorder:
     enabled: bool = key(True, "flight recorder: the last minutes on disk, kept on a fault; needs a state directory")
     minutes: float = key(5.0, "how much of the past is there", low=0.1, high=1440.0)
-    ring_bytes: int = key(200_000_000, "room for it; whichever of the two is less", low=1_000_000, high=10**12)
-    kept_bytes: int = key(500_000_000, "room for what faults made it keep; the oldest go", low=1_000_000, high=10**12)
+    ring_bytes: int = key(200_000_000, "room for it; whichever of the two is less", low=20_000_000, high=10**12)
+    kept_bytes: int = key(500_000_000, "room for what faults made it keep; the oldest go", low=20_000_000, high=10**12)
     reserve_bytes: int = key(100_000_000, "recording stops when less than this is left on the disk", low=0, high=10**12)
     after_fault_s: float = key(10.0, "how long to go on before a fault's recording is closed", low=0.0, high=600.0)
     frames: str = key(
         "jpeg",
-        "lossless = every frame, replays bit for bit, 8 MB/s; jpeg = to look at",
+        "lossless = every frame, replays bit for bit from its pixels on, 8 MB/s; jpeg = to look at",
         choices=("lossless", "jpeg", "none"),
+    )
+    features: bool = key(
+        True, "unless frames are lossless: what vision found in each, from which the rest replays bit for bit"
     )
     jpeg_rate_hz: float = key(5.0, "pictures per second with frames jpeg", low=0.1, high=240.0)
 

@@ -19,9 +19,10 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
 from ceilvo.config_file import render_config
-from ceilvo.daemon.inputs import Assumption, FrameInput, Input, KnownMap, input_json
+from ceilvo.daemon.inputs import Assumption, Continuation, FrameInput, Input, input_json
 from ceilvo.daemon.kernel import COMPILED
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.trajectory import estimate_json, half_angle
 from ceilvo.drivers import foxglove, mcap_file
 from ceilvo.drivers.base_protocol import BaseStatus, PoseTelegram
@@ -36,7 +37,6 @@ log = logging.getLogger("ceilvo")
 
 JPEG_QUALITY = 80
 _SILENT_BASE_S = 1.0
-_SURE_COV = np.diag([1.0, 1.0, 1.0])
 
 Note = Callable[[str], None]
 
@@ -44,8 +44,10 @@ Note = Callable[[str], None]
 class Tape:
     """Turns what happens in the daemon into messages for a recorder. Thread-safe; no method waits or raises."""
 
-    def __init__(self, recorder: Recorder, clock: Clock, frames: str, jpeg_rate_hz: float = 5.0) -> None:
-        self._recorder, self._clock, self._frames = recorder, clock, frames
+    def __init__(
+        self, recorder: Recorder, clock: Clock, frames: str, features: bool = False, jpeg_rate_hz: float = 5.0
+    ) -> None:
+        self._recorder, self._clock, self._frames, self._features = recorder, clock, frames, features
         self._picture_period_ns = int(1e9 / jpeg_rate_hz)
         self._next_picture_ns = 0
         self._number = 0
@@ -73,6 +75,9 @@ class Tape:
         if isinstance(given, FrameInput):
             messages = self._pictures(given.frame, number)
             size = given.frame.gray.nbytes if messages else 0
+            if self._features:
+                crossings = None if pipeline.view is None else pipeline.view.crossings
+                messages.append(Message(mcap_file.FEATURES, stamp_ns, lambda _: value_json(crossings), number))
             given = replace(given, frame=replace(given.frame, gray=given.frame.gray[:0]))
         messages.append(Message(mcap_file.INPUT, stamp_ns, lambda _: input_json(given, number), number))
         if estimate is not None:
@@ -83,7 +88,7 @@ class Tape:
         if estimate is not None:
             self._watch(estimate)
             if self._recorder.due:
-                self._recorder.begin(self._whereabouts(estimate, pipeline))
+                self._recorder.begin(self._state(estimate, pipeline))
 
     def published(self, estimate: Estimate) -> None:
         """How long its stages took."""
@@ -130,15 +135,11 @@ class Tape:
         if estimate.state is State.LOST and (last is None or last.state is not State.LOST):
             self._recorder.fault("state LOST")
 
-    def _whereabouts(self, estimate: Estimate, pipeline: Pipeline) -> Message:
-        """Map and pose now, from which a replay of a file that begins here can start; it is not the whole state."""
+    def _state(self, estimate: Estimate, pipeline: Pipeline) -> Message:
+        """All that the pipeline knows now, from which a replay of a file that begins here starts."""
         number, self._number = self._number, self._number + 1
-        landmarks, axis = pipeline.landmarks(), pipeline.map_axis_rad
-        cov = estimate.cov if np.isfinite(estimate.cov).all() else _SURE_COV
-        given: Input = Assumption(estimate.pose, cov, "a recording begins")
-        if axis is not None and len(landmarks):
-            given = KnownMap(landmarks, axis, estimate.pose, cov)
-        return Message(mcap_file.INPUT, estimate.stamp_ns, lambda _: input_json(given, number), number)
+        frozen = freeze(pipeline)
+        return Message(mcap_file.INPUT, estimate.stamp_ns, lambda _: _continuation(frozen, estimate, number), number)
 
 
 class TapedBase:
@@ -201,8 +202,9 @@ def tape_of(
     if not settings.enabled or state_dir is None:
         return None
     head = _head(config, calibration, clock, "flight", settings.frames)
-    ring = Ring(state_dir / "recorder", settings, head)
-    return Tape(Recorder(ring, clock, note), clock, settings.frames, settings.jpeg_rate_hz)
+    recorder = Recorder(Ring(state_dir / "recorder", settings, head), clock, note)
+    features = settings.features and settings.frames != "lossless"
+    return Tape(recorder, clock, settings.frames, features, settings.jpeg_rate_hz)
 
 
 def versions() -> dict[str, str]:
@@ -224,6 +226,14 @@ def _head(config: Config, calibration: Calibration, clock: Clock, kind: str, fra
         mcap_file.CALIBRATION: render_calibration(calibration, mcap_file.CALIBRATION).encode(),
     }
     return Head(metadata, files, time.time_ns() - clock(), raw_frames=frames == "lossless")
+
+
+def _continuation(frozen: Pipeline, estimate: Estimate, number: int) -> bytes:
+    try:
+        return input_json(Continuation(snapshot_json(frozen)), number)
+    except SnapshotError as e:
+        log.error("a recording without its state, from which no replay can start: %s", e)
+        return input_json(Assumption(estimate.pose, np.eye(3), "a recording begins"), number)
 
 
 def _raw(unix_ns: int, frame: Frame) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,23 +16,25 @@ from ceilvo.config import Config
 from ceilvo.config_file import parse_config
 from ceilvo.daemon.app_record import versions
 from ceilvo.daemon.app_replay import progress, report
-from ceilvo.daemon.inputs import FrameInput, Input, Silence, read_input
+from ceilvo.daemon.inputs import Continuation, FrameInput, Input, Sighting, Silence, read_input
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay import Outputs, replay
+from ceilvo.daemon.snapshot import read_value
 from ceilvo.daemon.trajectory import Alignment, estimate_json
 from ceilvo.drivers import foxglove, mcap_file
-from ceilvo.drivers.mcap_reader import Recording, open_recording
+from ceilvo.drivers.mcap_reader import Recorded, Recording, open_recording
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Estimate, Frame
+from ceilvo.types import Crossings, Estimate, Frame
 
-RECORDING_SUFFIX = ".mcap"
+_SUFFIX = ".mcap"
+_BLANK = np.zeros((0, 0), np.uint8)
 
 
 @dataclass(frozen=True)
 class Rerun:
     """What to replay. None and () take what was recorded."""
 
-    file: Path
+    source: Path
     config: Config | None = None
     overrides: tuple[str, ...] = ()
     calibration: Calibration | None = None
@@ -46,106 +48,128 @@ class _Tally:
         recorded: hash of the recorded estimate by number of its input.
         numbers: of the inputs that give an estimate, in order.
         missing: inputs that the recorder had dropped.
+        why_not: why this cannot give the recorded estimates; empty when it should.
     """
 
     recorded: dict[int, int] = field(default_factory=dict)
     numbers: list[int] = field(default_factory=list)
     missing: int = 0
+    why_not: str = ""
+
+
+def is_recording(source: Path) -> bool:
+    """An MCAP file, or a folder with some."""
+    return source.suffix == _SUFFIX if not source.is_dir() else any(source.glob(f"*{_SUFFIX}"))
 
 
 def replay_run(run: Rerun, outputs: Outputs, reference: Path | None, align: Alignment) -> int:
     """Returns the exit code: 1 when the estimates should be the recorded ones and are not."""
-    recording = open_recording(run.file)
-    frames = recording.metadata.get("frames", "none")
-    if frames == "none":
-        raise FileFormatError(f"{run.file}: no pictures in it (recorder.frames: none), so there is nothing to replay")
+    recordings = _opened(run.source)
+    first = recordings[0]
     config = run.config
     if config is None:
-        config = parse_config(recording.text(mcap_file.CONFIG), f"{run.file}:config.yaml", run.overrides)
+        config = parse_config(first.text(mcap_file.CONFIG), f"{first.path}:config.yaml", run.overrides)
     calibration = run.calibration
     if calibration is None:
-        calibration = parse_calibration(recording.text(mcap_file.CALIBRATION), f"{run.file}:calibration.yaml")
+        calibration = parse_calibration(first.text(mcap_file.CALIBRATION), f"{first.path}:calibration.yaml")
     cv2.setNumThreads(config.service.opencv_threads)
     pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
     tally = _Tally()
-    inputs = _inputs(recording, tally) if frames == "lossless" else _seen(recording)
-    estimates = replay(inputs, pipeline, calibration, outputs, progress())
-    report(estimates, config.service.seed, run.file, reference, align)
-    if recording.problem:
-        print(f"{run.file}: {recording.problem}; {len(estimates)} estimates up to there")
-    text, same = _verdict(run, recording, tally, estimates)
+    estimates = replay(_inputs(recordings, tally), pipeline, calibration, outputs, progress())
+    report(estimates, config.service.seed, run.source, reference, align)
+    for recording in recordings:
+        if recording.problem:
+            print(f"{recording.path}: {recording.problem}; all up to there was read")
+    text, same = _verdict(run, first, tally, estimates)
     print(f"recorded   {text}")
     return 0 if same else 1
 
 
-def _inputs(recording: Recording, tally: _Tally) -> Iterator[Input]:
-    """Every input of a lossless recording."""
-    pixels: dict[int, bytes] = {}
-    expected: int | None = 0 if recording.metadata.get("start") == "fresh" else None
-    for message in recording.messages():
-        if message.topic == mcap_file.FRAMES.topic:
-            pixels = {message.number: message.data}
+def _opened(source: Path) -> list[Recording]:
+    """The file, or those of a folder in the order of their names, which must be of one run."""
+    files = sorted(source.glob(f"*{_SUFFIX}")) if source.is_dir() else [source]
+    recordings = [open_recording(f) for f in files]
+    for r in recordings[1:]:
+        if r.metadata.get("start") == "fresh" or r.attachments != recordings[0].attachments:
+            raise FileFormatError(f"{r.path}: begins another run than {files[0].name}; replay it by itself")
+    return recordings
+
+
+def _inputs(recordings: Sequence[Recording], tally: _Tally) -> Iterator[Input]:
+    """Every input, with the frame if it was kept, else what vision had found in it, else whatever picture there is."""
+    pixels, features, picture = _Kept(), _Kept(), _Kept()
+    kept = {mcap_file.FRAMES.topic: pixels, mcap_file.FEATURES.topic: features, mcap_file.PICTURES.topic: picture}
+    expected = 0
+    for message in (m for r in recordings for m in r.messages()):
+        if message.topic in kept:
+            kept[message.topic].put(message)
         elif message.topic == mcap_file.ESTIMATE.topic:
             tally.recorded[message.number] = hash(message.data)
         elif message.topic == mcap_file.INPUT.topic:
-            number, given = read_input(message.data, _Pixels(pixels.get(message.number)))
-            tally.missing += 0 if expected is None else number - expected
+            number, given = read_input(message.data, lambda seq, stamp_ns: Frame(seq, stamp_ns, _BLANK))
+            if not (number == 0 or expected or isinstance(given, Continuation)):
+                tally.why_not = "it begins in the middle of a run, without the state that there was"
+            tally.missing += number - expected if expected else 0
             expected = number + 1
-            if isinstance(given, FrameInput | Silence):
+            found: Input | None = given
+            if isinstance(given, FrameInput):
+                found = _whole(given, pixels.take(number), features.take(number))
+                if found is None:
+                    found = _seen(given, picture.take(number))
+                    tally.why_not = "it has JPEG pictures at most, not of every frame, and recorder.features was off"
+            if isinstance(found, FrameInput | Sighting | Silence):
                 tally.numbers.append(number)
-            yield given
+            if found is not None:
+                yield found
 
 
-@dataclass(frozen=True)
-class _Pixels:
-    data: bytes | None
+class _Kept:
+    """The newest message of a topic, for the input of the same number."""
 
-    def __call__(self, seq: int, stamp_ns: int) -> Frame:
-        if self.data is None:
-            raise FileFormatError(f"frame {seq}: its pixels are missing; the recording is damaged")
-        return Frame(seq, stamp_ns, foxglove.read_raw_image(self.data))
+    def __init__(self) -> None:
+        self._last: Recorded | None = None
 
+    def put(self, message: Recorded) -> None:
+        self._last = message
 
-def _seen(recording: Recording) -> Iterator[Input]:
-    """The pictures of a recording that has not all of them, and only something like them."""
-    picture: NDArray[np.uint8] | None = None
-    blank = np.zeros((0, 0), np.uint8)
-    for message in recording.messages():
-        if message.topic == mcap_file.PICTURES.topic:
-            picture = foxglove.read_compressed_image(message.data)
-        elif message.topic == mcap_file.INPUT.topic:
-            _, given = read_input(message.data, lambda seq, stamp_ns: Frame(seq, stamp_ns, blank))
-            if not isinstance(given, FrameInput | Silence):
-                yield given
-            elif isinstance(given, FrameInput) and picture is not None:
-                yield FrameInput(Frame(given.frame.seq, given.frame.stamp_ns, picture))
-                picture = None
+    def take(self, number: int) -> bytes | None:
+        last = self._last
+        return last.data if last is not None and last.number == number & 0xFFFFFFFF else None
 
 
-def _verdict(run: Rerun, recording: Recording, tally: _Tally, estimates: list[Estimate]) -> tuple[str, bool]:
+def _whole(given: FrameInput, pixels: bytes | None, features: bytes | None) -> FrameInput | Sighting | None:
+    frame = given.frame
+    if pixels is not None:
+        return FrameInput(Frame(frame.seq, frame.stamp_ns, foxglove.read_raw_image(pixels)), given.wheels)
+    if features is not None:
+        return Sighting(frame.stamp_ns, read_value(features, Crossings), given.wheels)
+    return None
+
+
+def _seen(given: FrameInput, picture: bytes | None) -> FrameInput | None:
+    """A picture instead of the frame: something like it, and not of every frame, so without wheels."""
+    if picture is None:
+        return None
+    gray: NDArray[np.uint8] = foxglove.read_compressed_image(picture)
+    return FrameInput(Frame(given.frame.seq, given.frame.stamp_ns, gray))
+
+
+def _verdict(run: Rerun, first: Recording, tally: _Tally, estimates: list[Estimate]) -> tuple[str, bool]:
     """One line, and False when there is a difference that should not be."""
-    why = _not_comparable(run, recording)
-    if why:
-        return f"not compared: {why}", True
+    if run.config is not None or run.overrides or run.calibration is not None:
+        return "not compared: another configuration or calibration was asked for", True
     if tally.missing:
         return f"not compared: {tally.missing} inputs are missing, the disk was too slow for them", True
+    if tally.why_not:
+        return f"not compared: {tally.why_not}", True
     pairs = zip(tally.numbers, estimates, strict=True)
     same = [tally.recorded.get(n) == hash(estimate_json(e).encode()) for n, e in pairs if n in tally.recorded]
     if all(same):
         return f"{len(same)} of {len(same)} estimates are the same to the last bit", True
-    then, now = recording.metadata, versions()
+    then, now = first.metadata, versions()
     differs = ", ".join(f"{k} was {then.get(k)}, is {v}" for k, v in now.items() if then.get(k) != v)
-    first = same.index(False)
-    return f"{sum(same)} of {len(same)} estimates are the same, the first other one is {first}" + (
-        f"; {differs}" if differs else "; the versions are the same: was the program changed?"
-    ), False
-
-
-def _not_comparable(run: Rerun, recording: Recording) -> str:
-    if run.config is not None or run.overrides or run.calibration is not None:
-        return "another configuration or calibration was asked for"
-    if recording.metadata.get("frames") != "lossless":
-        return "its pictures are JPEG, and not all of them: what was seen, not what was estimated"
-    if recording.metadata.get("start") != "fresh":
-        return "it begins in the middle of a run, whose map and pose are only where this starts from"
-    return ""
+    why = differs or "the versions are the same: was the program changed?"
+    return (
+        f"{sum(same)} of {len(same)} estimates are the same, the first other one is {same.index(False)}; {why}",
+        False,
+    )

@@ -23,7 +23,7 @@ from ceilvo.daemon import app
 from ceilvo.daemon.app_doctor import examine
 from ceilvo.daemon.app_experiment import EXPERIMENTS, run_experiment
 from ceilvo.daemon.app_replay import replay_recording
-from ceilvo.daemon.app_rerun import RECORDING_SUFFIX, Rerun, replay_run
+from ceilvo.daemon.app_rerun import Rerun, is_recording, replay_run
 from ceilvo.daemon.app_watch import watch_robots
 from ceilvo.daemon.replay import Outputs
 from ceilvo.errors import CeilvoError, FileFormatError
@@ -133,7 +133,10 @@ def _add_replay(commands: Commands) -> None:
         "ceilvod replay recording/ --calibration calibration.yaml --tum poses.tum --reference truth.tum",
     )
     p.add_argument(
-        "source", type=Path, metavar="SOURCE", help="recording (MCAP), image folder (frames.csv) or video file"
+        "source",
+        type=Path,
+        metavar="SOURCE",
+        help="recording (MCAP file, or a folder of them), image folder (frames.csv) or video file",
     )
     _config_options(p)
     p.add_argument("--calibration", type=Path, metavar="FILE", help="default: SOURCE/calibration.yaml or the config's")
@@ -224,7 +227,7 @@ def _replay(options: argparse.Namespace) -> int:
     if not options.source.exists():
         raise FileFormatError(f"{options.source}: no such recording, folder or video file")
     outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)
-    if options.source.suffix == RECORDING_SUFFIX:
+    if is_recording(options.source):
         config = None if options.config is None else load_config(options.config, options.set)
         calibration = None if options.calibration is None else read_calibration(options.calibration)
         run = Rerun(options.source, config, tuple(options.set), calibration)

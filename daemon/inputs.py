@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from ceilvo.daemon.pipeline import Lap, Pipeline, no_lap
+from ceilvo.daemon.snapshot import restore
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Estimate, Frame, Landmarks, WheelMotion
+from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, WheelMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,19 +61,39 @@ class Reset:
     keep_map: bool
 
 
-Input = FrameInput | Silence | KnownMap | Assumption | Reset
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """What vision had found in a frame, where the frame itself is not at hand."""
+
+    stamp_ns: int
+    crossings: Crossings | None
+    wheels: WheelMotion | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Continuation:
+    """The state of another pipeline (snapshot.snapshot_json), from which to go on."""
+
+    state: Any
+
+
+Input = FrameInput | Sighting | Silence | KnownMap | Assumption | Reset | Continuation
 
 
 def apply(pipeline: Pipeline, given: Input, lap: Lap = no_lap) -> Estimate | None:
-    """Do what an input says; an estimate from frames and silences, None from the others."""
+    """Do what an input says; an estimate from frames, sightings and silences, None from the others."""
     if isinstance(given, FrameInput):
         return pipeline.step(given.frame, given.wheels, lap)
+    if isinstance(given, Sighting):
+        return pipeline.follow(given.stamp_ns, given.crossings, given.wheels)
     if isinstance(given, Silence):
         return pipeline.coast(given.stamp_ns, given.reason, given.wheels)
     if isinstance(given, KnownMap):
         pipeline.know_map(given.landmarks, given.map_axis_rad, given.pose, given.cov)
     elif isinstance(given, Assumption):
         pipeline.assume(given.pose, given.cov, given.why)
+    elif isinstance(given, Continuation):
+        restore(pipeline, given.state)
     else:
         pipeline.reset(given.keep_map)
     return None
@@ -99,6 +120,10 @@ def input_json(given: Input, number: int) -> bytes:
         body["landmarks"] = {k: getattr(given.landmarks, k).tolist() for k in _LANDMARKS}
     elif isinstance(given, Assumption):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
+    elif isinstance(given, Continuation):
+        body = {"input": "continuation", "state": given.state}
+    elif isinstance(given, Sighting):
+        raise TypeError("a sighting is recorded as its frame, with value_json(crossings) beside it")
     else:
         body = {"input": "reset", "keep_map": given.keep_map}
     return json.dumps({"number": number, **body}, separators=(",", ":"), allow_nan=False).encode("ascii")
@@ -152,12 +177,17 @@ def _read_reset(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     return Reset(bool(body["keep_map"]))
 
 
+def _read_continuation(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return Continuation(body["state"])
+
+
 _READERS: Mapping[str, Callable[[Mapping[str, Any], FrameOf], Input]] = {
     "frame": _read_frame,
     "silence": _read_silence,
     "known_map": _read_map,
     "assumption": _read_assumption,
     "reset": _read_reset,
+    "continuation": _read_continuation,
 }
 
 

@@ -96,10 +96,19 @@ class Pipeline:
         lines = self._lines(frame.gray, self._odometry.expected(dt_s, wheels), lap)
         crossings = None if lines is None else cross(lines, self._calibration, self._config.features)
         lap("crossings")
+        self._view = View(frame, lines, crossings)
+        return self._follow(frame.stamp_ns, dt_s, crossings, wheels, lap)
+
+    def follow(self, stamp_ns: int, crossings: Crossings | None, wheels: WheelMotion | None = None) -> Estimate:
+        """step() from what was seen in a frame, without the frame."""
+        return self._follow(stamp_ns, self._elapsed_s(stamp_ns), crossings, wheels, no_lap)
+
+    def _follow(
+        self, stamp_ns: int, dt_s: float, crossings: Crossings | None, wheels: WheelMotion | None, lap: Lap
+    ) -> Estimate:
         motion = self._odometry.step(crossings, dt_s, wheels)
         lap("odometry")
-        self._view = View(frame, lines, crossings)
-        return self._fuse(frame.stamp_ns, dt_s, motion, crossings, lap)
+        return self._fuse(stamp_ns, dt_s, motion, crossings, lap)
 
     def coast(self, stamp_ns: int, reason: str, wheels: WheelMotion | None = None) -> Estimate:
         """No frame came: move on by prediction, so that every output says so at once."""

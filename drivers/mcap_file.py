@@ -38,6 +38,7 @@ FRAMES = Channel("/camera", "foxglove.RawImage", foxglove.RAW_IMAGE_SCHEMA, "pro
 PICTURES = Channel("/camera/jpeg", "foxglove.CompressedImage", foxglove.COMPRESSED_IMAGE_SCHEMA, "protobuf")
 POSE = Channel("/pose", "foxglove.PoseInFrame", foxglove.POSE_SCHEMA)
 EVENT = Channel("/event", "foxglove.Log", foxglove.LOG_SCHEMA)
+FEATURES = Channel("/features", "ceilvo.features.1")
 INPUT = Channel("/input", "ceilvo.input.1")
 ESTIMATE = Channel("/estimate", "ceilvo.estimate.1")
 LATENCY = Channel("/latency", "ceilvo.latency.1")

@@ -46,7 +46,7 @@ class Storage(Protocol):
         """Something went wrong that people will want to look at."""
 
     def tick(self, now_ns: int) -> None:
-        """Called several times a second: flush, look at the room that is left."""
+        """Called before every write and several times a second: flush, look at the room that is left."""
 
     def close(self) -> None: ...
 
@@ -189,6 +189,7 @@ class Recorder:
             return item
 
     def _do(self, item: _Item | None, now_ns: int) -> None:
+        self._storage.tick(now_ns)
         if item is not None:
             if item.begins:
                 self._storage.begin(now_ns)
@@ -196,7 +197,6 @@ class Recorder:
                 self._storage.write(message)
             if item.fault:
                 self._storage.fault(item.fault, now_ns)
-        self._storage.tick(now_ns)
         self._due = self._storage.due
         with self._changed:
             self._messages += 0 if item is None else len(item.messages)

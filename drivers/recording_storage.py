@@ -19,6 +19,7 @@ _PREFIX = "flight-"
 _NS = 1e-9
 _GRACE_S = 2.0
 _SEGMENTS = 8
+_MIN_SEGMENT_S = 5.0  # a new one starts with the whole state of the pipeline, which may be megabytes
 _MAX_SEGMENT_S = 60.0
 _MAX_AFTER = 6
 _ROOM_CHECK_S = 1.0
@@ -104,12 +105,12 @@ class Ring:
     def due(self) -> bool:
         if self._file is None:
             return False
-        full = self._file.size * _SEGMENTS > self._cfg.ring_bytes
+        full = self._file.size * _SEGMENTS > self._cfg.ring_bytes and self._age_s() >= _MIN_SEGMENT_S
         return full or self._age_s() >= self._segment_s or self._kept_enough()
 
     def write(self, message: Message) -> None:
         if self._file is None:
-            self._open(message.stamp_ns)
+            self._open(self._now_ns)
         assert self._file is not None
         self._file.write(message)
 

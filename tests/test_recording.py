@@ -47,6 +47,7 @@ def log_handlers() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def world() -> World:
+    """For cameras that draw as fast as they are asked; one in real time has its own, which its thread may outlive."""
     return World(WorldSpec(seed=SEED))
 
 
@@ -124,7 +125,7 @@ def test_a_replay_gives_the_same_bytes(world: World, base: SimBase, tmp_path: Pa
     """Wheels from a real line, silences at random times, commands: all of it comes from the recording alone."""
     file = tmp_path / "run.mcap"
     config = config_of(world, base.port)
-    daemon = Watched(Plan(config, world.calibration, Stumbling(world, 30.0), record=file), busy)
+    daemon = Watched(Plan(config, world.calibration, Stumbling(World(WorldSpec(seed=SEED)), 30.0), record=file), busy)
     summary = daemon.run()
     assert summary["recorder"]["dropped"] == 0 and summary["recorder"]["stopped"] == ""
     reasons = [e.motion.failure or "" for e in daemon.said]
@@ -165,7 +166,7 @@ def test_a_stored_map_is_part_of_the_recording(
 def test_a_recording_says_everything_that_happened(world: World, base: SimBase, tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     stop = lambda daemon, count: daemon.stop() if count >= 40 else None  # noqa: E731
-    camera = SimCamera(world, 20.0)
+    camera = SimCamera(World(WorldSpec(seed=SEED)), 20.0)
     daemon = Watched(Plan(config_of(world, base.port), world.calibration, camera, record=file), stop)
     daemon.run()
     messages = list(open_recording(file).messages())
@@ -174,9 +175,10 @@ def test_a_recording_says_everything_that_happened(world: World, base: SimBase, 
     assert count["/health"] >= 2 and count["/event"] >= 2
     sent = [json.loads(m.data) for m in topic(file, "/telegram")]
     received = [r.telegram for r in base.telegrams]
-    assert [t["heartbeat"] for t in sent if t["answered"]] == [t.heartbeat for t in received]
+    heard, answered = {t.heartbeat for t in received}, {t["heartbeat"] for t in sent if t["answered"]}
+    assert answered <= heard <= {t["heartbeat"] for t in sent}  # a busy machine may miss an answer
     assert sent[-1]["state"] == "STOPPED"
-    assert count["/base_status"] == len(received)
+    assert count["/base_status"] == len(answered) > 0
     stamps = [m.log_ns for m in messages if m.topic == "/estimate"]
     assert stamps == sorted(stamps) and abs(stamps[0] / 1e9 - file.stat().st_ctime) < 3600
     recording = open_recording(file)
@@ -197,7 +199,7 @@ def test_a_cut_recording_replays_up_to_the_cut(
         assert 0 < len(again) < len(said)
         assert again == [estimate_json(e) for e in said[: len(again)]]
         out = capsys.readouterr().out
-        assert f"ends in the middle (power cut, killed, or still being written); {len(again)} estimates" in out
+        assert f"ends in the middle (power cut, killed, or still being written); all up to there was read" in out
         assert f"{len(again)} of {len(again)} estimates are the same" in out
 
 
@@ -239,7 +241,7 @@ def test_a_lost_camera_keeps_the_last_minutes(world: World, base: SimBase, tmp_p
         if any((tmp_path / "recorder" / "kept").glob("*/*.mcap")):
             daemon.stop()
 
-    daemon = Watched(Plan(config, world.calibration, Stumbling(world, 30.0)), until_kept)
+    daemon = Watched(Plan(config, world.calibration, Stumbling(World(WorldSpec(seed=SEED)), 30.0)), until_kept)
     summary = daemon.run()
     assert summary["recorder"]["faults"] >= 1
     (folder,) = (tmp_path / "recorder" / "kept").iterdir()
@@ -253,17 +255,47 @@ def test_a_lost_camera_keeps_the_last_minutes(world: World, base: SimBase, tmp_p
     assert any("unplugged" in e for e in events)
 
 
-def test_a_flight_recording_says_that_it_is_no_exact_replay(
-    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def fly(world: World, folder: Path, seconds: float, **recorder: object) -> Watched:
+    camera = SimCamera(world, 20.0, realtime=False, duration_s=seconds)
+    daemon = Watched(Plan(config_of(world, state_dir=str(folder), **recorder), world.calibration, camera))
+    daemon.run()
+    return daemon
+
+
+def test_the_ring_replays_from_any_of_its_files(
+    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    camera = SimCamera(world, 20.0, realtime=False, duration_s=2.0)
-    config = config_of(world, state_dir=str(tmp_path), jpeg_rate_hz=10.0)
-    Watched(Plan(config, world.calibration, camera)).run()
+    """Default settings but for shorter files: no file has the pixels, and all but the first begin in the middle."""
+    monkeypatch.setattr("ceilvo.drivers.recording_storage._SEGMENTS", 16)
+    daemon = fly(world, tmp_path, 8.0, minutes=0.1)
+    ring = tmp_path / "recorder" / "ring"
+    files = sorted(ring.glob("*.mcap"))
+    assert len(files) >= 2
+    assert open_recording(files[-1]).metadata["start"] == "joined"
+    for source in (ring, *files[1:]):
+        assert cli.main(["replay", str(source), "--jsonl", str(tmp_path / "again.jsonl")]) == 0
+        again = (tmp_path / "again.jsonl").read_text()
+        assert again in "".join(estimate_json(e) for e in daemon.said)
+        inside = [m for f in (files if source == ring else [source]) for m in topic(f, "/estimate")]
+        count = len(again.splitlines())
+        assert count == len(inside) > 0
+        assert f"{count} of {count} estimates are the same to the last bit" in capsys.readouterr().out
+
+
+def test_pictures_alone_are_no_exact_replay(world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fly(world, tmp_path, 2.0, features=False, jpeg_rate_hz=10.0)
     (file,) = (tmp_path / "recorder" / "ring").glob("*.mcap")
     assert cli.main(["replay", str(file)]) == 0
     out = capsys.readouterr().out
-    assert "its pictures are JPEG" in out
     assert out.startswith(("frames     20", "frames     21"))
+    assert "not compared: it has JPEG pictures" in out
+
+
+def test_files_of_two_runs_are_not_one(world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fly(world, tmp_path, 0.5)
+    fly(world, tmp_path, 0.5)
+    assert cli.main(["replay", str(tmp_path / "recorder" / "ring")]) == 1
+    assert "begins another run than flight-000000.mcap" in capsys.readouterr().err
 
 
 def test_without_a_state_directory_nothing_is_recorded(world: World, tmp_path: Path) -> None:

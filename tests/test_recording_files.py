@@ -308,9 +308,9 @@ class Drive:
 
     def seconds(self, seconds: float) -> Drive:
         for _ in range(round(10 * seconds)):
+            self.ring.tick(self.now_ns)
             self.ring.write(picture(self.now_ns, self.number))
             self.now_ns, self.number = self.now_ns + S // 10, self.number + 1
-            self.ring.tick(self.now_ns)
             if self.begins and self.ring.due:
                 self.ring.begin(self.now_ns)
         return self
