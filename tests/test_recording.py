@@ -199,7 +199,7 @@ def test_a_cut_recording_replays_up_to_the_cut(
         assert 0 < len(again) < len(said)
         assert again == [estimate_json(e) for e in said[: len(again)]]
         out = capsys.readouterr().out
-        assert f"ends in the middle (power cut, killed, or still being written); all up to there was read" in out
+        assert "ends in the middle (power cut, killed, or still being written); all up to there was read" in out
         assert f"{len(again)} of {len(again)} estimates are the same" in out
 
 
