@@ -80,7 +80,7 @@ class Lines:
     tilt_sigma_rad: Array
     free_tilt_rad: Array
     free_tilt_sigma_rad: Array
-    points: Array
+    points: NDArray[np.float32]
     point_line: Ints
     share: float = 1.0
 

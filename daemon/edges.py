@@ -58,9 +58,9 @@ class EdgeDetector:
         noise = _MEDIAN_TO_SIGMA * kernel_numpy.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE]).reshape(-1))
         high = max(self._config.canny_sigmas * noise, self._config.canny_floor)
         mask = cv2.Canny(dx, dy, self._config.canny_low_ratio * high, high, L2gradient=True)
-        mask = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
-        limit, share = self._limit(cv2.countNonZero(mask))
-        uv, phi = kernel.level_points(mask, dx, dy, self._lookup, self._rank, limit)
+        edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
+        limit, share = self._limit(cv2.countNonZero(edges))
+        uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit)
         return Edges(uv, phi, share)
 
     def _limit(self, found: int) -> tuple[int, float]:

@@ -165,8 +165,8 @@ def sums(rho: Array32, tangent: Array32, line: Int32s, half: int, lines: int) ->
     about_0 = np.concatenate([-across[:half], -own[half:]])
     about_1 = np.concatenate([own[:half], -across[half:]])
     rows = np.stack([r, t, about_0, about_1])
-    total = np.stack([np.bincount(line, row, lines) for row in rows], axis=1)
-    return np.bincount(line, minlength=lines), total, rows @ rows.T
+    total: Array = np.stack([np.bincount(line, row, lines) for row in rows], axis=1).astype(np.float64)
+    return np.bincount(line, minlength=lines).astype(np.int64), total, np.asarray(rows @ rows.T)
 
 
 def means(rho: Array32, line: Int32s, lines: int) -> Array:
