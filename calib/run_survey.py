@@ -26,6 +26,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.staleness import STRETCH_S, worst_stretch
 from ceilvo.errors import CalibrationError
 from ceilvo.types import Frame
 
@@ -66,11 +67,17 @@ def run(args: argparse.Namespace) -> int:
         ("poor places", f"{len(survey.poor())}"),
         ("dark places", f"{len(survey.dark())}"),
         ("vision failed", f"{100 * survey.failed:.1f} % of the frames"),
-        ("NIS", "too few updates" if survey.mean_nis is None else f"{survey.mean_nis:.2f} per degree of freedom"),
+        ("NIS", _nis_text(survey.mean_nis, worst_stretch(survey.nis))),
         ("flicker", light.text),
         ("map", str(session.folder / "survey" / "map.png")),
     ]
     return conclude(STEP, rows + [("note", n) for n in survey.notes()], bad, args)
+
+
+def _nis_text(mean: float | None, worst: float | None) -> str:
+    if mean is None or worst is None:
+        return "too few updates"
+    return f"{mean:.2f} per degree of freedom, {worst:.2f} in the worst {STRETCH_S:.0f} s"
 
 
 def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, bool]:
@@ -120,7 +127,8 @@ def _save(session: Session, survey: Survey, calibration: Calibration, light: str
         "poor_places": len(survey.poor()),
         "dark_places": len(survey.dark()),
         "failed_share": survey.failed,
-        "nis": survey.mean_nis,
+        "nis": worst_stretch(survey.nis),
+        "mean_nis": survey.mean_nis,
         "of": identity(calibration.projection, calibration.noise),
         "flicker": light,
         "notes": survey.notes(),

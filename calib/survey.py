@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.calib.stand import in_base
 from ceilvo.calibration import Calibration
+from ceilvo.daemon.staleness import MIN_UPDATES
 from ceilvo.types import Crossings, Estimate
 
 Array = NDArray[np.float64]
@@ -22,7 +23,6 @@ DARK_LEVEL = 25.0
 AMBIGUOUS = 0.9
 FLICKER = 0.01
 HIGHEST_NIS = 6.0
-MIN_UPDATES = 60
 _MATCH_M = 0.05
 _MAINS = ((50.0, 10_000), (60.0, 8_333))
 
@@ -68,7 +68,7 @@ class Survey:
         self.densities: list[float] = []
         self.ambiguities: list[float] = []
         self.light: list[tuple[float, float]] = []
-        self.nis: list[float] = []
+        self.nis: list[tuple[float, float]] = []
         camera = calibration.camera
         x, y = np.linspace(0, camera.width_px - 1, 17), np.linspace(0, camera.height_px - 1, 13)
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -92,7 +92,7 @@ class Survey:
         self.path.append(pose)
         self.light.append((1e-9 * estimate.stamp_ns, level))
         if estimate.depletion.nis_dof > 0 and np.isfinite(estimate.depletion.nis):
-            self.nis.append(estimate.depletion.nis)
+            self.nis.append((1e-9 * estimate.stamp_ns, estimate.depletion.nis))
         if crossings is not None and n:
             r = np.hypot(*(crossings.xy_base_m - self._calibration.mount_xy_m).T)
             self.densities.append(float(np.sum(r <= self._reach_m)) / self._seen_m2)
@@ -102,7 +102,7 @@ class Survey:
     @property
     def mean_nis(self) -> float | None:
         """Of the filter's updates, per degree of freedom; None after too few of them."""
-        return float(np.mean(self.nis)) if len(self.nis) >= MIN_UPDATES else None
+        return float(np.mean([n for _, n in self.nis])) if len(self.nis) >= MIN_UPDATES else None
 
     @property
     def density(self) -> float:

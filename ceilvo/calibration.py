@@ -87,7 +87,7 @@ class Calibration:
 
     @property
     def driving_nis(self) -> float | None:
-        """The filter's mean NIS per degree of freedom in the drive of `calib survey`, None = not measured."""
+        """The filter's NIS per degree of freedom in the worst stretch of the survey's drive, None = not measured."""
         survey = self.meta.get("survey")
         nis = survey.get("nis") if isinstance(survey, Mapping) else None
         return float(nis) if isinstance(nis, int | float) and np.isfinite(nis) and nis > 0 else None

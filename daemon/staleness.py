@@ -2,24 +2,26 @@
 
 Pure: time comes with the evidence. The filter's innovations are not independent from update to update (the same
 landmarks are seen again, the robot rocks), and their mean is 1 only where the noise curves say all; so the bound is
-a multiple of the mean that the drive of `calib survey` had, on a mean over a long window, and must be exceeded for a
-while. How often that is wrong is measured in docs/calibration.md.
+a multiple of what the drive of `calib survey` had in its worst stretch (a robot may stay there), on a mean over a long
+window, and must be exceeded for a while. How often that is wrong is measured in docs/calibration.md.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 WINDOW_S = 60.0
 HOLD_S = 20.0
-HIGH = 2.0
+STRETCH_S = 15.0
+HIGH = 1.6
 """Times the expected NIS."""
 UNMEASURED_NIS = 4.0
-"""Expected where no survey has measured it: the largest of the rigs in docs/calibration.md, so only much is noticed."""
+"""Expected where no survey has measured it: as the worst rigs of docs/calibration.md have, so only much is noticed."""
 LEAVE_RATIO = 0.8
-CAP = 8.0
+CAP = 4.0
 MIN_UPDATES = 60
 _LEAST_NIS = 0.1
 _NS = 1e-9
@@ -34,11 +36,27 @@ class Staleness:
     mean_nis: float
 
 
+def worst_stretch(series: Sequence[tuple[float, float]]) -> float | None:
+    """Highest mean of NIS over STRETCH_S of a drive (time s, NIS); None when there is too little of it."""
+    if len(series) < MIN_UPDATES:
+        return None
+    highest, total, first = 0.0, 0.0, 0
+    for k, (t, nis) in enumerate(series):
+        total += nis
+        while t - series[first][0] > STRETCH_S:
+            total -= series[first][1]
+            first += 1
+        if t - series[0][0] >= STRETCH_S or k == len(series) - 1:
+            highest = max(highest, total / (k + 1 - first))
+    return highest
+
+
 class StalenessMonitor:
     """Feed it every update of the filter, in order of time.
 
     Args:
-        expected: mean NIS per degree of freedom while the calibration was good; None = not measured.
+        expected: NIS per degree of freedom while the calibration was good, worst_stretch() of a drive; None = not
+            measured.
         high: times that, beyond which the calibration counts as stale.
         window_s: the mean is taken over; hold_s: it must be beyond for as long.
     """

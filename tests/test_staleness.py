@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ceilvo.daemon.staleness import HIGH, UNMEASURED_NIS, StalenessMonitor
+from ceilvo.daemon.staleness import HIGH, UNMEASURED_NIS, StalenessMonitor, worst_stretch
 
 STEP_NS = 200_000_000
 
@@ -70,3 +70,12 @@ def test_the_bound_is_a_multiple_of_what_commissioning_measured(expected: float 
 def test_without_a_survey_only_much_is_noticed() -> None:
     assert not any(feed(StalenessMonitor(), [0.9 * HIGH * UNMEASURED_NIS] * 600))
     assert any(feed(StalenessMonitor(), [1.1 * HIGH * UNMEASURED_NIS] * 600))
+
+
+def test_the_worst_stretch_of_a_drive_is_found() -> None:
+    series = [(0.2 * i, 3.0 if 200 <= i < 300 else 0.5) for i in range(600)]
+    worst = worst_stretch(series)
+    assert worst is not None and abs(worst - 3.0) < 1e-9
+    assert worst_stretch(series[:50]) is None
+    short = worst_stretch([(0.1 * i, 2.0) for i in range(100)])
+    assert short is not None and abs(short - 2.0) < 1e-9
