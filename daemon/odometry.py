@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _MAX_MISSES = 8
 _TWIST_FADES_S = 1.0
 _JERK_SIGMAS = 5.0
+_AGREE_SIGMAS = 3.0
 _FRESH = 0.6  # of the error of a direction or tilt; the rest is the same lines' in the next frame and cancels
 
 
@@ -132,6 +133,9 @@ class VisualOdometry:
         if failure:
             return None, failure
         sigma_rad = _FRESH * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
+        off = abs(se2.wrap(float(fit.b_from_a[2]) - turn))
+        if off > _AGREE_SIGMAS * math.hypot(sigma_rad, math.sqrt(fit.cov[2, 2])):
+            return fit, ""  # few or crooked lines: their direction jumps, the points' rotation does not
         return turned_by(fit, seen, before, turn, sigma_rad), ""
 
     def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
