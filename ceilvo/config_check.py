@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ceilvo.calibration import Calibration
-from ceilvo.config import Base, Camera, Config, Zenoh
+from ceilvo.config import Base, Camera, Config, Recorder, Zenoh
 from ceilvo.errors import ConfigError
 from ceilvo.wire_budget import wire_budget
 
@@ -49,6 +49,7 @@ def conflicts(config: Config, calibration: Calibration | None = None) -> list[Co
         *_states(config),
         *_base(config.base),
         *_zenoh(config.zenoh),
+        *_recorder(config.recorder),
     ]
 
 
@@ -178,4 +179,13 @@ def _zenoh(zenoh: Zenoh) -> Iterator[Conflict]:
             ("zenoh.connect", "zenoh.mode", "zenoh.multicast"),
             "found nothing, expected a router, which zenoh.mode: client needs when zenoh.multicast is off; "
             "name its endpoint, for example tcp/192.168.0.2:7447",
+        )
+
+
+def _recorder(recorder: Recorder) -> Iterator[Conflict]:
+    if recorder.enabled and recorder.kept_bytes < recorder.ring_bytes:
+        yield Conflict(
+            ("recorder.kept_bytes", "recorder.ring_bytes"),
+            f"found {recorder.kept_bytes}, expected at least recorder.ring_bytes {recorder.ring_bytes}; "
+            "a fault keeps the whole ring",
         )

@@ -67,6 +67,10 @@ CONFLICTS = [
     (["base.timeout_s=0.005"], "c.yaml: base.timeout_s: found 0.005, expected at least"),
     (["zenoh.listen=[localhost]"], "c.yaml: zenoh.listen: found 'localhost', expected protocol/address"),
     (["zenoh.connect=['tcp/']"], "c.yaml: zenoh.connect: found 'tcp/', expected protocol/address"),
+    (
+        ["recorder.kept_bytes=100000000"],
+        "c.yaml: recorder.kept_bytes: found 100000000, expected at least recorder.ring_bytes 200000000",
+    ),
     (["zenoh.mode=client", "zenoh.multicast=false"], "c.yaml: zenoh.connect: found nothing, expected a router"),
 ]
 
