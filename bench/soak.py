@@ -25,6 +25,7 @@ from ceilvo.bench.soak_parts import Heard, Listener, Usage, Watcher, free_port, 
 from ceilvo.bench.soak_verdict import judge
 from ceilvo.config import Config
 from ceilvo.config_file import render_config
+from ceilvo.drivers.mock_base import ReceivedTelegram
 from ceilvo.files import write_atomic
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.world import World, WorldSpec
@@ -60,21 +61,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 class Soak:
     """One run; afterwards the attributes have what was measured."""
 
-    def __init__(self, seed: int, seconds: float, rate_hz: float, out: Path) -> None:
+    def __init__(
+        self, seed: int, seconds: float, rate_hz: float, out: Path, name: str = "soak", base_rate_hz: float = 20.0
+    ) -> None:
         self._seed, self._seconds, self._rate_hz, self._out = seed, seconds, rate_hz, out
+        self._name, self._base_rate_hz = name, base_rate_hz
+        self.telegrams: list[ReceivedTelegram] = []
         self.plan: list[Stroke] = strokes(seconds)
         self.world = World(WorldSpec(seed=seed))
         self.usage: list[Usage] = []
         self.heard = Heard()
         self.asked = 0
         self.t0_ns = 0
-        self._state = out / "soak-state"
+        self._state = out / f"{name}-state"
 
     def run(self) -> int:
         """Returns the daemon's exit code."""
         port = free_port()
         with ExitStack() as ending:
-            link = self._out / "soak-base"
+            link = self._out / f"{self._name}-base"
             base = SimBase(port_link=link, odometry=self._odometry)
             base.start()
             ending.callback(base.stop)
@@ -87,6 +92,7 @@ class Soak:
             watcher = Watcher(port)
             ending.callback(watcher.close)
             self._supervise(daemon, base, listener, watcher)
+            self.telegrams = list(base.telegrams)
             daemon.send_signal(signal.SIGTERM)
             return daemon.wait(20.0)
 
@@ -98,12 +104,12 @@ class Soak:
         self._state.mkdir(exist_ok=True)
         for old in self._state.iterdir():
             old.unlink()
-        file = self._out / "soak.yaml"
+        file = self._out / f"{self._name}.yaml"
         file.write_text(render_config(self._config(port, link)))
         args = [str(self._seed), str(self.t0_ns), str(self._seconds), str(file)]
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
         environment |= {"MALLOC_MMAP_THRESHOLD_": "33554432", "MALLOC_TRIM_THRESHOLD_": "268435456"}
-        with (self._out / "soak.log").open("wb") as log:
+        with (self._out / f"{self._name}.log").open("wb") as log:
             return subprocess.Popen(
                 [sys.executable, "-m", "ceilvo.bench.soak_robot", *args], stdout=log, stderr=log, env=environment
             )
@@ -117,7 +123,7 @@ class Soak:
             filter=replace(
                 c.filter, initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta))
             ),
-            base=replace(c.base, port=str(link)),
+            base=replace(c.base, port=str(link), rate_hz=self._base_rate_hz),
             zenoh=replace(c.zenoh, listen=(f"tcp/127.0.0.1:{port}",), multicast=False, health_period_s=0.2),
             service=replace(c.service, state_dir=str(self._state), state_period_s=1.0),
         )
@@ -150,7 +156,7 @@ class Soak:
         listener: Listener,
         watcher: Watcher,
     ) -> None:
-        aside = self._state.with_name("soak-state-aside")
+        aside = self._state.with_name(f"{self._state.name}-aside")
         if part == "base":
             set_base_fault(base, new)
         elif "subscriber hangs" in (old, new):

@@ -237,6 +237,7 @@ def test_what_cannot_be_saved_is_told_once_and_saved_when_it_can_be(
     robot: Robot, caplog: pytest.LogCaptureFixture
 ) -> None:
     robot.until_health("store_error", lambda v: v == "")
+    caplog.set_level("INFO", logger="ceilvo.store")
     caplog.clear()
     aside = robot.folder / "aside"
     robot.state_dir.rename(aside)

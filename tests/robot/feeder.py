@@ -3,7 +3,8 @@
 feeder.py DEVICE FRAMES WIDTH HEIGHT RATE_HZ FORMAT FOLDER
 
 Repeats the first frame until FOLDER/go exists, plays FRAMES once in real time, makes FOLDER/played, then repeats the
-last frame.
+last frame. As on a sensor no two frames are equal: one row after the other has its lowest bit turned over.
+FOLDER/mode, where it exists, says what is wrong: stall, frozen, black or white.
 FOLDER/feed.csv gets a line for each write: index in FRAMES, CLOCK_MONOTONIC in ns before and after. v4l2loopback
 stamps a buffer while it is written.
 """
@@ -38,6 +39,13 @@ def set_format(fd: int, fourcc: str, width: int, height: int, line_bytes: int) -
         raise SystemExit(f"feeder: asked for {pix[:3]}, the device took {got[:3]}")
 
 
+def read_mode(folder: Path) -> str:
+    try:
+        return (folder / "mode").read_text().strip()
+    except FileNotFoundError:
+        return ""
+
+
 def main() -> None:
     device, frames_path, width, height, rate, fourcc, folder_name = sys.argv[1:]
     w, h, folder = int(width), int(height), Path(folder_name)
@@ -58,11 +66,16 @@ def main() -> None:
             if first is not None:
                 index = min(tick - first, len(frames) - 1)
             # One buffer, written in place: fresh memory for each frame costs more here than all the rest.
-            luma[:] = frames[index]
+            mode = read_mode(folder)
+            if mode != "frozen":
+                luma[:] = {"black": 0, "white": 255}.get(mode, frames[index])
+                luma[tick % h] ^= mode not in ("black", "white")
             due_ns = origin_ns + tick * period_ns
             time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
             before_ns = time.monotonic_ns()
             if before_ns - due_ns > LATEST_OF_PERIOD * period_ns:
+                continue
+            if mode == "stall":
                 continue
             os.write(fd, buffer.data)
             log.write(f"{index},{before_ns},{time.monotonic_ns()}\n")

@@ -8,42 +8,8 @@ feed=/run/feed
 # shellcheck source=/dev/null
 . ./robot.env
 
-now() { date +%s%N; }
-note() { printf '%s=%s\n' "$1" "$2" >>$out/facts.txt; }
-step() { printf '[%6.1f] %s\n' "$(cut -d' ' -f1 /proc/uptime)" "$*"; }
-show() { systemctl show -P "$1" ceilvod; }
-
-# wait_for SECONDS COMMAND...: until it succeeds.
-wait_for() {
-  local until=$(($(now) + $1 * 1000000000))
-  shift
-  until "$@"; do
-    [ "$(now)" -lt "$until" ] || { step "gave up waiting for: $*"; return 1; }
-    sleep 0.05
-  done
-}
-poses() { grep -c '/pose"' "$out/samples.jsonl" 2>/dev/null || true; }
-is_tracking() { grep -q '/pose".*"state": "TRACKING"' "$out/samples.jsonl" 2>/dev/null; }
-has_more_poses_than() { [ "$(poses)" -gt "$1" ]; }
-is_another_life() {
-  # One question: two answers would be of two moments.
-  local answer
-  answer=$(systemctl show -p MainPID,ActiveState ceilvod)
-  grep -q '^ActiveState=active$' <<<"$answer" && ! grep -qE "^MainPID=(0|$1)$" <<<"$answer"
-}
-has_status() { show StatusText | grep -qi "$1"; }
-
-install_service() {
-  local t0
-  t0=$(now)
-  bash kit/systemd/install.sh --wheel kit/ceilvo-*.whl --wheels wheels || return 1
-  note install_ms $((($(now) - t0) / 1000000))
-  note verify "$(systemd-analyze verify --man=no /etc/systemd/system/ceilvod.service 2>&1 | tr '\n' ' ')"
-  note exposure "$(systemd-analyze security --no-pager ceilvod.service | sed -n 's/.*exposure level.*: \([0-9.]*\) .*/\1/p')"
-  cp config.yaml calibration.yaml /etc/ceilvo/
-  ceilvod check-config /etc/ceilvo/config.yaml
-  note check_config_status $?
-}
+# shellcheck source=/dev/null
+. ./common.sh
 
 start_without_camera() {
   local t0
@@ -61,8 +27,7 @@ plug_camera_in() {
   udevadm settle
   /opt/ceilvo/bin/python feeder.py /dev/video0 frames.gray "$WIDTH" "$HEIGHT" "$RATE" YUYV "$feed" &
   feeder=$!
-  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$out/samples.jsonl" "$STEM"/{pose,health,event} &
-  listener=$!
+  listen
 }
 
 drive() {

@@ -60,7 +60,8 @@ step "recording of $DRIVE_S s at 15 fps"
 rm -rf "$work/recording"
 "$python" -m ceilvo.sim.record "$work/recording" --seconds "$DRIVE_S" --fps 15 2>/dev/null
 "$python" "$here/prepare.py" "$work/recording" "$share"
-cp "$here"/{guest.sh,feeder.py,listener.py} "$share/"
+head -c $((320 * 240 * 4)) "$share/frames.gray" >"$share/small.gray"
+cp "$here"/{common.sh,feeder.py,listener.py} "$share/"
 
 step "simulated base"
 nice -n -10 "$python" -m ceilvo.sim.base --baud 115200 --parity N --log "$OUT/telegrams.jsonl" --port-link "$OUT/base" >"$OUT/base.txt" 2>&1 &
@@ -69,15 +70,37 @@ trap 'kill $base 2>/dev/null || true' EXIT
 for _ in $(seq 100); do [ -s "$OUT/base.txt" ] && break; sleep 0.05; done
 [ -L "$OUT/base" ] || { cat "$OUT/base.txt" >&2; exit 1; }
 
-step "boot"
+# boot SCRIPT OUT: run it inside, with the base that listens to OUT/base.stop.
+boot() {
+  local status=0 watcher
+  cp "$here/$1" "$share/guest.sh"
+  mkdir -p "$2"
+  while sleep 0.05; do
+    if [ -e "$2/base.stop" ]; then kill -STOP $base; else kill -CONT $base; fi 2>/dev/null || break
+  done &
+  watcher=$!
+  OUT=$2 TTY=$(readlink "$OUT/base") TIMEOUT=$3 bash "$here/vm.sh" run "$share" || status=$?
+  kill $watcher
+  kill -CONT $base
+  cat "$2/log.txt" 2>/dev/null || tail -20 "$2/console.txt" || true
+  return $status
+}
+
 status=0
-TTY=$(readlink "$OUT/base") TIMEOUT=240 bash "$here/vm.sh" run "$share" || status=$?
-cat "$OUT/log.txt" 2>/dev/null || tail -20 "$OUT/console.txt" || true
+if [ "${ONLY:-drive}" = drive ]; then
+  step "boot: the drive"
+  boot guest.sh "$OUT" 240 || status=1
+fi
+if [ "${ONLY:-faults}" = faults ]; then
+  step "boot: faults"
+  boot faults.sh "$OUT/faults" 420 || status=1
+fi
 kill $base
 wait $base || true
 trap - EXIT
 
 step "results"
-"$python" "$here/judge.py" "$OUT" "$share" "$work/summary.json" || status=1
+if [ "${ONLY:-drive}" = drive ]; then "$python" "$here/judge.py" "$OUT" "$share" "$work/summary.json" || status=1; fi
+if [ "${ONLY:-faults}" = faults ]; then "$python" "$here/judge_faults.py" "$OUT/faults" "$work/faults.json" || status=1; fi
 step "done"
 exit $status

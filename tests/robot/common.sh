@@ -1,0 +1,50 @@
+# Shared by the scripts that run inside the virtual robot; sourced after $out, $feed and robot.env are set.
+# shellcheck shell=bash disable=SC2154
+
+mono() {
+  local up
+  read -r up _ </proc/uptime
+  echo "${up/./}0000000"
+}
+now() { date +%s%N; }
+note() { printf '%s=%s\n' "$1" "$2" >>"$out/facts.txt"; }
+step() { printf '[%6.1f] %s\n' "$(cut -d' ' -f1 /proc/uptime)" "$*"; }
+show() { systemctl show -P "$1" ceilvod; }
+
+# wait_for SECONDS COMMAND...: until it succeeds.
+wait_for() {
+  local until=$(($(mono) + $1 * 1000000000))
+  shift
+  until "$@"; do
+    [ "$(mono)" -lt "$until" ] || { step "gave up waiting for: $*"; return 1; }
+    sleep 0.05
+  done
+}
+poses() { grep -c '/pose"' "$out/samples.jsonl" 2>/dev/null || true; }
+is_tracking() { grep -q '/pose".*"state": "TRACKING"' "$out/samples.jsonl" 2>/dev/null; }
+has_more_poses_than() { [ "$(poses)" -gt "$1" ]; }
+is_another_life() {
+  # One question: two answers would be of two moments.
+  local answer
+  answer=$(systemctl show -p MainPID,ActiveState ceilvod)
+  grep -q '^ActiveState=active$' <<<"$answer" && ! grep -qE "^MainPID=(0|$1)$" <<<"$answer"
+}
+has_status() { show StatusText | grep -qi "$1"; }
+
+install_service() {
+  local t0
+  t0=$(now)
+  bash kit/systemd/install.sh --wheel kit/ceilvo-*.whl --wheels wheels || return 1
+  note install_ms $((($(now) - t0) / 1000000))
+  note verify "$(systemd-analyze verify --man=no /etc/systemd/system/ceilvod.service 2>&1 | tr '\n' ' ')"
+  note exposure "$(systemd-analyze security --no-pager ceilvod.service | sed -n 's/.*exposure level.*: \([0-9.]*\) .*/\1/p')"
+  cp config.yaml calibration.yaml /etc/ceilvo/
+  ceilvod check-config /etc/ceilvo/config.yaml
+  note check_config_status $?
+}
+
+listen() {
+  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$out/samples.jsonl" "$STEM"/{pose,health,event} &
+  # shellcheck disable=SC2034
+  listener=$!
+}

@@ -1,0 +1,135 @@
+"""What the virtual robot did about each fault: a table, and faults.json.
+
+judge_faults.py OUT SUMMARY; exit status 1 when a promise is broken. Knows the messages, not ceilvo's code.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from judge import Check, report
+
+GOOD = ("TRACKING", "DEGRADED")
+FLAGGED_S = 0.3
+"""200 ms after the first frame that is missing, which is up to a period (67 ms) later, and the timing."""
+RECOVERY_S = 2.0
+PROCESS_S = 5.0
+CAMERA = ("stall", "frozen", "black", "white", "replug")
+
+
+@dataclass(frozen=True)
+class Life:
+    """Facts, and pose samples as (recv_ns, state, reason)."""
+
+    facts: dict[str, str]
+    poses: list[tuple[int, str, str]]
+    journal: str
+
+    def ns(self, name: str) -> int:
+        return int(self.facts.get(name, "0"))
+
+    def first(self, after_ns: int, good: bool) -> float:
+        """Seconds from a time until a pose that is (not) good; inf when none came."""
+        for recv_ns, state, _ in self.poses:
+            if recv_ns > after_ns and (state in GOOD) == good:
+                return (recv_ns - after_ns) / 1e9
+        return float("inf")
+
+
+def read(out: Path) -> Life:
+    facts = dict(line.split("=", 1) for line in _text(out / "facts.txt").splitlines())
+    poses = []
+    for line in _text(out / "samples.jsonl").splitlines():
+        try:
+            sample: dict[str, Any] = json.loads(line)
+        except ValueError:
+            continue  # the writer was killed in the middle of the last
+        if sample["key"].endswith("/pose"):
+            poses.append((sample["recv_ns"], sample["body"]["state"], sample["body"]["reason"]))
+    return Life(facts, poses, _text(out / "service.txt"))
+
+
+def _text(path: Path) -> str:
+    return path.read_text(errors="replace") if path.exists() else ""
+
+
+def checks(life: Life) -> Iterator[Check]:
+    f = life.facts
+    phases = {k[6:]: v for k, v in f.items() if k.startswith("phase_")}
+    bad = [k for k, v in phases.items() if v != "ok"]
+    yield Check(
+        "phases", f"{len(phases) - len(bad)} of {len(phases)}" + (f", failed: {bad}" if bad else ""), "all", not bad
+    )
+    yield Check(
+        "STATUS= without a camera", f.get("status_absent", "-"), "names it", "camera" in f.get("status_absent", "")
+    )
+    for name in CAMERA:
+        if f"{name}_begin_ns" not in f:
+            continue
+        flagged = life.first(life.ns(f"{name}_begin_ns"), good=False)
+        promise = f"<= {FLAGGED_S:g} s" if name != "replug" else ""
+        yield Check(
+            f"{name}: flagged after", f"{flagged:.2f} s", promise, flagged <= FLAGGED_S if promise else None, flagged
+        )
+        yield from _recovered(life, name)
+        status = f.get(f"status_{name}", "")
+        yield Check(f"{name}: STATUS=", status, "no good state", not status.startswith(GOOD))
+    if "format_end_ns" in f:
+        yield from _recovered(life, "format")
+    for name in ("base", "disk", "readonly", "clock", "starved", "memory"):
+        if f"{name}_begin_ns" in f:
+            span = life.ns(f"{name}_begin_ns"), life.ns(f"{name}_end_ns")
+            states = [s for t, s, _ in life.poses if span[0] <= t <= span[1]]
+            share = sum(s in GOOD for s in states) / max(len(states), 1)
+            kept = share == 1.0 if name in ("base", "disk", "readonly", "clock") else None
+            yield Check(
+                f"{name}: poses good meanwhile",
+                f"{100 * share:.0f} % of {len(states)}",
+                "all" if kept is not None else "",
+                kept,
+            )
+    yield Check("memory: same process", f.get("memory_same_process", "-"), "yes", f.get("memory_same_process") == "yes")
+    kills = [int(v) / 1e3 for k, v in f.items() if k.startswith("kill") and k.endswith("_ms")]
+    slowest = max(kills, default=float("inf"))
+    yield Check(
+        "kill -9: next pose after",
+        f"{[round(k, 2) for k in kills]} s",
+        f"<= {PROCESS_S:g} s",
+        slowest <= PROCESS_S,
+        slowest,
+    )
+    yield Check("kill -9: files damaged or left", f.get("rejected", "-"), "0", f.get("rejected") == "0")
+    yield Check(
+        "half a calibration",
+        f.get("calibration_end", "-"),
+        "78, stays down",
+        f.get("calibration_end") == "status 78, failed",
+    )
+    tracebacks = life.journal.count("Traceback (most recent call last)")
+    yield Check("Python tracebacks", str(tracebacks), "0", tracebacks == 0 and bool(life.journal))
+
+
+def _recovered(life: Life, name: str) -> Iterator[Check]:
+    took = life.first(life.ns(f"{name}_end_ns"), good=True)
+    yield Check(f"{name}: good again after", f"{took:.2f} s", f"<= {RECOVERY_S:g} s", took <= RECOVERY_S, took)
+
+
+def main() -> int:
+    out, summary = (Path(a) for a in sys.argv[1:])
+    found = list(checks(read(out)))
+    width = max(len(c.name) for c in found)
+    for c in found:
+        verdict = "" if c.kept is None else "ok" if c.kept else "FAILED"
+        print(f"  {c.name:<{width}}  {verdict:6}  {c.found}" + (f"   (promised: {c.promise})" if c.promise else ""))
+    content = report(found)
+    summary.write_text(json.dumps(content, indent=2) + "\n")
+    return 0 if content["ok"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
