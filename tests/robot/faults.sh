@@ -12,9 +12,9 @@ feed=/run/feed
 
 # The camera's stable name, as udev gives it to a USB camera, whatever number its node has.
 name_camera() {
-  echo "SUBSYSTEM==\"video4linux\", ATTR{name}==\"$CAMERA\", SYMLINK+=\"v4l/by-id/ceiling\"" >/etc/udev/rules.d/99-ceiling.rules
+  echo "SUBSYSTEM==\"video4linux\", ATTR{name}==\"$CAMERA\", SYMLINK+=\"ceiling\"" >/etc/udev/rules.d/99-ceiling.rules
   udevadm control --reload
-  sed -i 's#/dev/video0#/dev/v4l/by-id/ceiling#' /etc/ceilvo/config.yaml
+  sed -i 's#/dev/video0#/dev/ceiling#' /etc/ceilvo/config.yaml
 }
 plug() {
   modprobe v4l2loopback devices=1 "video_nr=$1" exclusive_caps=1 card_label="$CAMERA" max_buffers=4 || return 1
@@ -210,9 +210,9 @@ for phase in ${PHASES:-setup stalled frozen black white replugged wrong_format s
     rm -f "$feed/mode" "$out/base.stop" /fill /fill2
     [ "$phase" = setup ] && break
   fi
-  journalctl -u ceilvod --no-pager -o short-monotonic >"$out/service.txt"
 done
 systemctl stop ceilvod
+journalctl -u ceilvod --no-pager -o short-monotonic >"$out/service.txt"
 feed_stop
 kill "${listener:-}" 2>/dev/null
 step "end"
