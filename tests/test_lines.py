@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from ceilvo.config import Features
 from ceilvo.daemon.edges import Edges
 from ceilvo.daemon.lines import dominant_direction, find_lines
-from ceilvo.daemon.tilt import TiltPrior
+from ceilvo.daemon.tilt import TiltPrior, TiltTracker
 from ceilvo.types import LineKind, Lines
 
 FOCAL_PX = 410.0
@@ -139,8 +139,10 @@ def test_a_contradicted_prior_gives_way() -> None:
 def test_few_lines_do_not_imitate_a_tilt() -> None:
     """One lamp cannot tell a tilt from noise: none is read from it, and it does not teach the prior."""
     lamp: list[Segment] = [(a, o, p, -20.0, 20.0) for a in (0, 1) for o, p in ((-20.0, 1), (20.0, -1))]
-    for seed in range(10):
+    tracker = TiltTracker()
+    for seed in range(60):
         lines = find_lines(edges(lamp, 0.2, seed, noise_px=0.5), Features(min_line_points=15), FOCAL_PX)
         assert lines is not None
         assert np.abs(lines.tilt_rad).max() < 1e-9
-        assert np.isnan(lines.free_tilt_sigma_rad).all()
+        tracker.note(lines)
+    assert tracker.prior() is None

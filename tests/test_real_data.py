@@ -50,11 +50,29 @@ def test_car_under_lamps_is_where_the_other_tracker_says() -> None:
     assert np.degrees(np.abs(se2.wrap_array(poses[:, 2] - reference[:, 2]))).max() < 2.0
 
 
+def _mean_direction_deg(folder: Path) -> float:
+    """Mean direction, weighted by length, of the segments that OpenCV's detector finds along the seams."""
+    gray = cv2.imread(str(folder / "ceiling3-6-02.jpg"), cv2.IMREAD_GRAYSCALE)
+    fx, fy, cx, cy, *lens = (
+        float(w) for w in (folder / "pg_3_6mm.txt").read_text("ascii").split("\n")[0].split() if w[-1].isdigit()
+    )
+    found = cv2.createLineSegmentDetector().detect(gray)[0].reshape(-1, 1, 2).astype(np.float64)
+    camera = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    along = np.diff(cv2.undistortPoints(found, camera, np.array(lens)).reshape(-1, 2, 2), axis=1)[:, 0]
+    length_px = np.hypot(*np.diff(found.reshape(-1, 2, 2), axis=1)[:, 0].T)
+    folded = np.exp(4j * np.arctan2(along[:, 1], along[:, 0]))
+    mean = np.sum((length_px * folded)[length_px > 30])
+    for _ in range(20):
+        near = (length_px > 30) & (np.abs(np.angle(folded / mean)) < 4 * np.radians(7))
+        mean = np.sum((length_px * folded)[near])
+    return float(np.degrees(np.angle(mean)) / 4)
+
+
 def test_photo_of_a_tiled_ceiling_shows_the_tiles_direction(tmp_path: Path) -> None:
     folder = _folder("ceiling_still")
     figures = real.still(folder, tmp_path)
-    # measured by hand on the photo: the seams lean 12 to 14 deg from the picture's axes
-    assert -15.0 < figures["direction_deg"] < -11.0
+    # beams at several heights and a camera held askew: the seams lean -11 to -17 deg, -14.1 in the mean
+    assert abs(figures["direction_deg"] - _mean_direction_deg(folder)) < 2.0
     assert figures["lines_axis_0"] > 5
     assert figures["lines_axis_1"] > 5
     assert cv2.imread(str(tmp_path / "ceiling_still.png")).shape == (960, 1280, 3)
