@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.config import Odometry
+from ceilvo.daemon.heading_lock import HeadingLock
 from ceilvo.daemon.homography import consistent
 from ceilvo.daemon.kernel_numpy import median
 from ceilvo.daemon.matching import mutual_nearest
@@ -27,7 +28,6 @@ Array = NDArray[np.float64]
 _MAX_MISSES = 8
 _TWIST_FADES_S = 1.0
 _JERK_SIGMAS = 5.0
-_AGREE_SIGMAS = 3.0
 _FRESH = 0.6  # of the error of a direction or tilt; the rest is the same lines' in the next frame and cancels
 
 
@@ -42,6 +42,7 @@ class VisualOdometry:
         self._misses = 0
         self._twist = np.zeros(3)
         self._twist_known = False
+        self._heading = HeadingLock()
 
     @property
     def twist(self) -> Array:
@@ -133,10 +134,10 @@ class VisualOdometry:
         if failure:
             return None, failure
         sigma_rad = _FRESH * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
-        off = abs(se2.wrap(float(fit.b_from_a[2]) - turn))
-        if off > _AGREE_SIGMAS * math.hypot(sigma_rad, math.sqrt(fit.cov[2, 2])):
-            return fit, ""  # few or crooked lines: their direction jumps, the points' rotation does not
-        return turned_by(fit, seen, before, turn, sigma_rad), ""
+        best = self._heading.choose(turn, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
+        if best.of_points:
+            return fit.facing(best.theta_rad, best.sigma_rad), ""
+        return turned_by(fit, seen, before, best.theta_rad, best.sigma_rad), ""
 
     def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
         cfg = self._config
@@ -157,6 +158,7 @@ class VisualOdometry:
             return motion
         self._refer_to(crossings)
         self._twist_known = False
+        self._heading.forget()
         return replace(motion, restarted=True)
 
     def _jerk(self, fit: RigidFit, dt_s: float) -> str:

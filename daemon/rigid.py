@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,12 @@ class RigidFit:
     rms_m: float
     cov: Array
     variance_m2: float
+
+    def facing(self, theta_rad: float, theta_sigma_rad: float) -> RigidFit:
+        """This fit with the rotation to report, when the translation was found for its own."""
+        cov = self.cov.copy()
+        cov[2, 2] = max(theta_sigma_rad**2, cov[2, 2])
+        return replace(self, b_from_a=np.array([*self.b_from_a[:2], theta_rad]), cov=cov)
 
 
 def rigid_motion(a: Array, b: Array) -> Array:
