@@ -60,19 +60,42 @@ static inline float magnitude(const int16_t *dx, const int16_t *dy, Py_ssize_t a
     return sqrtf(x * x + y * y);
 }
 
+#define SEGMENT_PX 16.0 /* as in kernel_numpy.py */
+enum { STEP = 2 }; /* LOOKUP_STEP_PX; fixed, because division is slow */
+
+/* Level pixel of the peak of the gradient at (x, y) along x or y, and how it changes along either. */
+static inline void place(const int16_t *dx, const int16_t *dy, Py_ssize_t width, const float *lookup, Py_ssize_t columns,
+                         Py_ssize_t x, Py_ssize_t y, int horizontal, float *uv, float *along_x, float *along_y) {
+    const float per_step = 1.0f / (float)STEP;
+    Py_ssize_t at = y * width + x, beside = width + horizontal * (1 - width);
+    float by_x = (float)horizontal, by_y = 1.0f - by_x;
+    float here = magnitude(dx, dy, at), before = magnitude(dx, dy, at - beside);
+    float after = magnitude(dx, dy, at + beside), bend = 2.0f * here - before - after;
+    float shift = 0.5f * (after - before) / (bend > 1e-3f ? bend : 1e-3f);
+    shift = shift < -0.5f ? -0.5f : shift > 0.5f ? 0.5f : shift;
+    const float *low = lookup + 2 * ((y / STEP) * columns + x / STEP), *up = low + 2 * columns;
+    float fx = (float)(x & (STEP - 1)) * per_step, fy = (float)(y & (STEP - 1)) * per_step;
+    for (int k = 0; k < 2; k++) {
+        float right = low[k + 2] - low[k], right_up = up[k + 2] - up[k];
+        along_x[k] = ((1.0f - fy) * right + fy * right_up) * per_step;
+        along_y[k] = ((1.0f - fx) * (up[k] - low[k]) + fx * (up[k + 2] - low[k + 2])) * per_step;
+        float level = (1.0f - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up);
+        uv[k] = level + shift * (by_x * along_x[k] + by_y * along_y[k]);
+    }
+}
+
 static PyObject *level_points(PyObject *self, PyObject *args) {
     PyObject *o[7];
     Py_ssize_t width, height, columns, limit, room, out = 0;
-    enum { step = 2 }; /* LOOKUP_STEP_PX; fixed, because division is slow */
     if (!PyArg_ParseTuple(args, "OOOOOnnnnOO", &o[0], &o[1], &o[2], &o[3], &o[4], &width, &height, &columns, &limit,
                           &o[5], &o[6]))
         return NULL;
-    if (width < 1 || height < 1 || columns <= (width - 1) / step) {
+    if (width < 1 || height < 1 || columns <= (width - 1) / STEP) {
         PyErr_SetString(PyExc_ValueError, "sizes below 1, or a look-up narrower than the picture");
         return NULL;
     }
     Arrays a = {.count = 0};
-    Py_ssize_t n = width * height, cells = ((height - 2) / step + 2) * columns;
+    Py_ssize_t n = width * height, cells = ((height - 2) / STEP + 2) * columns;
     const uint8_t *mask = items(&a, o[0], 0, 1, n, NULL);
     const int16_t *dx = mask ? items(&a, o[1], 0, 2, n, NULL) : NULL;
     const int16_t *dy = dx ? items(&a, o[2], 0, 2, n, NULL) : NULL;
@@ -84,10 +107,7 @@ static PyObject *level_points(PyObject *self, PyObject *args) {
         release(&a);
         return NULL;
     }
-    const float per_step = 1.0f / (float)step;
     for (Py_ssize_t y = 1; y < height - 1; y++) { /* a neighbour on every side */
-        const float *table = lookup + 2 * (y / step) * columns;
-        float fy = (float)(y & (step - 1)) * per_step;
         for (Py_ssize_t x = 1; x < width - 1; x++) {
             Py_ssize_t at = y * width + x;
             if (!mask[at]) {
@@ -97,27 +117,132 @@ static PyObject *level_points(PyObject *self, PyObject *args) {
             }
             if (limit < UINT16_MAX && rank[at] >= limit) continue;
             if (out == room) goto done;
-            float gx = dx[at], gy = dy[at];
+            float gx = dx[at], gy = dy[at], along_x[2], along_y[2];
             int horizontal = fabsf(gx) >= fabsf(gy);
-            Py_ssize_t beside = width + horizontal * (1 - width);
-            float by_x = (float)horizontal, by_y = 1.0f - by_x;
-            float here = sqrtf(gx * gx + gy * gy), before = magnitude(dx, dy, at - beside);
-            float after = magnitude(dx, dy, at + beside), bend = 2.0f * here - before - after;
-            float shift = 0.5f * (after - before) / (bend > 1e-3f ? bend : 1e-3f);
-            shift = shift < -0.5f ? -0.5f : shift > 0.5f ? 0.5f : shift;
-            const float *low = table + 2 * (x / step), *up = low + 2 * columns;
-            float fx = (float)(x & (step - 1)) * per_step, level[2], along_x[2], along_y[2];
-            for (int k = 0; k < 2; k++) {
-                float right = low[k + 2] - low[k], right_up = up[k + 2] - up[k];
-                along_x[k] = ((1.0f - fy) * right + fy * right_up) * per_step;
-                along_y[k] = ((1.0f - fx) * (up[k] - low[k]) + fx * (up[k + 2] - low[k + 2])) * per_step;
-                level[k] = (1.0f - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up);
-                uv[2 * out + k] = level[k] + shift * (by_x * along_x[k] + by_y * along_y[k]);
-            }
+            place(dx, dy, width, lookup, columns, x, y, horizontal, uv + 2 * out, along_x, along_y);
             phi[out++] = degrees(along_x[0] * gy - along_y[0] * gx, along_y[1] * gx - along_x[1] * gy);
         }
     }
 done:
+    release(&a);
+    return PyLong_FromSsize_t(out);
+}
+
+typedef struct {
+    const float *table;
+    Py_ssize_t rows, columns;
+    float x, y, scale, about_x, about_y;
+} RawOfLevel;
+
+/* Raw pixel of a ray as a level robot would see it; nan outside. */
+static inline void to_raw(const RawOfLevel *t, float px, float py, float *raw) {
+    float z = t->scale / (1.0f - t->about_x * py + t->about_y * px);
+    float gx = (px - t->about_y) * z - t->x, gy = (py + t->about_x) * z - t->y;
+    raw[0] = raw[1] = NAN;
+    if (!(gx >= 0.0f && gy >= 0.0f && gx < (float)(t->columns - 1) && gy < (float)(t->rows - 1))) return;
+    int i = (int)gx, j = (int)gy;
+    float fx = gx - (float)i, fy = gy - (float)j;
+    const float *low = t->table + 2 * (j * t->columns + i), *up = low + 2 * t->columns;
+    for (int k = 0; k < 2; k++) {
+        float right = low[k + 2] - low[k], right_up = up[k + 2] - up[k];
+        raw[k] = (1.0f - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up);
+    }
+}
+
+static inline uint32_t square(const int16_t *dx, const int16_t *dy, Py_ssize_t at) {
+    int32_t x = dx[at], y = dy[at];
+    return (uint32_t)(x * x) + (uint32_t)(y * y);
+}
+
+static PyObject *follow(PyObject *self, PyObject *args) {
+    PyObject *o[9];
+    Py_ssize_t width, height, columns, raw_columns, raw_rows, n_lines, room, out = 0;
+    double low_x, low_y, cell, tilt_a, tilt_b, focal, stride, reach, floor_, gate;
+    int strongest;
+    if (!PyArg_ParseTuple(args, "OOOOOnnnnnddddddddddpOOOO", &o[0], &o[1], &o[2], &o[3], &o[4], &width, &height, &columns,
+                          &raw_columns, &raw_rows, &low_x, &low_y, &cell, &tilt_a, &tilt_b, &focal, &stride, &reach,
+                          &floor_, &gate, &strongest, &o[5], &o[6], &o[7], &o[8]))
+        return NULL;
+    if (width < 3 || height < 3 || columns <= (width - 1) / STEP || raw_columns < 2 || raw_rows < 2 || !(stride > 0.0)) {
+        PyErr_SetString(PyExc_ValueError, "picture, look-ups or stride too small");
+        return NULL;
+    }
+    Arrays a = {.count = 0};
+    Py_ssize_t pixels = width * height, cells = ((height - 2) / STEP + 2) * columns;
+    const int16_t *dx = items(&a, o[0], 0, 2, pixels, NULL);
+    const int16_t *dy = dx ? items(&a, o[1], 0, 2, pixels, NULL) : NULL;
+    const float *lookup = dy ? items(&a, o[2], 0, 4, 2 * cells, NULL) : NULL;
+    const float *table = lookup ? items(&a, o[3], 0, 4, 2 * raw_columns * raw_rows, NULL) : NULL;
+    int64_t *looked = table ? items(&a, o[8], 1, 8, 0, &n_lines) : NULL;
+    const double *lines = looked ? items(&a, o[4], 0, 8, 5 * n_lines, NULL) : NULL;
+    float *x = lines ? items(&a, o[5], 1, 4, 0, &room) : NULL;
+    float *y = x ? items(&a, o[6], 1, 4, room, NULL) : NULL;
+    int32_t *line = y ? items(&a, o[7], 1, 4, room, NULL) : NULL;
+    if (!line) {
+        release(&a);
+        return NULL;
+    }
+    const float per_focal = (float)(1.0 / focal), gate2 = (float)(gate * gate), far = (float)reach;
+    const RawOfLevel level = {table, raw_rows, raw_columns, (float)(low_x / cell), (float)(low_y / cell),
+                              (float)(focal / cell), (float)tilt_a, (float)tilt_b};
+    const double floor2 = ceil(floor_ * floor_);
+    const uint32_t least = floor2 < 4e9 ? (uint32_t)floor2 : UINT32_MAX;
+    const Py_ssize_t per = stride < SEGMENT_PX ? (Py_ssize_t)(SEGMENT_PX / stride) : 1;
+    for (Py_ssize_t e = 0; e < n_lines; e++) {
+        const double *l = lines + 5 * e, length = (l[4] - l[3]) / stride;
+        if (!(length > 0.0 && length < 1e6)) continue;
+        const float c = (float)l[0], s = (float)l[1], offset = (float)l[2] * per_focal;
+        const float first = (float)(l[3] + 0.5 * stride) * per_focal, step = (float)stride * per_focal;
+        Py_ssize_t last = -1, count = (Py_ssize_t)length;
+        float next[2];
+        to_raw(&level, offset * c - first * s, offset * s + first * c, next);
+        for (Py_ssize_t k0 = 0; k0 < count; k0 += per) { /* the lens bends a line by nothing along so little of it */
+            float begin[2] = {next[0], next[1]}, along = first + step * (float)(k0 + per);
+            to_raw(&level, offset * c - along * s, offset * s + along * c, next);
+            float by[2] = {(next[0] - begin[0]) / (float)per, (next[1] - begin[1]) / (float)per};
+            float ux = by[1], uy = -by[0]; /* brightness should rise this way */
+            if (!isfinite(ux) || !isfinite(uy)) continue;
+            int horizontal = fabsf(ux) >= fabsf(uy);
+            float slope = horizontal ? uy / ux : ux / uy, narrow = gate2 * (ux * ux + uy * uy);
+            Py_ssize_t most_major = horizontal ? height - 2 : width - 2, most = horizontal ? width - 2 : height - 2;
+            Py_ssize_t beside = horizontal ? 1 : width, onward = horizontal ? width : 1;
+            Py_ssize_t end = count - k0 < per ? count - k0 : per;
+            for (Py_ssize_t k = 0; k < end; k++) {
+                float fixed = begin[horizontal] + (float)k * by[horizontal];
+                float free = begin[!horizontal] + (float)k * by[!horizontal];
+                if (!(fixed > 0.0f && fixed < 1e6f)) continue;
+                Py_ssize_t major = (Py_ssize_t)(fixed + 0.5f), key = 2 * major + horizontal;
+                float centre = free - ((float)major - fixed) * slope;
+                if (!(centre > far && centre < 1e6f)) continue;
+                Py_ssize_t from = (Py_ssize_t)ceilf(centre - far), to = (Py_ssize_t)(centre + far);
+                if (major < 1 || major > most_major || from < 1 || to > most) continue;
+                if (key == last) continue; /* one point of a row or column is enough */
+                last = key;
+                looked[e]++;
+                Py_ssize_t at = major * onward + from * beside, best = -1;
+                float best_score = 0.0f;
+                uint32_t before = square(dx, dy, at - beside), here = square(dx, dy, at);
+                for (Py_ssize_t p = from; p <= to; p++, at += beside) {
+                    uint32_t after = square(dx, dy, at + beside);
+                    if (here >= least && here >= before && here > after) {
+                        float rise = (float)dx[at] * ux + (float)dy[at] * uy;
+                        float score = strongest ? (float)here : far + 1.0f - fabsf((float)p - centre);
+                        if (rise > 0.0f && rise * rise >= narrow * (float)here && score > best_score)
+                            best = p, best_score = score;
+                    }
+                    before = here, here = after;
+                }
+                if (best < 0) continue;
+                float uv[2], along_x[2], along_y[2];
+                place(dx, dy, width, lookup, columns, horizontal ? best : major, horizontal ? major : best, horizontal,
+                      uv, along_x, along_y);
+                if (!isfinite(uv[0]) || !isfinite(uv[1])) continue;
+                if (out == room) goto full;
+                x[out] = uv[0] * per_focal, y[out] = uv[1] * per_focal, line[out++] = (int32_t)e;
+            }
+        }
+    }
+full:
     release(&a);
     return PyLong_FromSsize_t(out);
 }
@@ -365,6 +490,7 @@ failed:
 
 static PyMethodDef methods[] = {
     {"level_points", level_points, METH_VARARGS, NULL},
+    {"follow", follow, METH_VARARGS, NULL},
     {"split", split, METH_VARARGS, NULL},
     {"vote", vote, METH_VARARGS, NULL},
     {"project", project, METH_VARARGS, NULL},

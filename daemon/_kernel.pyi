@@ -18,6 +18,33 @@ def level_points(
     uv: _Array,
     phi: _Array,
 ) -> int: ...
+def follow(
+    dx: _Array,
+    dy: _Array,
+    lookup: _Array,
+    raw_of_level: _Array,
+    lines: _Array,
+    width: int,
+    height: int,
+    columns: int,
+    raw_columns: int,
+    raw_rows: int,
+    low_x: float,
+    low_y: float,
+    cell: float,
+    tilt_a: float,
+    tilt_b: float,
+    focal: float,
+    stride: float,
+    reach: float,
+    floor: float,
+    gate: float,
+    strongest: bool,
+    x: _Array,
+    y: _Array,
+    line: _Array,
+    looked: _Array,
+) -> int: ...
 def split(
     uv: _Array, phi: _Array, psi: float, gate: float, scale: float, x: _Array, y: _Array, group: _Array
 ) -> _Ends: ...

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon import kernel, kernel_numpy
+from ceilvo.daemon.kernel_numpy import Int16s
 
 Array32 = NDArray[np.float32]
 
@@ -51,13 +52,8 @@ class EdgeDetector:
 
     def __call__(self, gray: NDArray[np.uint8]) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size."""
-        size = self._config.smoothing_px
-        smooth = cv2.GaussianBlur(gray, (size, size), 0)
-        dx = np.asarray(cv2.Sobel(smooth, cv2.CV_16S, 1, 0, ksize=3), np.int16)
-        dy = np.asarray(cv2.Sobel(smooth, cv2.CV_16S, 0, 1, ksize=3), np.int16)
-        noise = _MEDIAN_TO_SIGMA * kernel_numpy.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE]).reshape(-1))
-        high = max(self._config.canny_sigmas * noise, self._config.canny_floor)
-        mask = cv2.Canny(dx, dy, self._config.canny_low_ratio * high, high, L2gradient=True)
+        dx, dy, low, high = gradient(gray, self._config)
+        mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
         edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
         limit, share = self._limit(cv2.countNonZero(edges))
         uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit)
@@ -66,6 +62,15 @@ class EdgeDetector:
     def _limit(self, found: int) -> tuple[int, float]:
         share = self._config.max_edge_share * self._usable.size / max(found, 1)
         return (_LEVELS, 1.0) if share >= 1.0 else (int(share * _LEVELS), share)
+
+
+def gradient(gray: NDArray[np.uint8], config: Features) -> tuple[Int16s, Int16s, float, float]:
+    """(H, W) gradient along x and y of the smoothed frame, and the lower and upper threshold its noise asks for."""
+    smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
+    dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(smooth))
+    noise = _MEDIAN_TO_SIGMA * kernel_numpy.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE]).reshape(-1))
+    high = max(config.canny_sigmas * noise, config.canny_floor)
+    return dx, dy, config.canny_low_ratio * high, high
 
 
 def _interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:

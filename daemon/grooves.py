@@ -26,6 +26,7 @@ class EdgeSet:
         axis, rising: (E,) 0 or 1, and whether brightness rises along the normal.
         offset_px: (E,).
         start_px, end_px: (E,) extent along the edge, counted along the normal turned by +90 deg.
+        filled: (E,) share of that extent along which it was seen; short edges in one line have gaps.
         noise_px: standard deviation of the points about their edges.
     """
 
@@ -35,6 +36,7 @@ class EdgeSet:
     offset_px: Array
     start_px: Array
     end_px: Array
+    filled: Array
     noise_px: float
 
 
@@ -86,13 +88,14 @@ def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior)
         point_line=point_line[used],
         share=share,
     )
-    return _turn_axes(lines, turned), _edge_set(fit, order)
+    return _turn_axes(lines, turned), _edge_set(fit, order, share)
 
 
-def _edge_set(fit: JointFit, order: Ints) -> EdgeSet:
-    start, end = fit.extents()
+def _edge_set(fit: JointFit, order: Ints, share: float) -> EdgeSet:
+    start, end = (v[order] for v in fit.extents())
     rising = fit.line_group[order] % 2 == 1
-    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start[order], end[order], fit.noise_px)
+    filled = np.minimum(fit.support[order] / (share * np.maximum(end - start, 1.0)), 1.0)
+    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start, end, filled, fit.noise_px)
 
 
 def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:

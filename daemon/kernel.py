@@ -3,12 +3,46 @@
 from __future__ import annotations
 
 try:
-    from ceilvo.daemon.kernel_compiled import assign, extents, hits, level_points, means, project, split, sums, vote
+    from ceilvo.daemon.kernel_compiled import (
+        assign,
+        extents,
+        follow,
+        hits,
+        level_points,
+        means,
+        project,
+        split,
+        sums,
+        vote,
+    )
 
     COMPILED = True
 except ImportError:
-    from ceilvo.daemon.kernel_numpy import assign, extents, hits, level_points, means, project, split, sums, vote
+    from ceilvo.daemon.kernel_numpy import (
+        assign,
+        extents,
+        follow,
+        hits,
+        level_points,
+        means,
+        project,
+        split,
+        sums,
+        vote,
+    )
 
     COMPILED = False
 
-__all__ = ["COMPILED", "assign", "extents", "hits", "level_points", "means", "project", "split", "sums", "vote"]
+__all__ = [
+    "COMPILED",
+    "assign",
+    "extents",
+    "follow",
+    "hits",
+    "level_points",
+    "means",
+    "project",
+    "split",
+    "sums",
+    "vote",
+]

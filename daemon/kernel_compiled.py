@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon import _kernel
-from ceilvo.daemon.kernel_numpy import Array, Array32, Bools, Ends, Int16s, Int32s, Int64s
+from ceilvo.daemon.kernel_numpy import Array, Array32, Bools, Ends, Grids, Int16s, Int32s, Int64s, Look
 
 
 def level_points(
@@ -21,6 +21,22 @@ def level_points(
     height, width = mask.shape
     n = _kernel.level_points(mask, dx, dy, lookup, rank, width, height, lookup.shape[1], limit, uv, phi)
     return uv[:n], phi[:n]
+
+
+def follow(
+    dx: Int16s, dy: Int16s, grids: Grids, lines: Array, tilt_rad: Array, focal_px: float, look: Look
+) -> tuple[Array32, Array32, Int32s, Int64s]:
+    """See kernel_numpy."""
+    most = int(np.sum(np.clip((lines[:, 4] - lines[:, 3]) / look.stride_px, 0.0, 1e6)))
+    x, y, line = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.int32)
+    looked = np.zeros(len(lines), np.int64)
+    n = _kernel.follow(
+        dx, dy, grids.lookup, grids.raw_of_level, lines, dx.shape[1], dx.shape[0], grids.lookup.shape[1],
+        grids.raw_of_level.shape[1], grids.raw_of_level.shape[0], *grids.low_px, grids.cell_px,
+        float(tilt_rad[0]), float(tilt_rad[1]), focal_px, look.stride_px, look.reach_px, look.floor,
+        look.gate, look.strongest, x, y, line, looked,
+    )  # fmt: skip
+    return x[:n], y[:n], line[:n], looked
 
 
 def split(uv: Array32, phi: Array32, psi_deg: float, gate_deg: float, scale: float) -> tuple[Array32, Array32, Ends]:

@@ -8,7 +8,7 @@ that along the line, counted along the normal turned by +90 deg.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,40 @@ Ends = tuple[int, int, int, int, int]
 
 LOOKUP_STEP_PX = 2
 """Spacing of the look-up: a lens bends by thousandths of a pixel over so little."""
+
+
+SEGMENT_PX = 16.0
+"""A predicted edge is straight in the raw picture over so much of it."""
+
+
+class Grids(NamedTuple):
+    """A camera's look-ups from raw to level pixels and back; level pixels count from the principal point.
+
+    Attributes:
+        lookup: (rows, columns, 2) level pixel of every LOOKUP_STEP_PX-th raw one.
+        raw_of_level: (rows, columns, 2) raw pixel of every cell_px-th level one, the first at low_px; nan outside.
+    """
+
+    lookup: Array32
+    raw_of_level: Array32
+    low_px: tuple[float, float]
+    cell_px: float
+
+
+class Look(NamedTuple):
+    """How to look for an edge: every stride_px along it, within reach_px of where it should be.
+
+    Attributes:
+        floor: least magnitude of the gradient.
+        gate: least cosine between the gradient and the edge's normal.
+        strongest: take the strongest within reach, else the nearest.
+    """
+
+    stride_px: float
+    reach_px: float
+    floor: float
+    gate: float
+    strongest: bool
 
 
 def level_points(
@@ -77,12 +111,130 @@ def _subpixel_shift(
 ) -> tuple[Array32, NDArray[np.bool_]]:
     """Peak of the parabola through the gradient magnitude and its neighbours along the steeper image axis."""
     horizontal = np.abs(gx) >= np.abs(gy)
-    step = np.where(horizontal, 1, width)
+    return _shift_along(at, np.where(horizontal, 1, width), gx, gy, dx, dy), horizontal
+
+
+def _shift_along(at: Int64s, step: Int64s, gx: Array32, gy: Array32, dx: Int16s, dy: Int16s) -> Array32:
     here = np.hypot(gx, gy)
     before = np.hypot(dx.take(at - step).astype(np.float32), dy.take(at - step).astype(np.float32))
     after = np.hypot(dx.take(at + step).astype(np.float32), dy.take(at + step).astype(np.float32))
     curvature = np.maximum(2.0 * here - before - after, np.float32(1e-3))
-    return np.clip(0.5 * (after - before) / curvature, -0.5, 0.5), horizontal
+    return np.asarray(np.clip(0.5 * (after - before) / curvature, -0.5, 0.5), np.float32)
+
+
+def follow(
+    dx: Int16s, dy: Int16s, grids: Grids, lines: Array, tilt_rad: Array, focal_px: float, look: Look
+) -> tuple[Array32, Array32, Int32s, Int64s]:
+    """Edge points (P,), (P,) as rays, line after line, near where straight edges should be.
+
+    Args:
+        dx, dy: (H, W) gradient.
+        lines: (L, 5) cos and sin of the normal along which brightness rises, offset, start and end (counted along the
+            normal turned by +90 deg), px of a level robot.
+        tilt_rad: (2,) of the robot.
+
+    Returns:
+        x, y, the line of every point, and at how many places each line was looked for (L,).
+    """
+    line, raw, across = _places(grids, lines, tilt_rad, focal_px, look.stride_px)
+    horizontal = np.abs(across[:, 0]) >= np.abs(across[:, 1])
+    fixed, free = (np.where(horizontal, raw[:, a], raw[:, b]) for a, b in ((1, 0), (0, 1)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.where(horizontal, across[:, 1] / across[:, 0], across[:, 0] / across[:, 1])
+    major: Int64s = np.floor(fixed + np.float32(0.5)).astype(np.int64)
+    centre = free - (major.astype(np.float32) - fixed) * slope
+    height, width = dx.shape
+    first, last = np.ceil(centre - np.float32(look.reach_px)), np.floor(centre + np.float32(look.reach_px))
+    inside = (fixed > 0) & (major >= 1) & (major <= np.where(horizontal, height - 2, width - 2))
+    inside &= (first >= 1) & (last <= np.where(horizontal, width - 2, height - 2))
+    key = np.where(inside, 2 * major + horizontal, -1)
+    chosen = np.flatnonzero(inside)
+    again = (key[chosen[1:]] == key[chosen[:-1]]) & (line[chosen[1:]] == line[chosen[:-1]])
+    chosen = chosen[np.concatenate([[True], ~again])] if len(chosen) else chosen
+    line, across, horizontal = line[chosen], across[chosen], horizontal[chosen]
+    major, centre = major[chosen], centre[chosen]
+    found, at = _peaks_near(dx, dy, across, horizontal, major, centre, look)
+    looked = np.bincount(line, minlength=len(lines)).astype(np.int64)
+    line, horizontal = line[found], horizontal[found]
+    gx, gy = dx.reshape(-1).take(at).astype(np.float32), dy.reshape(-1).take(at).astype(np.float32)
+    shift = _shift_along(at, np.where(horizontal, 1, width), gx, gy, dx.reshape(-1), dy.reshape(-1))
+    level, along_x, along_y = _level(at, width, grids.lookup)
+    uv = (level + shift[:, None] * np.where(horizontal[:, None], along_x, along_y)) * np.float32(1.0 / focal_px)
+    known = np.isfinite(uv).all(axis=1)
+    x, y = np.ascontiguousarray(uv[known, 0], np.float32), np.ascontiguousarray(uv[known, 1], np.float32)
+    return x, y, line[known].astype(np.int32), looked
+
+
+def _places(
+    grids: Grids, lines: Array, tilt_rad: Array, focal_px: float, stride_px: float
+) -> tuple[Int64s, Array32, Array32]:
+    """Line (K,), raw pixel (K, 2) and normal (K, 2) in the raw picture of even places along the lines.
+
+    Lines are straight in the raw picture for SEGMENT_PX: the lens bends them by nothing along so little.
+    """
+    per = max(int(SEGMENT_PX / stride_px), 1)
+    length = (lines[:, 4] - lines[:, 3]) / stride_px
+    counts = np.where((length > 0.0) & (length < 1e6), length, 0.0).astype(np.int64)
+    segments = -(-counts // per)
+    line = np.repeat(np.arange(len(lines)), segments)
+    k = per * (np.arange(len(line)) - np.repeat(np.cumsum(segments) - segments, segments))
+    begin, end = (_to_raw(grids, lines[line], tilt_rad, focal_px, stride_px, k + d) for d in (0, per))
+    by = (end - begin) / np.float32(per)
+    good = np.isfinite(by).all(axis=1)
+    line, k, begin, by = line[good], k[good], begin[good], by[good]
+    mine = np.minimum(counts[line] - k, per)
+    segment = np.repeat(np.arange(len(line)), mine)
+    within = (np.arange(len(segment)) - np.repeat(np.cumsum(mine) - mine, mine)).astype(np.float32)
+    by = by[segment]
+    return line[segment], begin[segment] + within[:, None] * by, np.column_stack([by[:, 1], -by[:, 0]])
+
+
+def _to_raw(grids: Grids, lines: Array, tilt_rad: Array, focal_px: float, stride_px: float, k: Int64s) -> Array32:
+    """(K, 2) raw pixel of the k-th place along a line each, nan where the look-up does not reach."""
+    c, s, offset, start = lines.T[:4].astype(np.float32)
+    along = ((start + np.float32(0.5 * stride_px)) + np.float32(stride_px) * k.astype(np.float32)) / np.float32(
+        focal_px
+    )
+    offset = offset / np.float32(focal_px)
+    x, y = offset * c - along * s, offset * s + along * c
+    a, b = np.float32(tilt_rad[0]), np.float32(tilt_rad[1])
+    z = np.float32(focal_px / grids.cell_px) / (1 - a * y + b * x)
+    gx = (x - b) * z - np.float32(grids.low_px[0] / grids.cell_px)
+    gy = (y + a) * z - np.float32(grids.low_px[1] / grids.cell_px)
+    rows, columns = grids.raw_of_level.shape[:2]
+    inside = (gx >= 0) & (gy >= 0) & (gx < columns - 1) & (gy < rows - 1)
+    gx, gy = np.where(inside, gx, 0), np.where(inside, gy, 0)
+    i, j = gx.astype(np.int64), gy.astype(np.int64)
+    fx, fy = np.float32(gx - i)[:, None], np.float32(gy - j)[:, None]
+    table = grids.raw_of_level
+    low, right, up, both = table[j, i], table[j, i + 1], table[j + 1, i], table[j + 1, i + 1]
+    raw = (1 - fy) * (low + fx * (right - low)) + fy * (up + fx * (both - up))
+    return np.asarray(np.where(inside[:, None], raw, np.nan), np.float32)
+
+
+def _peaks_near(
+    dx: Int16s, dy: Int16s, across: Array32, horizontal: Bools, major: Int64s, centre: Array32, look: Look
+) -> tuple[Int64s, Int64s]:
+    """Which places (F,) have a local maximum of the gradient within reach, and its flat pixel (F,)."""
+    width = dx.shape[1]
+    reach = np.float32(look.reach_px)
+    first = np.ceil(centre - reach).astype(np.int64)
+    p = first[:, None] + np.arange(int(2 * look.reach_px) + 1)
+    within = p <= np.floor(centre + reach)[:, None]
+    p = np.where(within, p, first[:, None])
+    at = np.where(horizontal[:, None], major[:, None] * width + p, p * width + major[:, None])
+    beside = np.where(horizontal, 1, width)[:, None]
+    gx, gy = dx.reshape(-1).astype(np.int64), dy.reshape(-1).astype(np.int64)
+    square = gx * gx + gy * gy
+    here = square[at]
+    rise = gx[at] * across[:, :1] + gy[at] * across[:, 1:]
+    narrow = np.float32(look.gate**2) * np.sum(across**2, axis=1, keepdims=True)
+    good = within & (here >= np.ceil(look.floor**2)) & (here >= square[at - beside]) & (here > square[at + beside])
+    good &= (rise > 0) & (rise * rise >= narrow * here)
+    score = np.where(good, here if look.strongest else reach + 1 - np.abs(p.astype(np.float32) - centre[:, None]), -1.0)
+    best = np.argmax(score, axis=1)
+    found = np.flatnonzero(good[np.arange(len(best)), best])
+    return found, at[found, best[found]]
 
 
 def split(uv: Array32, phi: Array32, psi_deg: float, gate_deg: float, scale: float) -> tuple[Array32, Array32, Ends]:

@@ -126,9 +126,9 @@ class JointFit:
         spread = _DOUBT_RAD if prior is None else np.maximum(3.0 * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
 
-    def start(self, line_of_point: Ints, expected_offset: Array) -> None:
+    def start(self, line_of_point: NDArray[np.int32], expected_offset: Array) -> None:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
-        self.line = line_of_point.astype(np.int32)
+        self.line = line_of_point
         self.offset = expected_offset
         self._place()
 

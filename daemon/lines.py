@@ -32,7 +32,7 @@ _FEWEST_VOTES = 8.0
 _TILT_GROWS = 1.2
 _ENOUGH_TO_START = 4000
 _LEVEL = np.zeros(2)
-_AS_CLEAN = 1.15
+AS_CLEAN = 1.15
 
 
 def dominant_direction(phi_deg: Array32) -> float | None:
@@ -159,7 +159,7 @@ def _of_steady(problem: _Problem, prior: TiltPrior | None) -> _Found:
 def _of_rocking(problem: _Problem, last: LastFit) -> _Found:
     """Begin where the last frame was; where that fits worse than lately, false optima are likely: look for a better."""
     best = problem.solved(last.tilt_rad)
-    if best[0].noise_px < _AS_CLEAN * last.noise_px:
+    if best[0].noise_px < AS_CLEAN * last.noise_px:
         return best
     for tilt_rad in (_LEVEL, None):
         other = problem.solved(best[0].tilt if tilt_rad is None else tilt_rad)

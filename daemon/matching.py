@@ -14,7 +14,7 @@ def mutual_nearest(a: Array, kind_a: Ints, b: Array, kind_b: Ints, radius: float
     if len(a) == 0 or len(b) == 0:
         none = np.zeros(0, np.int64)
         return none, none
-    d2 = np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
+    d2 = np.subtract.outer(a[:, 0], b[:, 0]) ** 2 + np.subtract.outer(a[:, 1], b[:, 1]) ** 2
     d2[kind_a[:, None] != kind_b[None, :]] = np.inf
     j = np.argmin(d2, axis=1)
     i = np.arange(len(a))

@@ -34,6 +34,7 @@ class LineFinder:
         self._last: EdgeSet | None = None
         self._last_tilt = np.zeros(2)
         self._clean_px = np.inf
+        self._full_px = 0.0
         self._since_full = 0
         self.full = 0
         self.verified = 0
@@ -65,6 +66,8 @@ class LineFinder:
         lines, self._last = found
         self._last_tilt = lines.tilt_rad
         self._clean_px = min(self._last.noise_px, self._clean_px * _CLEAN_FADES)
+        if self._since_full == 0:
+            self._full_px = self._last.noise_px
         self._tilt.note(lines)
         return lines
 
@@ -74,4 +77,7 @@ class LineFinder:
             return None
         if self._since_full + 1 >= self._config.full_every:
             return None
-        return self._bands(gray, predicted(self._last, prev_from_curr, self._calibration), self._last_tilt, prior)
+        expected = predicted(self._last, prev_from_curr, self._calibration)
+        # what a full look could not fit better, a close one need not
+        last = LastFit(self._last_tilt, max(self._clean_px, self._full_px))
+        return self._bands(gray, expected, last, prior)

@@ -8,17 +8,19 @@ import sys
 from types import ModuleType
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ceilvo.calibration import mount_rotation
+from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel, LevelView
-from ceilvo.daemon import kernel, kernel_numpy
+from ceilvo.daemon import bands, kernel, kernel_numpy
 
 compiled = pytest.importorskip("ceilvo.daemon.kernel_compiled", reason="ceilvo was installed without a compiler")
 BOTH = pytest.mark.parametrize("k", [kernel_numpy, compiled], ids=["numpy", "compiled"])
+NOISE = NoiseCurves((0.05,), (0.05,), sigma_theta_rad=0.02, r_min_m=0.0, r_max_m=6.0)
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -43,6 +45,81 @@ def test_without_it_numpy_takes_over() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ))
     assert done.returncode == 0, done.stderr
+
+
+def looks(rng: np.random.Generator, h: int, w: int) -> tuple[Any, ...]:
+    """Arguments of follow() for a picture of noise: look-ups with holes, lines everywhere, also beyond the picture."""
+    lookup = rng.normal(0, 300, ((h - 1) // 2 + 2, (w - 1) // 2 + 2, 2)).astype(np.float32)
+    across, down = np.meshgrid(np.arange(-8.0, w + 8.0, 4.0), np.arange(-8.0, h + 8.0, 4.0))
+    raw = (np.stack([across, down], -1) + rng.normal(0, 0.5, (*across.shape, 2))).astype(np.float32)
+    raw[rng.random(across.shape) < 0.02] = np.nan
+    grids = kernel_numpy.Grids(lookup, raw, (-8.0 - 0.5 * w, -8.0 - 0.5 * h), 4.0)
+    angle = rng.uniform(-np.pi, np.pi, 8)
+    start = rng.uniform(-w, 0, 8)
+    lines = np.column_stack(
+        [np.cos(angle), np.sin(angle), rng.uniform(-w / 2, w / 2, 8), start, start + rng.uniform(-5, 2 * w, 8)]
+    )
+    look = kernel_numpy.Look(
+        float(rng.uniform(0.5, 20)), float(rng.uniform(0.5, 9)), float(rng.uniform(0, 300)), 0.5, bool(rng.integers(2))
+    )
+    return grids, lines, rng.normal(0, 0.03, 2), 50.0, look
+
+
+@given(SEEDS)
+@settings(max_examples=60, deadline=None)
+def test_predicted_edges_are_followed_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    h, w = int(rng.integers(3, 60)), int(rng.integers(3, 80))
+    dx, dy = rng.integers(-900, 900, (2, h, w)).astype(np.int16)
+    args = looks(rng, h, w)
+    x, y, line, looked = kernel_numpy.follow(dx, dy, *args)
+    x_c, y_c, line_c, looked_c = compiled.follow(dx, dy, *args)
+    # a place that rounds to the next pixel in one of the two changes a point, no more
+    assert np.abs(looked - looked_c).sum() <= 2
+    assert abs(len(line) - len(line_c)) <= 2
+    if len(line) and np.array_equal(line, line_c):
+        assert np.mean(np.abs(x - x_c) < 1e-2) > 0.95
+        assert np.mean(np.abs(y - y_c) < 1e-2) > 0.95
+
+
+@BOTH
+@pytest.mark.parametrize("rising", [True, False])
+@pytest.mark.parametrize("off_px", [-3.0, 0.0, 2.5])
+def test_a_predicted_edge_is_found_where_it_is(k: ModuleType, rising: bool, off_px: float) -> None:
+    """A straight step in a distorted picture of a tilted robot, predicted a few pixels off."""
+    camera = CameraModel("pinhole", 160, 120, 100.0, 100.0, 79.0, 61.0, (-0.15, 0.03, 0.0, 0.0))
+    calibration = Calibration(
+        camera, projection_matrix(camera, mount_rotation(0.0, 0.0, 0.0), (0.0, 0.0), 2.2), NOISE, "test"
+    )
+    focal = calibration.level_view.focal_px
+    psi, offset, tilt = 0.4, 12.0, np.array([0.02, -0.03])
+    grids = bands.look_ups(calibration, 70.0)
+    uv = np.stack(np.meshgrid(np.arange(160.0), np.arange(120.0)), -1).reshape(-1, 2)
+    seen = (calibration.level_view.from_raw(uv) - [camera.cx_px, camera.cy_px]) / focal
+    rho, _ = kernel_numpy.project(*seen.T.astype(np.float32), len(seen), psi, tilt)
+    sign = 1.0 if rising else -1.0
+    picture = (128 + sign * 80 * np.tanh((focal * rho - offset) / 1.2)).reshape(120, 160).astype(np.float32)
+    dx, dy = (cv2.Sobel(picture, cv2.CV_16S, a, 1 - a, ksize=3).astype(np.int16) for a in (1, 0))
+    line = np.array([[sign * np.cos(psi), sign * np.sin(psi), sign * (offset + off_px), -60.0, 60.0]])
+    x, y, index, looked = k.follow(dx, dy, grids, line, tilt, focal, kernel_numpy.Look(2.0, 6.0, 20.0, 0.98, False))
+    assert looked[0] > 40
+    assert len(x) > 0.95 * looked[0]
+    assert np.all(index == 0)
+    found, _ = kernel_numpy.project(x, y, len(x), psi, tilt)
+    assert abs(float(np.mean(found)) * focal - offset) < 0.03
+    assert np.abs(found * focal - offset).max() < 0.3
+    line[:, :3] *= -1.0  # the other polarity is another edge
+    assert len(k.follow(dx, dy, grids, line, tilt, focal, kernel_numpy.Look(2.0, 6.0, 20.0, 0.98, False))[0]) == 0
+
+
+def test_follow_refuses_what_does_not_fit() -> None:
+    rng = np.random.default_rng(1)
+    dx = np.zeros((40, 60), np.int16)
+    args = looks(rng, 40, 60)
+    with pytest.raises(ValueError, match="expected at least"):
+        compiled.follow(dx, dx[:20], *args)
+    with pytest.raises(ValueError, match="too small"):
+        compiled.follow(dx[:2], dx[:2], *args)
 
 
 @given(SEEDS)

@@ -99,6 +99,7 @@ def test_predicted_edges_of_a_hand_made_move() -> None:
         np.array([100.0, 20.0]),
         np.array([-50.0, 0]),
         np.array([50.0, 90]),
+        np.ones(2),
         0.3,
     )
     ahead = predicted(edges, np.array([0.1, 0.0, 0.0]), calibration)
