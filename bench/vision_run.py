@@ -48,25 +48,22 @@ class StageTimes:
     """CPU time of this thread, stage by stage; a lap callback for Pipeline.step."""
 
     def __init__(self) -> None:
-        self.samples: dict[str, list[float]] = {}
+        self._frames: list[dict[str, float]] = []
         self._last = 0.0
 
     def start(self) -> None:
+        """A new frame begins."""
+        self._frames.append({})
         self._last = time.thread_time()
 
     def lap(self, stage: str) -> None:
         now = time.thread_time()
-        self.samples.setdefault(stage, []).append(now - self._last)
+        self._frames[-1][stage] = self._frames[-1].get(stage, 0.0) + now - self._last
         self._last = now
 
     def total(self, stages: tuple[str, ...]) -> Array:
-        """(frames,) s; a stage that was skipped in some frames counts where it ran."""
-        n = max((len(self.samples.get(s, ())) for s in stages), default=0)
-        out = np.zeros(n)
-        for s in stages:
-            values = np.array(self.samples.get(s, ()))
-            out[: len(values)] += values
-        return out
+        """(frames,) s; a stage that a frame did without counts nothing."""
+        return np.array([sum(frame.get(s, 0.0) for s in stages) for frame in self._frames])
 
 
 def run(
@@ -78,7 +75,7 @@ def run(
     seconds = options.seconds if options.seconds is not None else condition.lap_s
     frames = max(int(seconds * condition.fps), 2)
     middle_s = 0.5 * world.spec.render.exposure_s
-    config = replace_keys(Config(), options.overrides)
+    config = replace_keys(Config(), (*condition.overrides, *options.overrides))
     pipeline = Pipeline(condition.calibration, config, np.random.default_rng(1))
     crossings = CrossingScore(world, condition.calibration)
     motions = MotionScore(world.truth_at(middle_s))
@@ -110,7 +107,7 @@ def run(
     figures = {"frames": float(frames), "path_m": path_m, **crossings.figures(), **motions.figures(path_m)}
     figures.update(_time_figures(times))
     if rivals is not None:
-        figures.update(rivals.figures(path_m, float(np.median(times.samples["canny"]))))
+        figures.update(rivals.figures(path_m, float(np.median(times.total(("canny",))))))
     return figures
 
 
@@ -135,11 +132,11 @@ def _frame(condition: Condition, gray: NDArray[np.uint8], share: float, seconds:
 
 def _time_figures(times: StageTimes) -> dict[str, float]:
     """Ratios to the median of bare Canny on the same frames; the first frames warm caches and do not count."""
-    canny = float(np.median(times.samples["canny"]))
+    canny = float(np.median(times.total(("canny",))))
     total = times.total(FRONT_END)[5:] / canny
     out = {"canny_ms": 1e3 * canny, "time_median": float(np.median(total)), "time_p99": float(np.quantile(total, 0.99))}
     for stage in (*FRONT_END, "filter"):
-        out[f"time_{stage}"] = float(np.median(times.samples.get(stage, [np.nan]))) / canny
+        out[f"time_{stage}"] = float(np.median(times.total((stage,)))) / canny
     return out
 
 

@@ -84,7 +84,7 @@ class Features:
     groove_px: float = key(7.0, "a falling and a rising edge closer than this are one groove", low=1.0, high=30.0)
     crossing_reach_px: float = key(12.0, "both lines need edge points this near to their crossing", low=2.0, high=100.0)
     full_every: int = key(
-        1, "look at the whole frame every so many frames, else where lines are expected; 1 = always", low=1, high=1000
+        10, "look at the whole frame every so many frames, else where lines are expected; 1 = always", low=1, high=1000
     )
     max_view_deg: float = key(70.0, "rays further off the vertical are ignored", low=20.0, high=85.0)
     estimate_tilt: bool = key(True, "estimate the robot's roll and pitch from the convergence of parallel lines")

@@ -33,6 +33,7 @@ _SHIFT_GATES_PX = (4.0, 2.5, 1.5)
 _LIKELY_SHIFT_PX = 5.0
 _BENT_RAD = 0.02
 _FEWEST_POINTS = 40
+_FEWEST_CLOSE = 600  # with less to see a whole look costs little, and sees what a band misses
 _SEEN_SHARE, _FOUND_SHARE = 0.4, 0.7
 _FEWEST_LOOKS, _FEWEST_LINES = 4, 4
 
@@ -85,7 +86,7 @@ class BandDetector:
             return None
         edges, tilt_rad = _aligned(edges, sparse[0], sparse[1], last.tilt_rad, self._focal)
         points, line, looked = look(edges, tilt_rad, Look(_CLOSE_PX, _NEAR_PX, floor, self._gate, False))
-        if not _enough(np.bincount(line, minlength=len(looked)), looked * edges.filled):
+        if len(line) < _FEWEST_CLOSE or not _enough(np.bincount(line, minlength=len(looked)), looked * edges.filled):
             return None
         return self._fit(points, line, edges, tilt_rad, last, prior)
 
