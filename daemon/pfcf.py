@@ -15,8 +15,8 @@ from ceilvo.daemon.fastslam import independent, usable
 from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
 from ceilvo.daemon.joint_map import JITTER, along_the_turn, turn_about
 from ceilvo.daemon.known_map import KnownMap
-from ceilvo.daemon.particles import chi_square_bounds, normalised
-from ceilvo.daemon.search import Bank, shifted_scores
+from ceilvo.daemon.particles import SURE, chi_square_bounds, normalised
+from ceilvo.daemon.search import Bank, shifted_scores, unexplained
 from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, WARY, Tiles, lattice, periods
 from ceilvo.se2 import rotation, wrap, wrap_array
 from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
@@ -31,6 +31,10 @@ SLIP_LENGTH_M = 0.3
 """How long a slip lasts, on average."""
 NEGLIGIBLE = 0.01
 """A hypothesis of less weight is dropped."""
+CARRIED_AWAY = 1e-3
+"""Chance that a robot whose view surprises is somewhere else; the view then speaks for itself."""
+QUIET_UPDATES = 20
+"""After rivals have lost, for so long features that nothing explains call for no new ones: the map may lack them."""
 Bools = NDArray[np.bool_]
 
 
@@ -73,6 +77,8 @@ class Pfcf(JointFilter):
         self._refused, self._surprise, self._surprises = 0, 0.0, 0
         self._tiles: tuple[int, KnownMap, Tiles] | None = None
         self._bank: Bank | None = None
+        self._rivals: Bank | None = None
+        self._settled, self._chance = 0, CALM
         if not np.all(np.isfinite(cov)):
             self._begin_search()
 
@@ -102,7 +108,13 @@ class Pfcf(JointFilter):
             health = Depletion(n, ess, n, residual, 0.0, 0, self._bank.weight())
             pose, cov = self._bank.best() if len(self._bank) else (self._joint.pose.copy(), self._joint.pose_cov.copy())
             return pose, cov, health
-        sure = 1.0 if self._tiles is None else float(self._tiles[2].weight[0])
+        sure = 1.0 if self._tiles is None or self._rivals is not None else float(self._tiles[2].weight[0])
+        if self._rivals is not None and len(self._rivals):
+            here, there = self._rivals.weight_at(self._joint.pose), self._rivals.weight()
+            if there > max(here, 0.5):
+                health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, there * self._rivals.agreed)
+                return *self._rivals.best(), health
+            sure = here
         sure *= 1.0 - max(self._refused - 1, 0) / self._settings.lost_updates
         health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, sure)
         return self._joint.pose.copy(), self._joint.pose_cov.copy(), health
@@ -113,28 +125,65 @@ class Pfcf(JointFilter):
         step = self._joint.pose[:2] - before[:2]
         self._way += step
         self._reported_m += float(np.hypot(*step))
-        if self._bank is not None:
-            self._bank.move(motion)
+        for bank in (self._bank, self._rivals):
+            if bank is not None:
+                bank.move(motion)
 
     # -- update
 
     def update(self, obs: Observations) -> None:
         """Track; or, lost, search the map until one pose is left."""
         if self._bank is None:
+            pose, cov = self._joint.pose.copy(), self._joint.pose_cov.copy()
             before = self._counters["observations"] - self._counters["outliers"]
             super().update(obs)
             believed = self._counters["observations"] - self._counters["outliers"] - before
+            self._chance = self._chance_of_slip()
             self._watch_loss(obs, believed)
             if self._bank is None:
                 self._watch_tiles(obs)
+                self._watch_rivals(obs, pose, cov)
             return
         self._counters["updates"] += 1
         self._bank.update(usable(obs, self._size()))
         if self._bank.found:
-            self._joint.put_pose(*self._bank.best())
-            self._bank, self._refused, self._slipping = None, 0, 0.0
-            self._way, self._reported_m = np.zeros(2), 0.0
+            self._go_on_from(self._bank)
             self._counters["recoveries"] += 1
+
+    def _go_on_from(self, bank: Bank) -> None:
+        self._joint.put_pose(*bank.best())
+        self._bank, self._rivals, self._tiles, self._refused, self._slipping = None, None, None, 0, 0.0
+        self._way, self._reported_m = np.zeros(2), 0.0
+
+    def _watch_rivals(self, obs: Observations, pose: Array, cov: Array) -> None:
+        """When a view surprises on a known map: poses that the view allows, weighed beside the predicted one.
+
+        They are dropped once the tracked pose has won; a rival that has won takes its place.
+        """
+        if self._known is None:
+            return
+        obs, reach = usable(obs, self._size()), self._settings.association_gate_m
+        if self._rivals is not None:
+            self._rivals.update(obs)
+        elif self._suspicious(self._known, obs):
+            self._rivals = Bank(self._known, reach, self._rng, pose)
+            self._rivals.rival(obs, pose, cov, CARRIED_AWAY)
+        if self._rivals is None or (self._rivals.agreed < 1.0 and len(self._rivals)):
+            return
+        if self._rivals.found and self._rivals.weight_at(self._joint.pose) < 0.5:
+            periodic = self._tiles is not None and len(self._tiles[2].shifts) > 1
+            self._counters["tile_slips" if periodic else "recoveries"] += 1
+            self._go_on_from(self._rivals)
+        else:
+            self._rivals, self._tiles, self._settled = None, None, self._now
+
+    def _suspicious(self, known: KnownMap, obs: Observations) -> bool:
+        """Whether the pose may be another: what matched surprises, is refused, or too much has no landmark."""
+        elsewhere = self._tiles is not None and self._tiles[2].weight[0] < SURE
+        if self._refused or self._chance > CALM or elsewhere:
+            return True
+        quiet = self._now - self._settled <= QUIET_UPDATES
+        return not quiet and unexplained(known, self._joint.pose, obs, self._settings.association_gate_m)
 
     def _watch_loss(self, obs: Observations, believed: int) -> None:
         """Count updates that contradict the map; too many in a row begin a search."""
@@ -147,12 +196,14 @@ class Pfcf(JointFilter):
     def _begin_search(self) -> None:
         known = self._known or KnownMap(self.landmarks())
         self._bank = Bank(known, self._settings.association_gate_m, self._rng)
-        self._refused, self._tiles = 0, None
+        self._refused, self._tiles, self._rivals = 0, None, None
         self._counters["searches"] += 1
 
     def _chance_of_slip(self) -> float:
         """That the pose is a tile further than at the last view, from how much this one surprises."""
         dof = self._nis_dof - 2
+        if dof <= 0:
+            return CALM
         self._surprises = self._surprises + 1 if self._surprise > chi_square_bounds(dof, 2.0)[1] else 0
         if not self._surprises:
             return CALM
@@ -180,11 +231,7 @@ class Pfcf(JointFilter):
         k = len(seen)
         inflation = k / independent(k, self._settings.feature_independence, 0.0)
         score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
-        tiles.weigh(score, self._chance_of_slip())
-        slip = tiles.slip()
-        if slip is not None and self._known is not None:
-            self._joint.mean[:2] += slip
-            self._counters["tile_slips"] += 1
+        tiles.weigh(score, self._chance)
 
     def _absorb(self, view: View, rows: Ints) -> Bools:
         pose, cov = self._joint.pose, self._joint.pose_cov

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import normalised
-from ceilvo.se2 import compose, rotation, wrap_array
-from ceilvo.types import Array, Ints, Motion, Observations
+from ceilvo.se2 import compose, rotation, transform, wrap_array
+from ceilvo.types import UNLABELLED, Array, Ints, Motion, Observations
 
 MODES = 256
 """Poses kept."""
@@ -25,16 +27,28 @@ HOPELESS = 1e-9
 CONVINCED = 0.999
 AGREE_UPDATES = 5
 """Updates in a row that must be convinced of the same pose."""
+FORGET, FEW = 0.8, 3.0
+"""Poses are given up when the best explains less than half of what the last updates showed: (explained, seen), that
+fade by FORGET per update; of fewer features nothing is concluded, for one may be an outlier."""
+REGION_M = 6.0
+"""How far rivals of a pose are looked for."""
+SAME_RAD = 0.3
+CHANCE = 0.0228
+"""What is less likely is a surprise: one side beyond 2 sigma."""
 
 
 class Bank:
     """Pose Gaussians (M, 3), (M, 3, 3) with log-weights (M,) on a map that does not change."""
 
-    def __init__(self, known: KnownMap, reach_m: float, rng: np.random.Generator) -> None:
+    def __init__(self, known: KnownMap, reach_m: float, rng: np.random.Generator, around: Array | None = None) -> None:
+        """On the whole map, or on what lies within REGION_M of a pose."""
         self._map = known
         self._reach = reach_m
         self._rng = rng
+        self._region = np.arange(len(known)) if around is None else known.near(around[None, :2], REGION_M)
         self._convinced = 0
+        self._champion: Array | None = None
+        self._told: Array = np.zeros(2)
         self.mean: Array = np.empty((0, 3))
         self.cov: Array = np.empty((0, 3, 3))
         self.log_weight: Array = np.empty(0)
@@ -43,10 +57,39 @@ class Bank:
     def __len__(self) -> int:
         return len(self.mean)
 
+    def rival(self, obs: Observations, pose: Array, cov: Array, chance: float) -> None:
+        """Begin with a pose that is believed, and with those that a view offers instead of it.
+
+        They were made of the view, so each gets the share of a robot being anywhere that its Gaussian covers.
+        """
+        self._seed(obs)
+        volume = 0.5 * (np.linalg.slogdet(self.cov)[1] + 3.0 * np.log(2.0 * np.pi))
+        anywhere = np.log(2.0 * np.pi * np.pi * REGION_M**2)
+        self.log_weight = np.append(np.log1p(-chance), np.log(chance) + volume - anywhere)
+        self.mean, self.cov = np.concatenate([pose[None], self.mean]), np.concatenate([cov[None], self.cov])
+        self.explained = np.zeros(len(self))
+        self.update(obs)
+
+    def weight_at(self, pose: Array) -> float:
+        """Of the modes at a pose, that is so near that they find the same landmarks."""
+        return float(np.sum(normalised(self.log_weight)[self._near(pose)])) if len(self) else 0.0
+
+    def _near(self, pose: Array) -> NDArray[np.bool_]:
+        off = self.mean - pose
+        near = (np.hypot(off[:, 0], off[:, 1]) < 0.5 * self._reach) & (np.abs(wrap_array(off[:, 2])) < SAME_RAD)
+        return np.asarray(near, bool)
+
+    @property
+    def agreed(self) -> float:
+        """Share of the updates in a row that must be convinced of one pose, 1 when they are."""
+        return min(self._convinced / AGREE_UPDATES, 1.0)
+
     def move(self, motion: Motion) -> None:
         """Compose every pose with the motion."""
         if not len(self):
             return
+        if self._champion is not None:
+            self._champion = compose(self._champion, motion.prev_from_curr)
         old = self.mean
         self.mean = compose(old, motion.prev_from_curr)
         f = np.tile(np.eye(3), (len(self), 1, 1))
@@ -67,13 +110,14 @@ class Bank:
         self._weigh(obs)
         self._prune()
         best = int(np.argmax(self.log_weight))
-        if self.explained[best] < 0.5:
+        self._told = FORGET * self._told + np.array([self.explained[best], 1.0]) * len(obs)
+        if self._told[0] < 0.5 * self._told[1] and self._told[1] > FEW:
             self.mean, self.cov, self.log_weight = self.mean[:0], self.cov[:0], self.log_weight[:0]
-            self._convinced = 0
-        elif self.weight() > CONVINCED and len(obs) > 0:
-            self._convinced += 1
-        else:
-            self._convinced = 0
+            self._convinced, self._told = 0, np.zeros(2)
+            return
+        same = self._champion is not None and bool(self._near(self._champion)[best])
+        self._champion = self.mean[best].copy()
+        self._convinced = (self._convinced + 1 if same else 1) if self.weight() > CONVINCED else 0
 
     def weight(self) -> float:
         """Of the dominant mode; 0 without any."""
@@ -195,7 +239,7 @@ class Bank:
     def _candidates(self, obs: Observations, k: int) -> Ints:
         if obs.label[k] >= 0:
             return obs.label[k : k + 1]
-        return np.flatnonzero(self._map.landmarks.kind == obs.kind[k])
+        return self._region[self._map.landmarks.kind[self._region] == obs.kind[k]]
 
     def _ring(self, obs: Observations) -> tuple[Array, Array]:
         """All headings around the landmarks that one feature may be."""
@@ -281,3 +325,19 @@ def shifted_scores(known: KnownMap, poses: Array, obs: Observations, reach_m: fl
     inlier[label < 0] = -np.inf
     score = np.logaddexp(inlier, np.log(OUTLIER * OUTLIER_DENSITY_PER_M2))
     return np.asarray(np.sum(score.reshape(m, k), axis=1) / inflation, np.float64)
+
+
+def unexplained(known: KnownMap, pose: Array, obs: Observations, reach_m: float) -> bool:
+    """Whether of a kind more unlabelled features are without a landmark than outliers explain (2 sigma)."""
+    free = np.flatnonzero(obs.label == UNLABELLED)
+    label, _ = known.nearest(transform(pose, obs.xy_base_m[free]), obs.kind[free], reach_m)
+    for kind in np.unique(obs.kind[free]):
+        of = label[obs.kind[free] == kind]
+        if at_least(int(np.count_nonzero(of < 0)), len(of), OUTLIER) < CHANCE:
+            return True
+    return False
+
+
+def at_least(k: int, n: int, p: float) -> float:
+    """Chance of k or more of n, each with chance p."""
+    return 1.0 - sum(comb(n, i) * p**i * (1.0 - p) ** (n - i) for i in range(k))

@@ -70,11 +70,3 @@ class Tiles:
         n = max(len(self.shifts) - 1, 1)
         mixed = (1.0 - chance) * self.weight + chance * (1.0 - self.weight) / n
         self.weight = normalised(np.log(np.maximum(mixed, 1e-300)) + log_likelihood)
-
-    def slip(self) -> Array | None:
-        """The shift (2,) that is nearly certain instead of none; the belief then starts again from there."""
-        best = int(np.argmax(self.weight))
-        if best == 0 or self.weight[best] < 0.95:
-            return None
-        self.weight = np.eye(1, len(self.shifts))[0]
-        return np.asarray(self.shifts[best], np.float64)

@@ -1,6 +1,8 @@
 """Known maps, lost poses, kidnapping and the tiles of a periodic ceiling."""
 
 from dataclasses import replace
+from itertools import product
+from math import comb
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from ceilvo.config import Filter
 from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import SURE
+from ceilvo.daemon.search import at_least, unexplained
 from ceilvo.daemon.tiles import CALM, SURPRISED, Tiles, lattice, periods
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import UNLABELLED, Landmarks, Motion, Observations
@@ -172,11 +175,76 @@ def test_belief_in_tiles_is_bayes_rule():
     expected[0] = 1 - SURPRISED
     expected *= np.exp(log_likelihood)
     np.testing.assert_allclose(t.weight, expected / expected.sum())
-    assert t.slip() is None
+    assert t.weight[3] < 0.95
     for _ in range(3):
         t.weigh(log_likelihood, CALM)
-    np.testing.assert_allclose(t.slip(), t.shifts[3])
-    assert t.weight[0] == 1.0
+    assert t.weight[3] > 0.95
+
+
+def test_the_chance_of_so_many_is_the_binomial_tail():
+    for k, n, p in ((0, 5, 0.05), (1, 1, 0.05), (2, 3, 0.05), (4, 26, 0.05), (9, 9, 0.3)):
+        brute = (
+            sum(p ** sum(x) * (1 - p) ** (n - sum(x)) for x in product((0, 1), repeat=n) if sum(x) >= k)
+            if n < 10
+            else None
+        )
+        tail = sum(comb(n, i) * p**i * (1 - p) ** (n - i) for i in range(k, n + 1))
+        assert at_least(k, n, p) == pytest.approx(tail, abs=1e-12)
+        assert brute is None or at_least(k, n, p) == pytest.approx(brute, abs=1e-12)
+
+
+def test_lamps_that_no_landmark_explains_are_a_surprise_and_crossings_alone_are_not():
+    known, pose = KnownMap(grid(lamps=30)), np.zeros(3)
+    at = known.landmarks.xy_map_m
+    seen = np.flatnonzero(np.hypot(*at.T) < 1.6)
+    view = Observations(
+        at[seen], np.full((len(seen), 2), 4e-4), known.landmarks.kind[seen], np.full(len(seen), UNLABELLED)
+    )
+    assert not unexplained(known, pose, view, 0.2)
+    tile_on = np.array([TILE_M, 0.0, 0.0])
+    assert unexplained(known, tile_on, view, 0.2)
+    crossings = np.flatnonzero(view.kind == 0)
+    bare = replace(
+        view,
+        xy_base_m=view.xy_base_m[crossings],
+        var_m2=view.var_m2[crossings],
+        kind=view.kind[crossings],
+        label=view.label[crossings],
+    )
+    assert not unexplained(known, tile_on, bare, 0.2)
+
+
+def test_two_tiles_off_is_found_out_by_the_lamps():
+    """Beyond the neighbouring tiles, with a view whose crossings all fit."""
+    for seed in range(4):
+        d = Drive(grid(lamps=30), seed).start()
+        for _ in range(10):
+            d.step()
+        d.truth = d.truth + np.array([2 * TILE_M, -TILE_M, 0.0])
+        found, wrong_and_sure = [], 0
+        for _ in range(40):
+            error, _, weight = d.step()
+            found.append(error < 0.05 and weight > SURE)
+            wrong_and_sure += error > 0.25 and weight >= SURE
+        print(f"seed {seed}: right and sure on {sum(found)} of 40 updates, sure while wrong on {wrong_and_sure}")
+        assert found[-1]
+        assert wrong_and_sure <= 3
+
+
+def test_a_single_wrong_sighting_does_not_move_the_pose():
+    d = Drive(random_map(np.random.default_rng(SEED)), SEED, labelled=True).start()
+    for _ in range(10):
+        d.step()
+    pose = d.filter.estimate()[0]
+    wrong = transform(inverse(pose), d.map.xy_map_m[:1]) + np.array([[1.5, 1.0]])
+    d.filter.update(Observations(wrong, np.full((1, 2), 4e-4), d.map.kind[:1], np.array([0])))
+    after, _, health = d.filter.estimate()
+    assert np.hypot(*(after - pose)[:2]) < 0.02
+    assert health.mode_weight > SURE
+    for _ in range(10):
+        error, _, weight = d.step()
+    assert error < 0.05
+    assert weight > SURE
 
 
 def test_a_jump_of_half_a_tile_is_flagged_on_a_bare_grid_and_resolved_with_lamps():
