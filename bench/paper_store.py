@@ -6,6 +6,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -64,15 +65,28 @@ def _parsed(line: str) -> Result | None:
 
 
 def fingerprint(bench_files: Sequence[str], *more: str) -> str:
-    """Of the daemon's stages, the named files of bench, and whatever else decides the figures."""
+    """Of the filters and the state machine with all they import of the daemon, the named files of bench, and more."""
     digest = hashlib.sha256()
     daemon, bench = (Path(p.__path__[0]) for p in (ceilvo.daemon, ceilvo.bench))
-    stages = [p for p in sorted(daemon.glob("*.py")) if not p.name.startswith(("app", "cli", "screen", "overlay"))]
-    for path in [*stages, *(bench / name for name in bench_files)]:
+    for path in [*sorted(imported(daemon, {"filters", "states"})), *(bench / name for name in bench_files)]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     for text in more:
         digest.update(text.encode() + b"\0")
     return digest.hexdigest()[:16]
+
+
+def imported(folder: Path, names: set[str]) -> set[Path]:
+    """Files of the daemon's modules `names`, and of all modules of the daemon that these import."""
+    open_, out = set(names), set()
+    while open_:
+        path = folder / f"{open_.pop()}.py"
+        out.add(path)
+        text = path.read_text()
+        found = re.findall(r"from ceilvo\.daemon\.(\w+) import", text)
+        for together in re.findall(r"from ceilvo\.daemon import (.+)", text):
+            found += together.split(", ")
+        open_ |= {n for n in found if folder / f"{n}.py" not in out}
+    return out
 
 
 def run_all(

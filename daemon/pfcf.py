@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,13 @@ from ceilvo.config import Filter
 from ceilvo.daemon import log_quadratic
 from ceilvo.daemon.conditional import Conditional, Predicted, given_pose_chi2, jacobian, root_of, surprise_of
 from ceilvo.daemon.curve_fit import systematic
-from ceilvo.daemon.fastslam import independent, usable
-from ceilvo.daemon.joint_filter import NIS_CAP, JointFilter, View, noise_in_map
+from ceilvo.daemon.joint_filter import NIS_CAP, View, noise_in_map
 from ceilvo.daemon.joint_map import JITTER, along_the_turn, turn_about
-from ceilvo.daemon.known_map import KnownMap
-from ceilvo.daemon.particles import SURE, chi_square_bounds, normalised
-from ceilvo.daemon.search import Bank, shifted_scores, unexplained
-from ceilvo.daemon.tiles import CALM, SURPRISED, SURPRISED_MAPPING, WARY, Tiles, lattice, periods
+from ceilvo.daemon.particles import normalised
+from ceilvo.daemon.recovery import Recovering
+from ceilvo.daemon.search import Bank
 from ceilvo.se2 import rotation, wrap, wrap_array
-from ceilvo.types import UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
+from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion
 
 ROUNDS = (10.0, 1.25)
 """Gates of the rounds of fitting, in units of filter.gate_chi2."""
@@ -31,10 +29,6 @@ SLIP_LENGTH_M = 0.3
 """How long a slip lasts, on average."""
 NEGLIGIBLE = 0.01
 """A hypothesis of less weight is dropped."""
-CARRIED_AWAY = 1e-3
-"""Chance that a robot whose view surprises is somewhere else; the view then speaks for itself."""
-QUIET_UPDATES = 20
-"""After rivals have lost, for so long features that nothing explains call for no new ones: the map may lack them."""
 Bools = NDArray[np.bool_]
 
 
@@ -60,7 +54,7 @@ class Fitted:
     ess: float
 
 
-class Pfcf(JointFilter):
+class Pfcf(Recovering):
     """State: N pose particles and one map p(m | x); see docs/filter.md."""
 
     def __init__(self, settings: Filter, rng: np.random.Generator) -> None:
@@ -74,13 +68,6 @@ class Pfcf(JointFilter):
         self._slipping = 0.0
         self._health = (float(n), float("nan"))
         self._white = self._normals()
-        self._refused, self._surprise, self._surprises = 0, 0.0, 0
-        self._tiles: tuple[int, KnownMap, Tiles] | None = None
-        self._bank: Bank | None = None
-        self._rivals: Bank | None = None
-        self._settled, self._chance = 0, CALM
-        if not np.all(np.isfinite(cov)):
-            self._begin_search()
 
     def _normals(self) -> Array:
         """(N, 3) standard normals in opposite pairs, so that their mean is exact; an odd one stands in the middle."""
@@ -104,20 +91,9 @@ class Pfcf(JointFilter):
     def estimate(self) -> tuple[Array, Array, Depletion]:
         n = self._settings.particles
         ess, residual = self._health
-        if self._bank is not None:
-            health = Depletion(n, ess, n, residual, 0.0, 0, self._bank.weight())
-            pose, cov = self._bank.best() if len(self._bank) else (self._joint.pose.copy(), self._joint.pose_cov.copy())
-            return pose, cov, health
-        sure = 1.0 if self._tiles is None or self._rivals is not None else float(self._tiles[2].weight[0])
-        if self._rivals is not None and len(self._rivals):
-            here, there = self._rivals.weight_at(self._joint.pose), self._rivals.weight()
-            if there > max(here, 0.5):
-                health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, there * self._rivals.agreed)
-                return *self._rivals.best(), health
-            sure = here
-        sure *= 1.0 - max(self._refused - 1, 0) / self._settings.lost_updates
-        health = Depletion(n, ess, n, residual, self._nis, self._nis_dof, sure)
-        return self._joint.pose.copy(), self._joint.pose_cov.copy(), health
+        pose, cov, weight = self.dominant()
+        told = (0.0, 0) if self._bank is not None else (self._nis, self._nis_dof)
+        return pose, cov, Depletion(n, ess, n, residual, *told, weight)
 
     def predict(self, motion: Motion) -> None:
         before = self._joint.pose.copy()
@@ -125,113 +101,12 @@ class Pfcf(JointFilter):
         step = self._joint.pose[:2] - before[:2]
         self._way += step
         self._reported_m += float(np.hypot(*step))
-        for bank in (self._bank, self._rivals):
-            if bank is not None:
-                bank.move(motion)
 
     # -- update
 
-    def update(self, obs: Observations) -> None:
-        """Track; or, lost, search the map until one pose is left."""
-        if self._bank is None:
-            pose, cov = self._joint.pose.copy(), self._joint.pose_cov.copy()
-            before = self._counters["observations"] - self._counters["outliers"]
-            super().update(obs)
-            believed = self._counters["observations"] - self._counters["outliers"] - before
-            self._chance = self._chance_of_slip()
-            self._watch_loss(obs, believed)
-            if self._bank is None:
-                self._watch_tiles(obs)
-                self._watch_rivals(obs, pose, cov)
-            return
-        self._counters["updates"] += 1
-        self._bank.update(usable(obs, self._size()))
-        if self._bank.found:
-            self._go_on_from(self._bank)
-            self._counters["recoveries"] += 1
-
     def _go_on_from(self, bank: Bank) -> None:
-        self._joint.put_pose(*bank.best())
-        self._bank, self._rivals, self._tiles, self._refused, self._slipping = None, None, None, 0, 0.0
-        self._way, self._reported_m = np.zeros(2), 0.0
-
-    def _watch_rivals(self, obs: Observations, pose: Array, cov: Array) -> None:
-        """When a view surprises on a known map: poses that the view allows, weighed beside the predicted one.
-
-        They are dropped once the tracked pose has won; a rival that has won takes its place.
-        """
-        if self._known is None:
-            return
-        obs, reach = usable(obs, self._size()), self._settings.association_gate_m
-        if self._rivals is not None:
-            self._rivals.update(obs)
-        elif self._suspicious(self._known, obs):
-            self._rivals = Bank(self._known, reach, self._rng, pose)
-            self._rivals.rival(obs, pose, cov, CARRIED_AWAY)
-        if self._rivals is None or (self._rivals.agreed < 1.0 and len(self._rivals)):
-            return
-        if self._rivals.found and self._rivals.weight_at(self._joint.pose) < 0.5:
-            periodic = self._tiles is not None and len(self._tiles[2].shifts) > 1
-            self._counters["tile_slips" if periodic else "recoveries"] += 1
-            self._go_on_from(self._rivals)
-        else:
-            self._rivals, self._tiles, self._settled = None, None, self._now
-
-    def _suspicious(self, known: KnownMap, obs: Observations) -> bool:
-        """Whether the pose may be another: what matched surprises, is refused, or too much has no landmark."""
-        elsewhere = self._tiles is not None and self._tiles[2].weight[0] < SURE
-        if self._refused or self._chance > CALM or elsewhere:
-            return True
-        quiet = self._now - self._settled <= QUIET_UPDATES
-        return not quiet and unexplained(known, self._joint.pose, obs, self._settings.association_gate_m)
-
-    def _watch_loss(self, obs: Observations, believed: int) -> None:
-        """Count updates that contradict the map; too many in a row begin a search."""
-        told = int(np.count_nonzero((obs.label >= 0) | (obs.label == UNLABELLED) & (self._known is not None)))
-        if told:
-            self._refused = self._refused + 1 if 2 * believed < told else 0
-        if self._refused >= self._settings.lost_updates and self._size() >= 3:
-            self._begin_search()
-
-    def _begin_search(self) -> None:
-        known = self._known or KnownMap(self.landmarks())
-        self._bank = Bank(known, self._settings.association_gate_m, self._rng)
-        self._refused, self._tiles, self._rivals = 0, None, None
-        self._counters["searches"] += 1
-
-    def _chance_of_slip(self) -> float:
-        """That the pose is a tile further than at the last view, from how much this one surprises."""
-        dof = self._nis_dof - 2
-        if dof <= 0:
-            return CALM
-        self._surprises = self._surprises + 1 if self._surprise > chi_square_bounds(dof, 2.0)[1] else 0
-        if not self._surprises:
-            return CALM
-        if self._known is None:
-            return SURPRISED_MAPPING
-        again = self._surprises > 1
-        return SURPRISED if again or self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
-
-    def _watch_tiles(self, obs: Observations) -> None:
-        """Belief in this tile against its neighbours, where association was left to the filter."""
-        free = obs.label == UNLABELLED
-        size = self._size()
-        if not np.any(free) or size < 12:
-            return
-        if self._tiles is None or size > 1.25 * self._tiles[0]:
-            known = self._known or KnownMap(self.landmarks())
-            self._tiles = size, known, Tiles(lattice(periods(known.landmarks)))
-        _, known, tiles = self._tiles
-        if len(tiles.shifts) < 2:
-            return
-        poses = np.tile(self._joint.pose, (len(tiles.shifts), 1))
-        poses[:, :2] += tiles.shifts
-        seen = replace(obs, xy_base_m=obs.xy_base_m[free], var_m2=obs.var_m2[free], kind=obs.kind[free])
-        seen = replace(seen, label=obs.label[free])
-        k = len(seen)
-        inflation = k / independent(k, self._settings.feature_independence, 0.0)
-        score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
-        tiles.weigh(score, self._chance)
+        super()._go_on_from(bank)
+        self._way, self._reported_m, self._slipping = np.zeros(2), 0.0, 0.0
 
     def _absorb(self, view: View, rows: Ints) -> Bools:
         pose, cov = self._joint.pose, self._joint.pose_cov

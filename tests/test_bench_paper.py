@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ceilvo.daemon
 from ceilvo.bench import paper, paper_tables
 from ceilvo.bench.paper_bars import Bar
 from ceilvo.bench.paper_ekf import EkfNearestNeighbour
 from ceilvo.bench.paper_filters import redraw_without_curve
 from ceilvo.bench.paper_run import Cell, labels_of, longest, mapping, on_a_map, run
 from ceilvo.bench.paper_stats import mean_interval, ratio_interval
-from ceilvo.bench.paper_store import Store, run_all
+from ceilvo.bench.paper_store import Store, imported, run_all
 from ceilvo.bench.paper_world import (
     DT_S,
     KIDNAP_M,
@@ -285,3 +289,12 @@ def test_smoke(tmp_path, capsys):
 def test_a_wrong_name_is_one_line(capsys):
     assert paper.main(["--filters", "kalman"]) != 0
     assert "no 'kalman'; known are ukf" in capsys.readouterr().err
+
+
+def test_the_fingerprint_covers_all_that_filters_and_states_load():
+    """Against what an interpreter has loaded after importing them."""
+    code = "import sys, ceilvo.daemon.filters, ceilvo.daemon.states\n"
+    code += "print(*(m for m in sys.modules if 'ceilvo.daemon.' in m))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    covered = imported(Path(ceilvo.daemon.__path__[0]), {"filters", "states"})
+    assert {m.rpartition(".")[2] for m in loaded} == {p.stem for p in covered}

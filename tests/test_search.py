@@ -13,8 +13,8 @@ from ceilvo.config import Filter
 from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.known_map import KnownMap
 from ceilvo.daemon.particles import SURE
-from ceilvo.daemon.search import at_least, unexplained
 from ceilvo.daemon.tiles import CALM, SURPRISED, Tiles, lattice, periods
+from ceilvo.daemon.views import at_least, unexplained
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import UNLABELLED, Landmarks, Motion, Observations
 
