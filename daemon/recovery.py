@@ -153,3 +153,5 @@ class Recovering(JointFilter):
         inflation = k / independent(k, self._settings.feature_independence, 0.0)
         score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
         tiles.weigh(score, self._chance)
+        if self._known is None:
+            tiles.settle()

@@ -10,6 +10,7 @@ from ceilvo.types import Array, Landmarks
 SAMPLE = 144
 REACH_M = 1.6
 BIN_M = 0.04
+CERTAIN = 0.95
 PERIODIC = 0.35
 """Share of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
 CALM, WARY, SURPRISED, SURPRISED_MAPPING = 1e-4, 0.05, 0.2, 0.01
@@ -70,3 +71,9 @@ class Tiles:
         n = max(len(self.shifts) - 1, 1)
         mixed = (1.0 - chance) * self.weight + chance * (1.0 - self.weight) / n
         self.weight = normalised(np.log(np.maximum(mixed, 1e-300)) + log_likelihood)
+
+    def settle(self) -> None:
+        """Begin anew where another shift is nearly certain: a map in the making ends, and a tile back all is mapped."""
+        best = int(np.argmax(self.weight))
+        if best and self.weight[best] >= CERTAIN:
+            self.weight = np.eye(1, len(self.shifts))[0]

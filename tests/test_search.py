@@ -179,6 +179,8 @@ def test_belief_in_tiles_is_bayes_rule():
     for _ in range(3):
         t.weigh(log_likelihood, CALM)
     assert t.weight[3] > 0.95
+    t.settle()
+    assert t.weight[0] == 1.0
 
 
 def test_the_chance_of_so_many_is_the_binomial_tail():
