@@ -11,7 +11,7 @@ FOLDERS := daemon drivers calib sim bench
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make run [SECONDS=n]   a simulated robot localises itself; ends by itself after n seconds if given"
+	@echo "make run [SECONDS=n]   a simulated robot localises itself; ends by itself after n seconds; TILT=1: rocks by 1 deg"
 	@echo "make test              every check and every test that needs no special rights"
 	@echo "make check             format, lint and types only"
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
@@ -31,7 +31,7 @@ help:
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
 
 run: $(VENV)/.installed
-	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS))
+	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS)) $(if $(TILT),--tilt-deg $(TILT))
 
 test: check
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile

@@ -14,6 +14,7 @@ from ceilvo.config import Config
 from ceilvo.daemon.app import Plan
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.camera import SimCamera
+from ceilvo.sim.motion import TiltSpec
 from ceilvo.sim.world import World, WorldSpec
 
 
@@ -25,13 +26,15 @@ def simulation(
     summary_file: Path,
     screen: bool,
     calibration: Calibration | None = None,
+    tilt_rad: float = 0.0,
 ) -> Iterator[Plan]:
     """The plan of a simulated robot; its base lives as long as the context.
 
     Args:
         calibration: what the daemon believes; None = the truth.
+        tilt_rad: the body rocks by up to this while it drives.
     """
-    world = World(WorldSpec(seed=seed))
+    world = World(WorldSpec(seed=seed, tilt=TiltSpec(tilt_rad)))
     _ = world.renderer  # drawn now: it takes a second of processor time, in which the base would not be heard
     base = SimBase(
         baud=config.base.baud,

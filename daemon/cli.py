@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 import os
 import sys
 import threading
@@ -120,6 +121,7 @@ def _run_options(p: argparse.ArgumentParser) -> None:
     p.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds of frames, with a summary")
     p.add_argument("--summary", type=Path, metavar="FILE", help=f"figures as JSON (simulating: {DEFAULT_SUMMARY})")
     p.add_argument("--seed", type=int, default=1, metavar="N", help="which simulated world (default: 1)")
+    p.add_argument("--tilt-deg", type=float, default=0.0, metavar="D", help="simulated rocking, at most (default: 0)")
     p.add_argument(
         "--calibration", type=Path, metavar="FILE", help="instead of the config's, or of the simulated truth"
     )
@@ -219,7 +221,8 @@ def _run_simulated(options: argparse.Namespace) -> int:
     _log_to_stderr("error" if terminal else config.service.log_level)
     believed = None if options.calibration is None else read_calibration(options.calibration)
     summary = options.summary or DEFAULT_SUMMARY
-    with simulation(config, options.seed, options.seconds, summary, screen=True, calibration=believed) as plan:
+    tilt_rad = math.radians(options.tilt_deg)
+    with simulation(config, options.seed, options.seconds, summary, True, believed, tilt_rad) as plan:
         return app.run(replace(plan, record=options.record))
 
 
