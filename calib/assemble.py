@@ -67,17 +67,34 @@ def camera_from(result: Mapping[str, Any]) -> tuple[CameraModel, Array]:
     return camera, cov
 
 
+def lens_so_far(session: Session, reason: str) -> tuple[CameraModel, Array]:
+    """The lens of the board, or as refined by the projection on the grid if that was of the same board's lens.
+
+    Raises:
+        CalibrationError: there is none, or it is damaged.
+    """
+    return camera_from(refined(session.need("intrinsics", reason), session.result("projection")))
+
+
+def refined(lens: Mapping[str, Any], projection: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    better = None if projection is None else projection.get("lens")
+    return better if better and better.get("of") == lens.get("camera") else lens
+
+
 def assemble(session: Session) -> Calibration | None:
     """What the results say so far, None before the projection."""
     lens, projection = session.result("intrinsics"), session.result("projection")
     if lens is None or projection is None:
         return None
     mount, sigma, survey, check = (session.result(step) for step in ("mount", "sigma", "survey", "check"))
-    camera, _ = camera_from(lens)
+    best = refined(lens, projection)
+    camera, _ = camera_from(best)
     xy, yaw = projection.get("xy_m"), projection.get("yaw_rad")
     if mount is not None:
         xy, yaw = mount["xy_m"], mount["yaw_rad"]
     notes = []
+    if projection.get("lens") and best is lens:
+        notes.append("the lens was measured anew since: 'calib projection --force' is to be done")
     if xy is None:
         xy, yaw = (0.0, 0.0), 0.0
         notes.append("offset and yaw of the camera not measured: 'calib mount' is to be done")
@@ -85,7 +102,7 @@ def assemble(session: Session) -> Calibration | None:
         notes.append("noise not measured: 'calib sigma' is to be done")
     rotation = mount_rotation(float(yaw or 0.0), projection["roll_rad"], projection["pitch_rad"])
     meta: dict[str, Any] = {
-        "intrinsics": {k: lens[k] for k in ("model", "sigma", "rms_px")},
+        "intrinsics": {"model": lens["model"], "sigma": best["sigma"], "rms_px": lens["rms_px"]},
         "projection": {k: projection[k] for k in ("sigma", "rms_px")},
     }
     if mount is not None:

@@ -14,6 +14,7 @@ Residuals = Callable[[int, Array, Array], Array]
 """(view, shared parameters, the view's parameters) -> (N,) residuals in units of their noise or in px."""
 
 _ROUNDS = 60
+_MANY_VIEWS = 8
 _STEP = 1e-6
 _RESCALES = 10
 
@@ -207,5 +208,17 @@ def _finish(residuals: Residuals, x: Array, v: Array, scale: float, info: Array)
     bread = np.linalg.pinv(s, hermitian=True)
     views = len(v)
     small = views / max(views - 1, 1)  # few clusters understate the scatter
-    cluster = bread @ meat @ bread * small
+    cluster = bread @ (meat * small + info * rss / dof) @ bread
     return BundleFit(x, v, bread * rss / dof, cluster, parts, float(np.sqrt(rss / dof)))
+
+
+def widest(fit: BundleFit) -> Array:
+    """(P, P) of shared: residuals of a view err together; never less than if they did not."""
+    cov = fit.cluster_cov if len(fit.views) >= _MANY_VIEWS else np.maximum(fit.cov, fit.cluster_cov)
+    return at_least(cov, fit.cov)
+
+
+def at_least(cov: Array, floor: Array) -> Array:
+    """cov with no variance below the floor's."""
+    grow = np.sqrt(np.maximum(np.diag(floor) / np.maximum(np.diag(cov), 1e-300), 1.0))
+    return np.asarray(cov * np.outer(grow, grow))

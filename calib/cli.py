@@ -46,15 +46,27 @@ def _parser() -> argparse.ArgumentParser:
     for step in STEPS:
         step.add(commands)
 
-    show = commands.add_parser("show", help="check a calibration and print its figures")
+    show = commands.add_parser(
+        "show",
+        help="check a calibration and print its figures",
+        epilog="example: calib show commissioning/calibration.yaml",
+    )
     show.add_argument("file", type=Path)
     show.set_defaults(run=_show)
 
-    sign = commands.add_parser("sign", help="accept an edited calibration: check its values, renew its checksum")
+    sign = commands.add_parser(
+        "sign",
+        help="accept an edited calibration: check its values, renew its checksum",
+        epilog="example: calib sign commissioning/calibration.yaml",
+    )
     sign.add_argument("file", type=Path)
     sign.set_defaults(run=_sign)
 
-    simulate = commands.add_parser("simulate", help="write the calibration of the simulated camera")
+    simulate = commands.add_parser(
+        "simulate",
+        help="write the calibration of the simulated camera",
+        epilog="example: calib simulate build/calibration.yaml --lens fisheye",
+    )
     simulate.add_argument("file", type=Path)
     simulate.add_argument("--force", action="store_true", help="replace the file and keep it as .bak")
     simulate.add_argument("--lens", choices=("pinhole", "fisheye"), default="pinhole")

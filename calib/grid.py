@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calib import bundle
 from ceilvo.calib.ceiling_view import GridView
+from ceilvo.calib.joint import refine
 from ceilvo.calib.lattice import Lattice, Spacing, spacings, to_lattice
 from ceilvo.calib.projection import HEIGHTS_M, Mounting, lens_of, with_lens_error
 from ceilvo.calibration import mount_rotation
@@ -58,6 +59,7 @@ def from_grid(
     Args:
         tile_m: side of a tile.
         tilt_rad: roll, pitch to start from.
+        intrinsics_cov: of the lens, which is then refined on the grid; None = the lens is taken as exact.
         height_m: of the ceiling above the camera as far as known, to within a tenth; None = anything.
 
     Raises:
@@ -70,18 +72,22 @@ def from_grid(
     start = np.array([*tilt_rad, tile_m / share])
     fit, samples = _grid_fit(camera, samples, tile_m, start)
 
-    cov = fit.cluster_cov if len(samples) >= 8 else np.maximum(fit.cov, fit.cluster_cov)
-    cov = _at_least(cov, fit.cov)
-    lens = lens_of(camera)
-    if intrinsics_cov is not None and lens is not None:
-        moves, _ = bundle.response(
-            lambda p: grid_residuals(lens[0](p), samples, tile_m), lens[1], fit.shared, fit.views
-        )
+    def of_lens(other: CameraModel) -> bundle.Residuals:
+        return grid_residuals(other, samples, tile_m)
+
+    cov, level, joint = bundle.widest(fit), fit.shared, None
+    if intrinsics_cov is not None and np.linalg.matrix_rank(intrinsics_cov) == len(intrinsics_cov):
+        joint = refine(camera, intrinsics_cov, of_lens, fit, _shared_errors(samples))
+    if joint is not None and joint.agrees:
+        fit, cov, level = joint.fit, joint.level_cov, joint.level
+    elif intrinsics_cov is not None and (lens := lens_of(camera)) is not None:
+        moves, _ = bundle.response(lambda p: of_lens(lens[0](p)), lens[1], fit.shared, fit.views)
         cov = with_lens_error(cov, moves, intrinsics_cov)
     residual = np.concatenate(fit.residuals).reshape(-1, 2)
     uv = np.concatenate([s.uv_px for s in samples])
-    roll, pitch, height = (float(v) for v in fit.shared)
-    return Mounting(roll, pitch, height, None, None, cov, residual, uv, fit.rms, tile_m, evidence), fit.views
+    roll, pitch, height = (float(v) for v in level)
+    found = Mounting(roll, pitch, height, None, None, cov, residual, uv, fit.rms, tile_m, evidence, joint)
+    return found, fit.views
 
 
 def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tuple[float, str]:
@@ -116,10 +122,10 @@ def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tu
     )
 
 
-def _at_least(cov: Array, floor: Array) -> Array:
-    """cov with no variance below the floor's."""
-    grow = np.sqrt(np.maximum(np.diag(floor) / np.maximum(np.diag(cov), 1e-300), 1.0))
-    return np.asarray(cov * np.outer(grow, grow))
+def _shared_errors(samples: list[GridSample]) -> float:
+    """Coordinates of crossings for each joint, which gives one error to all that are on it."""
+    joints = sum(len(np.unique(s.index[:, k])) for s in samples for k in (0, 1))
+    return 2.0 * sum(len(s.index) for s in samples) / joints
 
 
 def _grid_fit(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,6 +15,9 @@ from ceilvo.calib.intrinsics import camera_of, parameters_of
 from ceilvo.calibration import mount_rotation
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from ceilvo.calib.joint import Joint
 
 Array = NDArray[np.float64]
 
@@ -85,6 +89,7 @@ class Mounting:
         residual_px: (N, 2) reprojection error of each point, uv_px (N, 2) where.
         rms_px: of one coordinate.
         tile_m: of the grid, None = not from a grid; evidence: what speaks for it.
+        joint: the lens as refined on the grid, None where it was not.
     """
 
     roll_rad: float
@@ -98,6 +103,7 @@ class Mounting:
     rms_px: float
     tile_m: float | None = None
     evidence: str = ""
+    joint: Joint | None = None
 
     @property
     def sigma(self) -> Array:

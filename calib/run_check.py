@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +12,9 @@ import numpy as np
 from ceilvo.calib.check import Check, check
 from ceilvo.calib.run_sigma import stands
 from ceilvo.calib.session import Session
-from ceilvo.calib.steps import bench_of, conclude, session_options, source_options
+from ceilvo.calib.steps import bench_of, calibration_of, conclude, session_options, source_options
 from ceilvo.calib.views import collect, moved
 from ceilvo.calibration_check import check_fits
-from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 STEP = "check"
 _PICTURES = 12
+_GO_ON_S = 600.0
+"""An interrupted check goes on for so long; later the camera may have been knocked in between."""
 
 
 def add(commands: Commands) -> None:
@@ -38,12 +40,12 @@ def add(commands: Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    file = args.calibration or args.session / "calibration.yaml"
-    calibration = read_calibration(file)
+    file, calibration = calibration_of(args)
     if calibration.tile_m is None:
         raise CalibrationError(f"{file}: tile_m: found null, expected the tile's side; the check needs a tiled ceiling")
-    session = Session(args.session, force=True)  # a check may be repeated at any time; the last one is kept as .bak
-    session.set_aside(STEP)
+    session = Session(args.session, force=True)  # a check may be repeated at any time; all are kept in checks.jsonl
+    if args.force or session.samples_age_s(STEP) > _GO_ON_S:
+        session.set_aside(STEP)
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
     from ceilvo.calib.cli import mount_angles
 
@@ -54,14 +56,15 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     check_fits(calibration, "the camera", got.camera_id, calibration.camera.width_px, calibration.camera.height_px)
     found = check(calibration, stands(got))
-    session.save(STEP, _result(found, str(file)))
+    result = _result(found, str(file))
+    session.save(STEP, result)
+    session.log("checks", {"at": datetime.now(timezone.utc).isoformat(timespec="seconds")} | result)
+    session.set_aside(STEP)
     bad = [f"stale, because {reason}" for reason in found.stale]
-    code = conclude(STEP, _rows(found), bad, args)
-    print(
-        "still good"
-        if not bad
-        else "what to do: 'calib projection', 'calib mount' and 'calib sigma' again, with --force"
-    )
+    again = "calib projection, calib mount and calib sigma again, with --force"
+    code = conclude(STEP, _rows(found), bad, args, then=again)
+    if not bad:
+        print("still good")
     return code
 
 

@@ -100,6 +100,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _board(args: argparse.Namespace) -> Board:
+    if 0.001 <= args.square_mm < 1.0:
+        raise CalibrationError(
+            f"--square-mm: found {args.square_mm:g}, which looks like metres; expected {1e3 * args.square_mm:g}"
+        )
     square = args.square_mm / 1e3
     marker = (args.marker_mm or 0.72 * args.square_mm) / 1e3
     return Board(args.board, args.columns, args.rows, square, marker, args.dictionary)
@@ -116,6 +120,8 @@ def _collect(
         shots = [_shot(board, record) for record in kept if record.get("ids")]
         size = (kept[0]["width_px"], kept[0]["height_px"]) if kept else None
         done = {record["name"] for record in kept}
+        if source.info.live:
+            progress.note(f"{session.folder / 'intrinsics' / 'live.png'} shows what is covered, anew with each picture")
         if kept:
             progress.note(f"going on with {len(shots)} pictures of the run before")
         seen = rejected = 0

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import copy
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib import plots
-from ceilvo.calib.assemble import camera_from, update_file
+from ceilvo.calib.assemble import lens_so_far, update_file
 from ceilvo.calib.ceiling_view import GridView
 from ceilvo.calib.mount import RUN, SPIN, Mount, Step, calibrate, problems
 from ceilvo.calib.session import Session
@@ -32,6 +33,8 @@ STEP = "mount"
 _TURNS = 4
 _TURN_RAD = float(np.radians(360.0 * _TURNS + 15.0))
 _RUN_M = 2.0
+_SMALL_SHARE = 0.01
+"""Of the picture from one to the next: dozens on a run, under a high ceiling as well."""
 _ASK = {
     SPIN: f"turn the robot {_TURNS} times round on the spot, slowly, and a little more",
     RUN: f"drive straight ahead by {_RUN_M:g} m, slowly",
@@ -50,13 +53,14 @@ def add(commands: Commands) -> None:
     )
     session_options(p)
     source_options(p)
+    p.add_argument("--units", choices=("m", "mm"), help="of wheels.csv, when it is doubtful")
     p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     session = session_of(args)
     session.begin(STEP)
-    camera, cov = camera_from(session.need("intrinsics", "the mount"))
+    camera, cov = lens_so_far(session, "the mount")
     projection = session.need("projection", "the mount")
     tile_m = projection.get("tile_m")
     if tile_m is None:
@@ -87,7 +91,7 @@ def _steps(args: argparse.Namespace, session: Session, camera: CameraModel, leve
                 mine.images = args.images / part
                 if not mine.images.is_dir():
                     raise CalibrationError(f"{args.images}: found no folder {part!r} in it, expected spin/ and run/")
-                wheels = recorded(mine.images)
+                wheels = recorded(mine.images, args.units)
             elif simulated is None:
                 print(f"{STEP}: now {_ASK[part]}", file=sys.stderr)
             if link is not None:
@@ -99,7 +103,7 @@ def _steps(args: argparse.Namespace, session: Session, camera: CameraModel, leve
                 camera,
                 None if simulated is None else [p for p in simulated if p.label == part],
                 tilt_rad=(level[0], level[1]),
-                wanted=moved,
+                wanted=partial(moved, share=_SMALL_SHARE),
                 enough=_turned if part == SPIN else lambda c: _travelled(c) * level[2] >= _RUN_M,
                 wheels=wheels,
             )

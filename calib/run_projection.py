@@ -15,6 +15,7 @@ from ceilvo.calib.assemble import camera_from, update_file
 from ceilvo.calib.click_page import ClickPage
 from ceilvo.calib.degeneracy import layout_problem
 from ceilvo.calib.grid import from_grid
+from ceilvo.calib.joint import Joint
 from ceilvo.calib.lensless import from_points_alone
 from ceilvo.calib.marks import clicked, detected, read_marks
 from ceilvo.calib.points_file import ask_on_terminal, read_points
@@ -81,11 +82,27 @@ def run(args: argparse.Namespace) -> int:
 
 def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any) -> tuple[Mounting, dict[str, Any]]:
     tile_m = tile_of(args)
+    if args.height_m is not None and args.height_m > 50.0:
+        raise CalibrationError(
+            f"--height-m: found {args.height_m:g}, which looks like millimetres; expected {args.height_m / 1e3:g}"
+        )
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
     got = collect(args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES)
     found, _ = from_grid(camera, got.views, tile_m, got.tilt_rad, cov, args.height_m)
     few = [f"{len(got.seen)} pictures, at least {_FEW} needed: other places, other headings"]
-    return found, {"pictures": len(got.seen), "method": "grid", "problems": few if len(got.seen) < _FEW else []}
+    extra: dict[str, Any] = {"pictures": len(got.seen), "method": "grid"}
+    if found.joint is not None and found.joint.agrees:
+        extra["lens"] = _lens(found.joint, session.need("intrinsics", "the projection"))
+    return found, extra | {"problems": few if len(got.seen) < _FEW else []}
+
+
+def _lens(joint: Joint, board: dict[str, Any]) -> dict[str, Any]:
+    """As `calib intrinsics` has it; of says which lens it was refined from."""
+    sigma = np.sqrt(np.diag(joint.lens_cov))
+    return {
+        "camera": asdict(joint.camera), "model": board["model"], "sigma": sigma, "cov": joint.lens_cov,
+        "of": board["camera"],
+    }  # fmt: skip
 
 
 def tile_of(args: argparse.Namespace) -> float:
@@ -114,6 +131,11 @@ def _measured(args: argparse.Namespace, session: Session, size: tuple[int, int])
     """xyz_m and uv_px of measured points, and where from; marks that were found or clicked are kept as such."""
     if args.points is not None:
         return *read_points(args.points, args.units), f"points of {args.points}"
+    if args.simulate:
+        raise CalibrationError(
+            "--marks: found --simulate, but the virtual bench has no marks; practise with its tiles: "
+            "calib projection --simulate"
+        )
     marks = read_marks(args.marks, args.units, ask_on_terminal)
     with pictures(args, None) as source:
         usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))
@@ -168,6 +190,17 @@ def _without_lens(args: argparse.Namespace, session: Session) -> tuple[Mounting,
     return found, camera, extra
 
 
+def _lens_text(joint: Joint) -> str:
+    moved = f"{np.sqrt(joint.moved):.1f} of the board's sigma (rms)"
+    if not joint.agrees:
+        return f"as from the board; the grid would move it by {moved}: do tiles sag, are they uneven, did focus change?"
+    c, s = joint.camera, np.sqrt(np.diag(joint.lens_cov))
+    return (
+        f"refined on the grid, by {moved}: focal length {c.fx_px:.3f} +- {s[0]:.3f}, {c.fy_px:.3f} +- {s[1]:.3f} px, "
+        f"centre {c.cx_px:.3f} +- {s[2]:.3f}, {c.cy_px:.3f} +- {s[3]:.3f} px"
+    )
+
+
 def _result(m: Mounting) -> dict[str, Any]:
     return {
         "roll_rad": m.roll_rad,
@@ -192,6 +225,8 @@ def _rows(m: Mounting, extra: dict[str, Any]) -> list[tuple[str, str]]:
         ("pitch", f"{np.degrees(m.pitch_rad):+.3f} +- {np.degrees(s[1]):.3f} deg"),
         ("reprojection", f"{m.rms_px:.3f} px rms, {len(m.uv_px)} points"),
     ]
+    if m.joint is not None:
+        rows.append(("lens", _lens_text(m.joint)))
     if m.xy_m is not None and m.yaw_rad is not None:
         rows.append(("offset", f"{m.xy_m[0]:+.4f} +- {s[4]:.4f}, {m.xy_m[1]:+.4f} +- {s[5]:.4f} m in base"))
         rows.append(("yaw", f"{np.degrees(m.yaw_rad):+.3f} +- {np.degrees(s[3]):.3f} deg"))

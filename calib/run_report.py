@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ceilvo.calib.cli import Commands
 
 STEP = "report"
-_SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera")
+_SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera", "lens")
 _STYLE = (
     "body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}"
     "table{border-collapse:collapse;margin:.5rem 0}"
@@ -31,7 +31,10 @@ _STYLE = (
 
 def add(commands: Commands) -> None:
     p = commands.add_parser(
-        STEP, help="7. one HTML file with everything, for the record", description="Writes SESSION/report.html."
+        STEP,
+        help="7. one HTML file with everything, for the record",
+        description="Writes SESSION/report.html.",
+        epilog="example: calib report --session commissioning",
     )
     session_options(p)
     p.set_defaults(run=run)
@@ -42,6 +45,10 @@ def run(args: argparse.Namespace) -> int:
     text = report(session)
     path = session.folder / "report.html"
     if path.exists():
+        if not args.force:
+            raise CalibrationError(
+                f"{path}: found an earlier report, expected none; pass --force to write it anew (it is kept as .bak)"
+            )
         session.write("report.html.bak", path.read_bytes())
     session.write("report.html", text)
     print(f"{path}: written")

@@ -39,7 +39,8 @@ def add(commands: Commands) -> None:
         help="4. observation noise against distance: sigma_x(r), sigma_y(r), sigma_theta",
         description="Either measured poses on three or more circles about a feature (--csv), or nothing but standing: "
         "put the robot in 12 to 20 places, turned differently, and let it stand for a second in each.",
-        epilog="CSV: x_m,y_m,theta_rad (measured pose, the feature at the origin),seen_x_m,seen_y_m,seen_theta_rad "
+        epilog="example: calib sigma --device /dev/video0; "
+        "CSV: x_m,y_m,theta_rad (measured pose, the feature at the origin),seen_x_m,seen_y_m,seen_theta_rad "
         "(the feature as seen in base, the heading as estimated), or r_m,dx_m,dy_m,dtheta_rad",
     )
     session_options(p)

@@ -14,6 +14,7 @@ from ceilvo.calib.session import Session
 from ceilvo.calib.steps import (
     Progress,
     bench_of,
+    calibration_of,
     check_size,
     conclude,
     pictures,
@@ -23,7 +24,6 @@ from ceilvo.calib.steps import (
 )
 from ceilvo.calib.survey import Survey, flicker
 from ceilvo.calibration import Calibration
-from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.staleness import STRETCH_S, worst_stretch
@@ -54,7 +54,7 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     session = session_of(args)
     session.begin(STEP)
-    calibration = read_calibration(args.calibration or session.calibration_file)
+    _, calibration = calibration_of(args)
     survey, ended = _drive(args, calibration)
     light = flicker(survey.light)
     bad = survey.problems()

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -120,7 +121,7 @@ class Session:
         wanted = plain(subject)
         if records and records[0] == wanted:
             return records[1:]
-        if records and not self.force:
+        if len(records) > 1 and not self.force:
             differs = [k for k in wanted if records[0].get(k) != wanted[k]]
             raise CalibrationError(
                 f"{path}: found samples of another {' and '.join(differs) or 'kind'} "
@@ -134,6 +135,17 @@ class Session:
     def add_sample(self, step: str, sample: Mapping[str, Any]) -> None:
         """Kept on disk before anything else happens to it."""
         self._append(self._samples_file(step), plain(sample))
+
+    def samples_age_s(self, step: str) -> float:
+        """Since the last sample; infinite when there is none."""
+        try:
+            return time.time() - self._samples_file(step).stat().st_mtime
+        except OSError:
+            return float("inf")
+
+    def log(self, name: str, record: Mapping[str, Any]) -> None:
+        """A line more in a file of which nothing is ever taken away."""
+        self._append(self.folder / f"{name}.jsonl", plain(record))
 
     def set_aside(self, step: str) -> None:
         """Keep the samples so far as .bak and start without."""

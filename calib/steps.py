@@ -9,9 +9,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from ceilvo.calib.session import Session
+from ceilvo.calib.session import CALIBRATION, Session
 from ceilvo.calib.sources import ListSource, Picture, Source, open_source
 from ceilvo.calib.virtual_bench import VirtualBench
+from ceilvo.calibration import Calibration
+from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.config_file import load_config
 from ceilvo.errors import CalibrationError
@@ -87,8 +89,14 @@ class Progress:
             self._open = False
 
 
-def conclude(step: str, rows: Sequence[tuple[str, str]], problems: Sequence[str], args: argparse.Namespace) -> int:
-    """Print figures and verdict; 0 = PASS, 1 = FAIL."""
+def conclude(
+    step: str,
+    rows: Sequence[tuple[str, str]],
+    problems: Sequence[str],
+    args: argparse.Namespace,
+    then: str | None = None,
+) -> int:
+    """Print figures and verdict; 0 = PASS, 1 = FAIL. then: what to do about a FAIL, None = the step again."""
     print(f"\n{step}")
     width = max((len(name) for name, _ in rows), default=0) + 2
     for name, value in rows:
@@ -99,7 +107,7 @@ def conclude(step: str, rows: Sequence[tuple[str, str]], problems: Sequence[str]
     print("FAIL")
     for problem in problems:
         print(f"  - {problem}")
-    print(f"  then: calib {step} {_source_text(args)}--force")
+    print(f"  then: {then or f'calib {step} {_source_text(args)}--force{_session_text(args)}'}")
     return FAILED
 
 
@@ -107,10 +115,15 @@ def next_step(step: str, args: argparse.Namespace) -> str:
     following = _ORDER[_ORDER.index(step) + 1] if step in _ORDER[:-1] else ""
     if not following:
         return "copy calibration.yaml to where the daemon's configuration names it"
-    session = "" if args.session == DEFAULT_SESSION else f" --session {args.session}"
     if following == "report":
-        return f"calib report{session}"
-    return f"calib {following} {_source_text(args)}".rstrip() + session
+        return f"calib report{_session_text(args)}"
+    simulated = getattr(args, "simulate", False)
+    tile = " --tile-m SIDE" if following == "projection" and not simulated else ""
+    return f"calib {following} {_source_text(args)}".rstrip() + tile + _session_text(args)
+
+
+def _session_text(args: argparse.Namespace) -> str:
+    return "" if args.session == DEFAULT_SESSION else f" --session {args.session}"
 
 
 def _source_text(args: argparse.Namespace) -> str:
@@ -120,7 +133,23 @@ def _source_text(args: argparse.Namespace) -> str:
         return f"--config {args.config} "
     if getattr(args, "device", None) is not None:
         return f"--device {args.device} "
+    if getattr(args, "images", None) is not None:
+        return "--images DIR "
     return ""
+
+
+def calibration_of(args: argparse.Namespace) -> tuple[Path, Calibration]:
+    """The file of --calibration, else the session's.
+
+    Raises:
+        CalibrationError: not there, or not good.
+    """
+    path = args.calibration or args.session / CALIBRATION
+    if args.calibration is None and not path.exists():
+        raise CalibrationError(
+            f"{path}: found no such file; run 'calib projection' first, or name a file with --calibration"
+        )
+    return path, read_calibration(path)
 
 
 def check_size(picture: Picture, size: tuple[int, int] | None, what: str) -> str:

@@ -45,7 +45,19 @@ NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "roll", "pitch", 
 GENERATING = ((0.004,), (0.003, 0.004), (0.003, 0.0, 0.002), (0.002, 0.001, 0.001, 0.0008))
 FOLDER = Path("build/bench")
 _DECIDES = (
-    *("board", "bundle", "ceiling_view", "grid", "intrinsics", "lattice", "mount", "projection", "sigma", "stand"),
+    *(
+        "board",
+        "bundle",
+        "ceiling_view",
+        "grid",
+        "intrinsics",
+        "joint",
+        "lattice",
+        "mount",
+        "projection",
+        "sigma",
+        "stand",
+    ),
     *("virtual_bench", "virtual_board"),
 )
 
@@ -60,23 +72,26 @@ class RigResult:
 
 
 def commission(rig: Calibration, seed: int) -> RigResult:
-    """Lens, projection and mount of one rig as `calib --simulate` does them, without the command line."""
+    """Lens, projection and mount of one rig as `calib --simulate` does them, with two thirds of its pictures."""
     bench = VirtualBench(rig, seed=seed, world_seed=1 + seed % 3)
     lens = _lens(bench, shots=20)
     reader, tile_m = CeilingReader(lens.camera), rig.tile_m or 0.6
     views = [v for v in (reader(p.gray) for p in bench.places(14)) if v.ok]
     projection, _ = from_grid(lens.camera, views, tile_m, reader.tilt_rad, lens.cov)
+    camera, cov = lens.camera, lens.cov
+    if projection.joint is not None and projection.joint.agrees:
+        camera, cov = projection.joint.camera, projection.joint.lens_cov
     level = np.array([projection.roll_rad, projection.pitch_rad, projection.height_m])
     steps = []
     for p in bench.spin_and_run(80, 44):
         view = reader(p.gray)
         if view.ok:
             steps.append(Step(p.label, view, p.wheels))
-    found = mount.calibrate(lens.camera, steps, tile_m, level, lens.cov)
+    found = mount.calibrate(camera, steps, tile_m, level, cov)
     yaw, roll, pitch = mount_angles(rig)
     error = np.concatenate(
         [
-            parameters_of(lens.camera) - parameters_of(rig.camera),
+            parameters_of(camera) - parameters_of(rig.camera),
             level - np.array([roll, pitch, rig.ceiling_height_m]),
             found.xy_m - rig.mount_xy_m,
             [se2.wrap(found.yaw_rad - yaw)],
@@ -85,9 +100,9 @@ def commission(rig: Calibration, seed: int) -> RigResult:
     rotation = mount_rotation(found.yaw_rad, level[0], level[1])
     at = (float(found.xy_m[0]), float(found.xy_m[1]))
     calibration = replace(
-        rig, camera=lens.camera, projection=projection_matrix(lens.camera, rotation, at, level[2]), noise=UNMEASURED
+        rig, camera=camera, projection=projection_matrix(camera, rotation, at, level[2]), noise=UNMEASURED
     )
-    return RigResult(error, np.concatenate([lens.sigma, projection.sigma[:3], found.sigma]), calibration)
+    return RigResult(error, np.concatenate([np.sqrt(np.diag(cov)), projection.sigma[:3], found.sigma]), calibration)
 
 
 def with_noise(found: Calibration, rig: Calibration, seed: int) -> Calibration:

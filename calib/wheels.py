@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.points_file import read_table
+from ceilvo.calib.points_file import ask_on_terminal, in_metres, read_table
 from ceilvo.calib.sources import Picture
 from ceilvo.config import Base
 from ceilvo.drivers.base_link import BaseLink
@@ -33,16 +33,16 @@ def no_wheels(picture: Picture) -> Array | None:
     return picture.wheels
 
 
-def recorded(folder: Path) -> Wheels:
+def recorded(folder: Path, units: str | None = None) -> Wheels:
     """From FILE in the folder, name,x_m,y_m,theta_rad with a row for each picture; no_wheels where there is none.
 
     Raises:
-        CalibrationError: it cannot be read, or names a picture twice.
+        CalibrationError: it cannot be read, names a picture twice, or millimetres that nobody has confirmed.
     """
     path = folder / FILE
     if not path.exists():
         return no_wheels
-    table = read_table(path, _COLUMNS)
+    table = in_metres(path, read_table(path, _COLUMNS), _COLUMNS[:2], units, ask_on_terminal)
     with path.open(encoding="utf-8-sig", newline="") as f:
         rows = csv.DictReader(f, skipinitialspace=True)
         names = [(row.get("name") or "").strip() for row in rows]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -13,18 +12,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ceilvo.calib import session as session_module
-from ceilvo.calib import views
 from ceilvo.calib.board import Board, BoardFinder
-from ceilvo.calib.cli import main
 from ceilvo.calib.intrinsics import Shot, calibrate
 from ceilvo.calib.session import Session
-from ceilvo.calib.sources import Picture
 from ceilvo.calib.virtual_bench import VirtualBench
 from ceilvo.calib.virtual_board import BoardRenderer, board_poses
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
-from ceilvo.sim.rig import simulated_calibration, simulated_camera
+from ceilvo.sim.rig import simulated_camera
 
 Gray = NDArray[np.uint8]
 
@@ -43,24 +38,14 @@ def shots() -> list[Gray]:
     return draw(count=16)
 
 
+Run = Callable[..., tuple[int, str, str]]
+
+
 def folder(path: Path, images: list[Gray]) -> Path:
     path.mkdir(parents=True, exist_ok=True)
     for i, image in enumerate(images):
         cv2.imwrite(str(path / f"{i:03d}.png"), image)
     return path
-
-
-Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*args: str) -> tuple[int, str, str]:
-        code = main([*args, "--session", str(tmp_path / "s")])
-        got = capsys.readouterr()
-        return code, got.out, got.err
-
-    return call
 
 
 def intrinsics(run: Run, images: Path, *more: str) -> tuple[int, str, str]:
@@ -170,51 +155,6 @@ def test_a_step_that_comes_too_early_says_which_is_missing(run: Run) -> None:
 # -- a session in which the lens is known
 
 
-@pytest.fixture(scope="module")
-def bench() -> VirtualBench:
-    return VirtualBench(simulated_calibration(CAMERA))
-
-
-@pytest.fixture
-def known_lens(tmp_path: Path, bench: VirtualBench) -> Session:
-    """A session as `calib intrinsics` leaves it, with the true lens."""
-    c = bench.rig.camera
-    session = Session(tmp_path / "s")
-    camera = {k: getattr(c, k) for k in ("kind", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")}
-    session.save(
-        "intrinsics",
-        {
-            "camera": {**camera, "distortion": list(c.distortion)},
-            "camera_id": "ceilvo-sim",
-            "model": "pinhole",
-            "sigma": [0.1] * 9,
-            "cov": np.zeros((9, 9)).tolist(),
-            "rms_px": 0.1,
-            "verdict": "PASS",
-        },
-    )
-    return session
-
-
-@pytest.fixture(scope="module")
-def stock(bench: VirtualBench) -> dict[str, list[Picture]]:
-    """Pictures of the virtual bench, drawn once."""
-    return {
-        "board": list(bench.board(BOARD, 7)),
-        "places": list(bench.places(8)),
-        "spin_and_run": list(bench.spin_and_run(28, 18, turns=1.0)),
-        "stands": list(bench.stands(9, 2)),
-        "drive": list(bench.drive(40, lap_share=0.1)),
-    }
-
-
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch, stock: dict[str, list[Picture]]) -> None:
-    """The virtual bench with fewer pictures."""
-    for name, pictures in stock.items():
-        monkeypatch.setattr(VirtualBench, name, lambda *_, p=pictures, **__: iter(p))
-
-
 @pytest.mark.usefixtures("known_lens", "short")
 def test_from_lens_to_report_on_the_virtual_bench(run: Run, tmp_path: Path, bench: VirtualBench) -> None:
     for step in ("projection", "mount", "sigma", "survey", "check"):
@@ -284,88 +224,6 @@ def test_a_blank_ceiling_is_said_so(run: Run, tmp_path: Path) -> None:
     images = folder(tmp_path / "i", [rng.integers(90, 110, (360, 480), np.uint8)])
     code, _, err = run("projection", "--images", str(images), "--tile-m", "0.6")
     assert code == 78 and "found no usable picture" in err
-
-
-# -- interruption and full disk, in every step
-
-
-def interrupted(pictures: Iterator[Picture], after: int) -> Iterator[Picture]:
-    for i, picture in enumerate(pictures):
-        if i == after:
-            raise KeyboardInterrupt
-        yield picture
-
-
-STEPS = {"intrinsics": "board", "projection": "places", "mount": "spin_and_run", "sigma": "stands", "check": "places"}
-
-
-def prepare(run: Run, step: str) -> None:
-    """The results that a step needs; the lens is there."""
-    for before in {"mount": ("projection",), "sigma": ("projection",), "check": ("projection",)}.get(step, ()):
-        assert run(before, "--simulate")[0] == 0
-
-
-@pytest.mark.usefixtures("short")
-@pytest.mark.parametrize("step", STEPS)
-def test_ctrl_c_keeps_what_was_taken_and_the_next_run_goes_on(
-    run: Run, tmp_path: Path, known_lens: Session, step: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if step == "intrinsics":
-        (tmp_path / "s" / "intrinsics.json").unlink()
-    prepare(run, step)
-    whole = getattr(VirtualBench, STEPS[step])
-    with monkeypatch.context() as m:
-        if step == "mount":  # its pictures are drawn before the first is used
-            real = views.CeilingReader.__call__
-            calls = iter(range(1000))
-
-            def reader(self: views.CeilingReader, gray: Gray) -> object:
-                if next(calls) == 5:
-                    raise KeyboardInterrupt
-                return real(self, gray)
-
-            m.setattr(views.CeilingReader, "__call__", reader)
-        else:
-            m.setattr(VirtualBench, STEPS[step], lambda *a, **k: interrupted(whole(*a, **k), 5))
-        code, _, err = run(step, "--simulate")
-    assert code == 130 and "stopped; what was taken so far is kept in" in err
-    name = "mount-spin" if step == "mount" else step
-    kept = (tmp_path / "s" / f"{name}.samples.jsonl").read_text().splitlines()
-    assert len(kept) >= 4
-    assert not (tmp_path / "s" / f"{step}.json").exists()
-    if step in ("projection", "sigma", "mount"):
-        code, out, err = run(step, "--simulate")
-        assert f"going on with {len(kept) - 1} pictures" in err
-        assert code == 0, out + err
-
-
-@pytest.mark.usefixtures("known_lens", "short")
-def test_ctrl_c_ends_a_survey_with_its_verdict(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run("projection", "--simulate")[0] == 0
-    whole = VirtualBench.drive
-    monkeypatch.setattr(VirtualBench, "drive", lambda *a, **k: interrupted(whole(*a, **k), 30))
-    code, out, _ = run("survey", "--simulate")
-    assert code == 0 and "30 frames" in out and "ended early" in out
-
-
-@pytest.mark.usefixtures("short")
-@pytest.mark.parametrize("step", [*STEPS, "survey", "report"])
-def test_a_full_disk_loses_nothing(
-    run: Run, tmp_path: Path, known_lens: Session, step: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if step == "intrinsics":
-        (tmp_path / "s" / "intrinsics.json").unlink()
-    prepare(run, "check" if step == "survey" else step)
-    before = {p: p.read_bytes() for p in (tmp_path / "s").glob("*.json")}
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(session_module, "write_atomic", full)
-    monkeypatch.setattr(session_module.os, "fsync", full)
-    code, _, err = run(step, *([] if step == "report" else ["--simulate"]))
-    assert code == 78 and "No space left on device" in err and "make room" in err
-    assert {p: p.read_bytes() for p in (tmp_path / "s").glob("*.json")} == before
 
 
 def test_a_sample_that_was_cut_short_is_left_out(tmp_path: Path) -> None:

@@ -1,0 +1,64 @@
+"""What the tests of calib share: the command, a virtual bench with few pictures, a session with a known lens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ceilvo.calib.board import Board
+from ceilvo.calib.cli import main
+from ceilvo.calib.session import Session
+from ceilvo.calib.sources import Picture
+from ceilvo.calib.virtual_bench import VirtualBench
+from ceilvo.sim.rig import simulated_calibration, simulated_camera
+
+CAMERA = simulated_camera(width_px=480, height_px=360)
+BOARD = Board()
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*args: str) -> tuple[int, str, str]:
+        code = main([*args, "--session", str(tmp_path / "s")])
+        got = capsys.readouterr()
+        return code, got.out, got.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def bench() -> VirtualBench:
+    return VirtualBench(simulated_calibration(CAMERA))
+
+
+@pytest.fixture
+def known_lens(tmp_path: Path, bench: VirtualBench) -> Session:
+    """A session as `calib intrinsics` leaves it, with the true lens."""
+    session = Session(tmp_path / "s")
+    lens = {"camera": asdict(bench.rig.camera), "camera_id": "ceilvo-sim", "model": "pinhole", "sigma": [0.1] * 9}
+    session.save("intrinsics", lens | {"cov": np.zeros((9, 9)), "rms_px": 0.1, "verdict": "PASS"})
+    return session
+
+
+@pytest.fixture(scope="module")
+def stock(bench: VirtualBench) -> dict[str, list[Picture]]:
+    """Pictures of the virtual bench, drawn once."""
+    return {
+        "board": list(bench.board(BOARD, 8)),
+        "places": list(bench.places(9)),
+        "spin_and_run": list(bench.spin_and_run(28, 18, turns=1.0)),
+        "stands": list(bench.stands(9, 2)),
+        "drive": list(bench.drive(40, lap_share=0.1)),
+    }
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch, stock: dict[str, list[Picture]]) -> None:
+    """The virtual bench with fewer pictures."""
+    for name, pictures in stock.items():
+        monkeypatch.setattr(VirtualBench, name, lambda *_, p=pictures, **__: iter(p))
