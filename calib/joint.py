@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 LensResiduals = Callable[[CameraModel], bundle.Residuals]
 
+_LITTLE = 1e-3
 AGREES = 3.0
 """Mean square by which the parameters may move, in the board's sigma; of nine, one in seven hundred moves more."""
 
@@ -68,14 +69,14 @@ def refine(
     make, start = lens[0], np.concatenate([level.shared, lens[1]])
     board = np.linalg.inv(lens_cov)
     info = np.zeros((len(start), len(start)))
-    info[3:, 3:] = board * level.rms**2 * shared_errors
+    info[3:, 3:] = board * _LITTLE * level.rms**2
 
     def residuals(i: int, p: Array, view: Array) -> Array:
         return of_lens(make(p[3:]))(i, p[:3], view)
 
-    rough = bundle.solve(residuals, start, level.views, prior_info=info, rounds=rounds)
-    info[3:, 3:] = board * rough.rms**2 * shared_errors  # what is left is less than what the board's lens left
-    fit = bundle.solve(residuals, start, rough.views, prior_info=info, rounds=rounds)
+    free = bundle.solve(residuals, start, level.views, prior_info=info, rounds=rounds)  # its rms is the grid's noise
+    info[3:, 3:] = board * free.rms**2 * shared_errors
+    fit = bundle.solve(residuals, start, free.views, prior_info=info, rounds=rounds)
     cov = bundle.at_least(fit.cov * shared_errors, fit.cluster_cov)
     move = fit.shared[3:] - start[3:]
     return Joint(

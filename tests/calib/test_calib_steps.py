@@ -242,7 +242,7 @@ def test_a_damaged_result_is_named(tmp_path: Path) -> None:
         Session(tmp_path).result("mount")
 
 
-CHESSBOARD = Path(os.environ.get("CEILVO_DATA", "data")) / "chessboard"
+CHESSBOARD = Path(os.environ.get("CEILVO_DATA", Path(__file__).parents[3] / "shared" / "data")) / "chessboard"
 
 
 @pytest.mark.skipif(not CHESSBOARD.is_dir(), reason="CEILVO_DATA does not name the recordings")
