@@ -20,7 +20,7 @@ help:
 	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
 	@echo "make bench-filter      time of a filter's step, as ratios"
-	@echo "make bench-calib       commissioning over 50 simulated rigs and 400 noise experiments (half an hour)"
+	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
 	@echo "make soak              the daemon with faults for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
