@@ -14,6 +14,7 @@ from ceilvo.bench.fault_plan import current, strokes
 from ceilvo.bench.faulty_camera import FaultyCamera
 from ceilvo.config_file import load_config
 from ceilvo.daemon.app import Plan, run
+from ceilvo.daemon.cli import leave
 from ceilvo.sim.camera import SimCamera
 from ceilvo.sim.world import World, WorldSpec
 
@@ -34,4 +35,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from ceilvo import __version__
 from ceilvo.calibration import Calibration
@@ -56,8 +56,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def entry() -> None:
-    """The command as installed. A thread that is stuck in a driver must not be met by a dying interpreter."""
-    code = main()
+    """The command as installed."""
+    leave(main())
+
+
+def leave(code: int) -> NoReturn:
+    """End the process: a thread that is stuck in a driver or in C++ would abort a dying interpreter."""
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()

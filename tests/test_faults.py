@@ -35,8 +35,8 @@ SEED = 5
 RATE_HZ = 15.0
 SPEED_MPS = 0.1
 """Slow, so that what the robot sees after a fault is in its map, however long a busy machine makes the fault last."""
-PATIENCE_S = 25.0
-"""Never waited for unless something is broken."""
+PATIENCE_S = 180.0
+"""Never waited for unless something is broken, or the machine has ten times as much to do as it can."""
 GOOD = (State.TRACKING, State.DEGRADED)
 
 
@@ -247,8 +247,10 @@ def test_what_cannot_be_saved_is_told_once_and_saved_when_it_can_be(
         aside.rename(robot.state_dir)
     robot.until_health("store_error", lambda v: v == "")
     texts = [r.getMessage() for r in caplog.records]
-    assert sum("not saved" in t for t in texts) == 1
-    assert "map and pose are saved again" in texts
+    complaints = [t for t in texts if "not saved" in t]
+    assert complaints
+    assert len(complaints) == len(set(complaints)), "a complaint a file, however often it is tried"
+    assert texts.count("map and pose are saved again") == 1
     robot.until_state(*GOOD)
 
 
@@ -259,7 +261,8 @@ def test_the_clock_may_step_by_an_hour(robot: Robot, monkeypatch: pytest.MonkeyP
         monkeypatch.setattr(time, "time_ns", lambda step=hours: real() + step * 3_600_000_000_000)
         count = len(robot.poses) + 10
         robot.until(lambda n=count: len(robot.poses) > n, "poses go on")
-        assert robot.poses[-1].state in GOOD
+        robot.until_state(*GOOD)
+        assert abs(robot.poses[-1].stamp_ns - time.monotonic_ns()) < 60_000_000_000, "stamps follow no wall clock"
     stamps = [p.stamp_ns for p in robot.poses]
     assert (np.diff(stamps) > 0).all()
 
@@ -287,10 +290,10 @@ def test_any_thread_that_raises_ends_the_process(caplog: pytest.LogCaptureFixtur
 def test_each_thread_of_the_daemon_ends_the_process_with_an_exit_code(thread: str, tmp_path: Path) -> None:
     """In a process of its own, because the exit code is what systemd sees."""
     code = f"""
-import logging, sys
+import logging
 from dataclasses import replace
 from ceilvo.config import Config
-from ceilvo.daemon import app, estimator
+from ceilvo.daemon import app, cli, estimator
 from ceilvo.drivers import base_link, zenoh_bus
 from ceilvo.drivers.mock_camera import MockCamera
 from ceilvo.sim.base import SimBase
@@ -306,7 +309,8 @@ with SimBase() as base:
     c = Config()
     config = replace(c, base=replace(c.base, port=base.port), zenoh=replace(c.zenoh, multicast=False))
     camera = MockCamera(width_px=cal.camera.width_px, height_px=cal.camera.height_px)
-    sys.exit(app.run(app.Plan(config, cal, camera, seconds=50.0)))
+    code = app.run(app.Plan(config, cal, camera, seconds=50.0))
+cli.leave(code)
 """
     environment = {k: v for k, v in os.environ.items() if k not in ("NOTIFY_SOCKET", "WATCHDOG_USEC")}
     done = subprocess.run(
