@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -103,7 +104,7 @@ class Soak:
     def _spawn(self, port: int, link: Path) -> subprocess.Popen[bytes]:
         self._state.mkdir(exist_ok=True)
         for old in self._state.iterdir():
-            old.unlink()
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
         file = self._out / f"{self._name}.yaml"
         file.write_text(render_config(self._config(port, link)))
         args = [str(self._seed), str(self.t0_ns), str(self._seconds), str(file)]

@@ -213,7 +213,10 @@ class Recorder:
 
     def _halt(self, error: Exception, retry: bool) -> None:
         why = _reason(error)
-        self._storage.abandon()
+        try:
+            self._storage.abandon()
+        except Exception:
+            _log.exception("the recorder's file could not be closed")
         with self._changed:
             news, self._stopped = why != self._stopped, why
             self._dropped += sum(len(i.messages) for i in self._queue)

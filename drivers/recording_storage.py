@@ -94,7 +94,7 @@ class Ring:
         self._file: McapFile | None = None
         self._start = "fresh"
         self._number = 0
-        self._ready = False
+        self._ready = self._marked = False
         self._keeping: Path | None = None
         self._keep_until_ns = self._keep_limit_ns = 0
         self._checked_ns = self._now_ns = 0
@@ -153,10 +153,11 @@ class Ring:
         (self._ring / "run").unlink(missing_ok=True)
 
     def abandon(self) -> None:
+        """What is on the disk is looked at anew when it is tried again: it may be another disk by then."""
         if self._file is not None:
             self._file.abandon()
-            self._segments.append(_Segment(self._file.path, _size(self._file.path), self._age_s()))
-        self._file, self._start = None, "unknown"
+        self._file, self._start, self._keeping = None, "unknown", None
+        self._segments, self._ready = [], False
 
     def bytes_written(self) -> int:
         return self._closed_bytes + (0 if self._file is None else self._file.size)
@@ -176,18 +177,19 @@ class Ring:
         """Folders, and what an earlier run left."""
         if self._ready:
             return
-        self._ring.mkdir(parents=True, exist_ok=True)
-        self._kept.mkdir(parents=True, exist_ok=True)
+        for folder in (self._ring.parent, self._ring, self._kept):  # not their parent: it may be a disk that is gone
+            folder.mkdir(exist_ok=True)
         found = sorted(self._ring.glob(f"{_PREFIX}*.mcap"))
         self._segments = [_Segment(p, _size(p), self._segment_s) for p in found]
         numbers = [int(m[1]) for p in (*found, *self._kept.glob("*/*.mcap")) if (m := re.search(r"(\d+)$", p.stem))]
-        self._number = max(numbers, default=-1) + 1
+        self._number = max(self._number, max(numbers, default=-1) + 1)
         self._ready = True
         mark = self._ring / "run"
-        if self._segments and self._boot_id and _text(mark) == self._boot_id:
+        if not self._marked and self._segments and self._boot_id and _text(mark) == self._boot_id:
             self.fault("the process died", self._now_ns)
             self._keeping = None
         mark.write_text(self._boot_id + "\n")
+        self._marked = True
 
     def _open(self, stamp_ns: int) -> None:
         self._make_ready()

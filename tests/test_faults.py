@@ -243,6 +243,7 @@ def test_what_cannot_be_saved_is_told_once_and_saved_when_it_can_be(
     robot.state_dir.rename(aside)
     try:
         robot.until_health("store_error", lambda v: "cannot be written" in str(v))
+        robot.until_health("recorder", lambda v: "No such file" in str(v))
     finally:
         aside.rename(robot.state_dir)
     robot.until_health("store_error", lambda v: v == "")

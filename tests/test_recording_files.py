@@ -429,6 +429,39 @@ def test_a_ring_on_a_full_disk_gives_up_its_past_first(tmp_path: Path, monkeypat
     assert numbers(tmp_path / "ring")[-100:] == list(range(400, 500))
 
 
+def test_a_ring_whose_disk_goes_away_goes_on_when_it_is_back(tmp_path: Path) -> None:
+    """Nothing is made in its place: the mount point would fill the disk below it."""
+    state, aside = tmp_path / "state", tmp_path / "aside"
+    state.mkdir()
+    drive = Drive(state / "recorder", minutes=0.5).seconds(20)
+    state.rename(aside)
+    drive.now_ns += 2 * S
+    for _ in range(2):
+        with pytest.raises(FileNotFoundError):
+            drive.ring.tick(drive.now_ns)
+        drive.ring.abandon()
+        assert not state.exists()
+    aside.rename(state)
+    drive.seconds(10).ring.close()
+    assert numbers(state / "recorder" / "ring") == list(range(300))
+    assert not list((state / "recorder" / "kept").iterdir()), "no process died"
+
+
+def test_a_recorder_outlives_a_storage_that_cannot_even_be_closed(caplog: pytest.LogCaptureFixture) -> None:
+    class Broken(Failing):
+        def abandon(self) -> None:
+            raise FileNotFoundError("gone")
+
+    told = threading.Event()
+    recorder = Recorder(Broken(), lambda: 0, lambda why: told.set())
+    recorder.start()
+    for i in range(5):
+        recorder.put(text(0, {}, i))
+    assert told.wait(30.0)
+    assert recorder.stop()
+    assert "could not be closed" in caplog.text
+
+
 def _usage(free: int) -> object:
     from collections import namedtuple
 
