@@ -22,7 +22,7 @@ help:
 	@echo "make bench-filter      time of a filter's step, as ratios"
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
 	@echo "make soak              the daemon with faults for hours: HOURS=1; verdict, plot and JSON in build/bench/"
-	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults"
+	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
 	@echo "make kill-test         kill -9 while it saves, KILLS=200 times"
 	@echo "make fuzz              every reader of bytes, MINUTES=10 each; by coverage where atheris can be installed"
@@ -66,7 +66,7 @@ soak: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.soak --hours $(or $(HOURS),1)
 
 bench-faults: $(VENV)/.installed
-	$(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10) --resume
 
 bench-latency: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.latency --seconds $(or $(SECONDS),60)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -30,6 +31,7 @@ _COAST = 1
 _EMPTY = np.zeros((2, 2), np.uint8)
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 _SAVED_EVERY_S = 10.0
+_NEWS = 8
 
 
 @dataclass
@@ -38,7 +40,8 @@ class Tally:
 
     Attributes:
         wrong_s: by state, seconds with a pose that is more than WRONG_M off.
-        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault.
+        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; told: each, with
+            the way to it.
         false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong; blind_lost: while
             neither camera nor wheels said anything, so that nobody could know.
     """
@@ -48,6 +51,7 @@ class Tally:
     wrong_s: dict[str, float] = field(default_factory=dict)
     faults: dict[str, int] = field(default_factory=dict)
     wrong_events: dict[str, int] = field(default_factory=dict)
+    told: list[str] = field(default_factory=list)
     false_lost: int = 0
     true_lost: int = 0
     blind_lost: int = 0
@@ -58,6 +62,7 @@ class Tally:
         for name in ("seconds", "false_lost", "true_lost", "blind_lost", "helped"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.worst_tracking_m = max(self.worst_tracking_m, other.worst_tracking_m)
+        self.told += other.told
         for name in ("state_s", "wrong_s", "faults", "wrong_events"):
             mine, theirs = getattr(self, name), getattr(other, name)
             for key, value in theirs.items():
@@ -81,6 +86,7 @@ class Drive:
         self._trouble_ns: int | None = None
         self._was_wrong = False
         self._state = State.INIT
+        self._news: deque[str] = deque(maxlen=_NEWS)
         self._saved: tuple[Array, Array] | None = None
         self._saved_ns = 0
         self._wheel_k = self._k
@@ -167,6 +173,7 @@ class Drive:
         longest = {"restart": 5.0, "carried": 8.0, "stale picture": 3.0}.get(kind, 10.0)
         lasts_s = float(self._rng.uniform(0.3, longest))
         self._fault, self._last_fault = kind, kind
+        self._news.append(f"{self.tally.seconds:.1f} {kind} for {lasts_s:.1f} s")
         self._until_ns = self._ns + round(1e9 * lasts_s)
         self._slip = float(self._rng.uniform(0.1, 1.0))
         self.tally.faults[kind] = self.tally.faults.get(kind, 0) + 1
@@ -205,11 +212,14 @@ class Drive:
             if wrong and not self._was_wrong:
                 self._was_wrong = True
                 t.wrong_events[self._last_fault] = t.wrong_events.get(self._last_fault, 0) + 1
+                t.told.append(f"seed {self._seed} {t.seconds:.1f} s, {off:.2f} m off: {'; '.join(self._news)}")
         if not wrong:
             self._was_wrong = False
         if e.state is State.LOST and self._state is not State.LOST:
             name = "blind_lost" if self._fault == "dark, no wheels" else "true_lost" if wrong else "false_lost"
             setattr(t, name, getattr(t, name) + 1)
+        if e.state is not self._state:
+            self._news.append(f"{t.seconds:.1f} {e.state.name} {off:.2f} m ({e.reason})")
         self._state = e.state
         trouble = wrong or e.state in (State.LOST, State.RELOCALISING)
         if not trouble:
