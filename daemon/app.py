@@ -168,10 +168,14 @@ class Daemon:
     def _supervise(self, screen: Screen | None) -> None:
         """Everything slow and periodic, until somebody says stop."""
         health = save = self._clock()
+        told: State | None = None
         while not self._stop.wait(_TICK_S):
-            now = self._clock()
+            now, last = self._clock(), self._estimator.last
             if not self._crashes.empty() or self._is_over(now):
                 break
+            if last is not None and last.state is not told:
+                told = last.state
+                self._tell_status(told)
             if now >= health:
                 health = now + int(1e9 * self._config.zenoh.health_period_s)
                 self._tell_health()
@@ -209,8 +213,11 @@ class Daemon:
         if state is None:
             last = self._estimator.last
             state = State.INIT if last is None else last.state
-        self._notifier.status(self._report.status_line(state, self._camera_reason))
+        self._tell_status(state)
         self._outputs.health(state, self._report.uptime_s, {**self._report.counters(), **self._recorder_counters()})
+
+    def _tell_status(self, state: State) -> None:
+        self._notifier.status(self._report.status_line(state, self._camera_reason))
 
     def _recorder_counters(self) -> dict[str, object]:
         return {} if self._tape is None else {"recorder": asdict(self._tape.counters())}

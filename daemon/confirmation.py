@@ -20,6 +20,7 @@ _FEWEST_VIEWS = 6
 _FOUND_VIEWS = 40
 _FEWEST = 5
 _FEWEST_LANDMARKS = 6
+_ELSEWHERE_SHARE = 0.03
 _REACH_TILES = 3
 _SMALLEST_TILE_M = 0.28
 
@@ -37,31 +38,34 @@ class Confirmation:
     def __init__(self, sure: bool, carried: bool = False, why: str = "", found: bool = False) -> None:
         self.sure, self.carried, self.why, self.found = sure, carried, why, found
         self._explained: Array = np.zeros(1)
-        self._seen = self._views = 0
+        self._seen = self._views = self._elsewhere = 0
 
     def after_gap(self, carried: bool) -> Confirmation:
         """The same hypothesis after a further blind way: what was counted before it says nothing any more."""
         return Confirmation(False, self.carried and carried, self.why, self.found)
 
-    def weigh(self, explained: Array, seen: int, nis: float, nis_max: float) -> bool:
+    def weigh(self, explained: Array, seen: int, elsewhere: int, nis: float, nis_max: float) -> bool:
         """Take in one view from a new place.
 
         Args:
             explained: (1 + K,) features that the map explains from the assumed pose and from its K rivals.
             seen: features in the view.
+            elsewhere: how many more the best place of the whole map would explain.
 
         Returns:
             True once the hypothesis is confirmed.
         """
         if explained.shape != self._explained.shape:
-            self._explained, self._seen, self._views = np.zeros(explained.shape), 0, 0
+            self._explained, self._seen, self._views, self._elsewhere = np.zeros(explained.shape), 0, 0, 0
         self._explained = self._explained + explained
         self._seen, self._views = self._seen + seen, self._views + 1
+        self._elsewhere += elsewhere
         fits = explained[0] >= max(_FEWEST, _SURE_SHARE * seen) and nis <= nis_max
         if self.sure or len(explained) == 1:
             return bool(fits and self.sure)
         ahead = self._explained[0] - np.max(self._explained[1:])
-        return bool(fits and ahead >= _MARGIN and self._convinces(0, _FOUND_VIEWS if self.found else _FEWEST_VIEWS))
+        views = _FOUND_VIEWS if self.found else _FEWEST_VIEWS
+        return bool(fits and ahead >= _MARGIN and self._convinces(0, views) and self._best_of_all)
 
     def better(self) -> int | None:
         """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
@@ -74,8 +78,16 @@ class Confirmation:
 
     @property
     def hopeless(self) -> bool:
-        """Whether enough views were explained too badly: the robot is elsewhere, or where nothing is mapped."""
-        return not self.sure and self._views >= _FEWEST_VIEWS and not self._convinces(0)
+        """Whether enough views were explained too badly, or better elsewhere: the robot is there, or nothing is mapped.
+
+        All views count: were the last one enough, a wrong pose would only have to wait for the one that fits.
+        """
+        enough = not self.sure and self._views >= _FEWEST_VIEWS
+        return enough and not (self._convinces(0) and self._best_of_all)
+
+    @property
+    def _best_of_all(self) -> bool:
+        return self._elsewhere <= _ELSEWHERE_SHARE * self._seen
 
     def _convinces(self, pose: int, views: int = _FEWEST_VIEWS) -> bool:
         """Whether enough views were explained nearly whole: the best of bad ones is none."""

@@ -47,7 +47,8 @@ _SURE_M = 0.12
 _UNSURE_M, _UNSURE_RAD = 0.15, 0.5
 _SLIP_SHARE = 0.3
 _JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
-_BETTER_ELSEWHERE, _MUCH_BETTER = 2, 4
+_MUCH_BETTER = 4
+_VIEW_PERIOD_S = 0.2
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 
@@ -183,7 +184,7 @@ class Pipeline:
             self._updated_ns is None
             or self._travel_m >= cfg.update_travel_m
             or self._turn_rad >= np.radians(cfg.update_turn_deg)
-            or (stamp_ns - self._updated_ns) * _NS >= cfg.update_period_s
+            or (stamp_ns - self._updated_ns) * _NS >= self._view_period_s()
         )
         self._news = due
         if not due and self._hypothesis is None:
@@ -198,6 +199,11 @@ class Pipeline:
         if depletion.mode_weight >= SURE:
             return observations
         return replace(observations, label=np.full(len(observations), UNLABELLED))
+
+    def _view_period_s(self) -> float:
+        """How long after a view the next one is news to a robot that stands: detection errs anew in every frame."""
+        h, period_s = self._hypothesis, self._config.filter.update_period_s
+        return period_s if h is None or h.sure or h.found else min(_VIEW_PERIOD_S, period_s)
 
     def _seen_from(self, pose: Array, crossings: Crossings) -> Observations:
         """Crossings as observations of the map, were the robot at a pose."""
@@ -217,27 +223,20 @@ class Pipeline:
         landmarks, gate_m = self._filter.landmarks(), self._config.filter.association_gate_m
         others = np.zeros((0, 2)) if hypothesis.sure else rival_shifts(landmarks, self._map_axis_rad or 0.0)
         counts = explained_at(np.vstack([np.zeros((1, 2)), others]), pose, observations, landmarks, gate_m)
-        confirmed = hypothesis.weigh(counts, len(observations), depletion.nis, self._config.states.nis_high)
-        if confirmed and hypothesis.sure:
+        place = None if hypothesis.sure else best_place(landmarks, observations, pose)
+        elsewhere = 0 if place is None else place.explained - place.here
+        seen, nis_high = len(observations), self._config.states.nis_high
+        if hypothesis.weigh(counts, seen, elsewhere, depletion.nis, nis_high):
             self._hypothesis = None
             return
         better = hypothesis.better()
-        if not confirmed and better is None and not hypothesis.hopeless:
-            return
-        place = best_place(landmarks, observations, pose)
-        if confirmed:
-            if place is None or place.explained <= place.here + _BETTER_ELSEWHERE:
-                self._hypothesis = None
-        elif better is not None:
+        if better is not None:
             self._jump(pose + np.array([*others[better], 0.0]), landmarks)
-        elif (
-            place is not None
-            and place.explained > place.here + _MUCH_BETTER
-            and convincing(place.explained, len(observations))
-        ):
-            self._jump(place.pose, landmarks)
-        else:
-            self._hypothesis = hypothesis.after_gap(hypothesis.carried)
+        elif hypothesis.hopeless:
+            if place is not None and elsewhere > _MUCH_BETTER and convincing(place.explained, seen):
+                self._jump(place.pose, landmarks)
+            else:
+                self._hypothesis = hypothesis.after_gap(hypothesis.carried)
 
     def _jump(self, pose: Array, landmarks: Landmarks) -> None:
         """Try another pose: a hypothesis like any other."""

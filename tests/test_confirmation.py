@@ -11,7 +11,7 @@ NIS, NIS_MAX = 1.0, 3.0
 
 def views(own: int, rival: int, seen: int, count: int, sure: bool = False, nis: float = NIS) -> list[bool]:
     confirmation = Confirmation(sure)
-    return [confirmation.weigh(np.array([own, rival, rival - 1], float), seen, nis, NIS_MAX) for _ in range(count)]
+    return [confirmation.weigh(np.array([own, rival, rival - 1], float), seen, 0, nis, NIS_MAX) for _ in range(count)]
 
 
 def test_the_better_pose_is_believed_after_a_few_views() -> None:
@@ -43,7 +43,23 @@ def test_a_sure_pose_needs_one_view_that_fits() -> None:
 
 def test_without_rivals_an_unsure_pose_stays_unsure() -> None:
     confirmation = Confirmation(sure=False)
-    assert not any(confirmation.weigh(np.array([30.0]), 30, NIS, NIS_MAX) for _ in range(50))
+    assert not any(confirmation.weigh(np.array([30.0]), 30, 0, NIS, NIS_MAX) for _ in range(50))
+
+
+@pytest.mark.parametrize("found", [False, True])
+def test_a_pose_that_fits_now_is_not_believed_while_its_views_fit_better_elsewhere(found: bool) -> None:
+    """Were the last view enough, a wrong pose would only have to wait for one that fits it as well as the right one."""
+    wrong = Confirmation(sure=False, found=found)
+    told = []
+    for k in range(200):
+        told.append(wrong.weigh(np.array([45.0, 40.0, 39.0]), 50, 0 if k % 10 == 9 else 5, NIS, NIS_MAX))
+    assert not any(told)
+    assert wrong.hopeless
+    right = Confirmation(sure=False, found=found)
+    told = [right.weigh(np.array([49.0, 45.0, 44.0]), 50, k % 2, NIS, NIS_MAX) for k in range(40)]
+    assert told[-1]
+    assert not any(told[:5])
+    assert not right.hopeless
 
 
 @pytest.mark.parametrize("axis", [0.0, 0.4, -1.2])
@@ -79,9 +95,9 @@ def test_explained_features_are_counted_by_kind_at_every_shift() -> None:
 def test_a_clearly_better_rival_is_named_and_a_draw_is_not() -> None:
     confirmation = Confirmation(sure=False)
     for _ in range(8):
-        assert not confirmation.weigh(np.array([20.0, 21.0, 27.0]), 30, NIS, NIS_MAX)
+        assert not confirmation.weigh(np.array([20.0, 21.0, 27.0]), 30, 0, NIS, NIS_MAX)
     assert confirmation.better() == 1
     draw = Confirmation(sure=False)
     for _ in range(9):
-        draw.weigh(np.array([20.0, 24.0, 24.0]), 30, NIS, NIS_MAX)
+        draw.weigh(np.array([20.0, 24.0, 24.0]), 30, 0, NIS, NIS_MAX)
     assert draw.better() is None

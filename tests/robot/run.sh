@@ -72,14 +72,15 @@ for _ in $(seq 100); do [ -s "$OUT/base.txt" ] && break; sleep 0.05; done
 
 # boot SCRIPT OUT: run it inside, with the base that listens to OUT/base.stop.
 boot() {
-  local status=0 watcher
+  local status=0 watcher tty
+  tty=$(readlink "$OUT/base") # before OUT is another one
   cp "$here/$1" "$share/guest.sh"
   mkdir -p "$2"
   while sleep 0.05; do
     if [ -e "$2/base.stop" ]; then kill -STOP $base; else kill -CONT $base; fi 2>/dev/null || break
   done &
   watcher=$!
-  OUT=$2 TTY=$(readlink "$OUT/base") TIMEOUT=$3 bash "$here/vm.sh" run "$share" || status=$?
+  OUT=$2 TTY=$tty TIMEOUT=$3 bash "$here/vm.sh" run "$share" || status=$?
   kill $watcher
   kill -CONT $base
   cat "$2/log.txt" 2>/dev/null || tail -20 "$2/console.txt" || true
