@@ -203,6 +203,44 @@ def test_requests_with_a_bad_crc_or_for_others_get_no_answer(sim: SimBase, raw: 
     assert len(ask(raw, good, size=25)) == 25
 
 
+def heard(data: bytes, sent_baud: float, heard_baud: float) -> bytes:
+    """What a receiver of another baud makes of 8E1 characters sent one after the other; errors of framing unchecked."""
+    levels: list[int] = []
+    for byte in data:
+        bits = [byte >> k & 1 for k in range(8)]
+        levels += [0, *bits, sum(bits) & 1, 1]
+
+    def level(t_s: float) -> int:
+        k = int(t_s * sent_baud)
+        return levels[k] if k < len(levels) else 1
+
+    out, t_s, step_s = bytearray(), 0.0, 0.1 / max(sent_baud, heard_baud)
+    while t_s * sent_baud < len(levels):
+        if level(t_s):
+            t_s += step_s
+            continue
+        out.append(sum(level(t_s + (1.5 + k) / heard_baud) << k for k in range(8)))
+        t_s += 10.5 / heard_baud
+        while not level(t_s):
+            t_s += step_s
+    return bytes(out)
+
+
+@pytest.mark.parametrize("ours", [9600, 19200, 57600, 115200])
+@pytest.mark.parametrize("theirs", [9600, 19200, 57600, 115200])
+def test_at_the_wrong_baud_a_base_keeps_silent_and_hears_the_next_right_one(
+    sim: SimBase, raw: int, ours: int, theirs: int
+) -> None:
+    request = rtu.with_crc(struct.pack(">BBHHHHB", 1, 23, 1100, 10, 1000, 19, 38) + POSE_BYTES)
+    garbled = heard(request, ours, theirs)
+    assert (garbled == request) is (ours == theirs)
+    if ours != theirs:
+        assert ask(raw, garbled, size=1, timeout_s=0.1) == b""
+        assert len(sim.telegrams) == 0
+    assert len(ask(raw, request, size=25)) == 25
+    assert len(sim.telegrams) == 1
+
+
 def test_crc_check_value() -> None:
     assert rtu.crc16(b"123456789") == 0x4B37
 
