@@ -26,9 +26,11 @@ unplug() {
   wait_for 10 rmmod v4l2loopback 2>/dev/null
 }
 feed_start() {
+  rm -f "$feed/feed.csv"
   /opt/ceilvo/bin/python feeder.py "$node" "${3:-frames.gray}" "${1:-$WIDTH}" "${2:-$HEIGHT}" "$RATE" YUYV "$feed" &
   feeder=$!
 }
+feeds() { [ -s "$feed/feed.csv" ]; }
 feed_stop() {
   kill "${feeder:-0}" 2>/dev/null
   wait "${feeder:-}" 2>/dev/null
@@ -82,7 +84,7 @@ replugged() {
   wait_for 5 has_status 'no such device'
   note status_replug "$(show StatusText)"
   sleep 1
-  plug 3 && feed_start || return 1
+  plug 3 && feed_start && wait_for 20 feeds || return 1
   end replug
   wait_for 15 in_state TRACKING
 }
@@ -91,7 +93,7 @@ wrong_format() {
   unplug || return 1
   plug 3 && feed_start 320 240 small.gray || return 1
   wait_for 10 said 'asked for YUYV' || return 1
-  unplug && plug 3 && feed_start || return 1
+  unplug && plug 3 && feed_start && wait_for 20 feeds || return 1
   end format
   wait_for 15 in_state TRACKING
 }

@@ -1,6 +1,7 @@
 """What the virtual robot did about each fault: a table, and faults.json.
 
 judge_faults.py OUT SUMMARY; exit status 1 when a promise is broken. Knows the messages, not ceilvo's code.
+Where the host gave no real-time priority, other work makes times longer: they are shown, and not judged.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ class Life:
     facts: dict[str, str]
     poses: list[tuple[int, str, str]]
     journal: str
+    timed: bool
+
+    def within(self, seconds: float, limit_s: float) -> bool | None:
+        """Whether a time was kept, None where it says nothing."""
+        return seconds <= limit_s if self.timed else None
 
     def ns(self, name: str) -> int:
         return int(self.facts.get(name, "0"))
@@ -51,7 +57,7 @@ def read(out: Path) -> Life:
             continue  # the writer was killed in the middle of the last
         if sample["key"].endswith("/pose"):
             poses.append((sample["recv_ns"], sample["body"]["state"], sample["body"]["reason"]))
-    return Life(facts, poses, _text(out / "service.txt"))
+    return Life(facts, poses, _text(out / "service.txt"), _text(out / "priority").strip() == "chrt")
 
 
 def _text(path: Path) -> str:
@@ -74,7 +80,11 @@ def checks(life: Life) -> Iterator[Check]:
         flagged = life.first(life.ns(f"{name}_begin_ns"), good=False)
         promise = f"<= {FLAGGED_S:g} s" if name != "replug" else ""
         yield Check(
-            f"{name}: flagged after", f"{flagged:.2f} s", promise, flagged <= FLAGGED_S if promise else None, flagged
+            f"{name}: flagged after",
+            f"{flagged:.2f} s",
+            promise,
+            life.within(flagged, FLAGGED_S) if promise else None,
+            flagged,
         )
         yield from _recovered(life, name)
         status = f.get(f"status_{name}", "")
@@ -93,14 +103,15 @@ def checks(life: Life) -> Iterator[Check]:
                 "all" if kept is not None else "",
                 kept,
             )
-    yield Check("memory: same process", f.get("memory_same_process", "-"), "yes", f.get("memory_same_process") == "yes")
+    same = f.get("memory_same_process", "-")
+    yield Check("memory: same process", same, "yes", same == "yes" if life.timed else None)
     kills = [int(v) / 1e3 for k, v in f.items() if k.startswith("kill") and k.endswith("_ms")]
     slowest = max(kills, default=float("inf"))
     yield Check(
         "kill -9: next pose after",
         f"{[round(k, 2) for k in kills]} s",
         f"<= {PROCESS_S:g} s",
-        slowest <= PROCESS_S,
+        life.within(slowest, PROCESS_S),
         slowest,
     )
     yield Check("kill -9: files damaged or left", f.get("rejected", "-"), "0", f.get("rejected") == "0")
@@ -116,7 +127,9 @@ def checks(life: Life) -> Iterator[Check]:
 
 def _recovered(life: Life, name: str) -> Iterator[Check]:
     took = life.first(life.ns(f"{name}_end_ns"), good=True)
-    yield Check(f"{name}: good again after", f"{took:.2f} s", f"<= {RECOVERY_S:g} s", took <= RECOVERY_S, took)
+    yield Check(
+        f"{name}: good again after", f"{took:.2f} s", f"<= {RECOVERY_S:g} s", life.within(took, RECOVERY_S), took
+    )
 
 
 def main() -> int:

@@ -19,17 +19,18 @@ FRAMES = 300
 STANDING = 15
 
 
-def load_judge() -> ModuleType:
-    path = Path(__file__).with_name("judge.py")
-    spec = importlib.util.spec_from_file_location("robot_judge", path)
+def load(name: str, known_as: str) -> ModuleType:
+    path = Path(__file__).with_name(name)
+    spec = importlib.util.spec_from_file_location(known_as, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["robot_judge"] = module
+    sys.modules[known_as] = module
     spec.loader.exec_module(module)
     return module
 
 
-judge = load_judge()
+judge = sys.modules["judge"] = load("judge.py", "robot_judge")
+judge_faults = load("judge_faults.py", "robot_judge_faults")
 
 
 def pose(k: int, index: int, truth: Any, seq: int) -> dict[str, Any]:
@@ -148,3 +149,35 @@ def test_no_last_word_and_a_traceback_are_noticed(run: Any) -> None:
 def test_nothing_written_down_is_not_a_success(run: Any) -> None:
     empty = judge.Run({}, [], [], np.zeros((0, 3), np.int64), run.truth, "")
     assert {"poses of the drive", "of those published alike", "last telegram", "Python tracebacks"} <= failed(empty)
+
+
+def fault_life(timed: bool, flagged_s: float = 0.2, recovered_s: float = 1.0) -> Any:
+    """A robot whose camera stalled from 1 s to 4 s; poses come every 0.1 s."""
+    facts = {"phase_stalled": "ok", "status_absent": "INIT: camera", "status_stall": "LOST", "rejected": "0"}
+    facts |= {"stall_begin_ns": "1000000000", "stall_end_ns": "4000000000", "kill1_ms": "3000"}
+    facts |= {"memory_same_process": "yes", "calibration_end": "status 78, failed"}
+    poses = []
+    for k in range(100):
+        t = k * SECOND_NS // 10 + 1
+        bad = 1 + flagged_s <= 1e-9 * t <= 4 + recovered_s
+        poses.append((t, "DEAD_RECKONING" if bad else "TRACKING", ""))
+    return judge_faults.Life(facts, poses, "journal", timed)
+
+
+def faults_failed(life: Any) -> set[str]:
+    return {c.name for c in judge_faults.checks(life) if c.kept is False}
+
+
+def test_a_robot_that_bears_its_faults_passes() -> None:
+    assert faults_failed(fault_life(timed=True)) == set()
+
+
+def test_late_and_slow_is_noticed_where_time_means_something() -> None:
+    assert faults_failed(fault_life(True, 0.5, 3.0)) == {"stall: flagged after", "stall: good again after"}
+    assert faults_failed(fault_life(False, 0.5, 3.0)) == set()
+
+
+def test_a_fault_without_effect_or_end_is_noticed() -> None:
+    broken = fault_life(timed=True)
+    broken.facts.update(phase_stalled="failed", status_stall="TRACKING x=1", calibration_end="status 0, active")
+    assert faults_failed(broken) == {"phases", "stall: STATUS=", "half a calibration"}

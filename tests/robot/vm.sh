@@ -172,6 +172,7 @@ run_um() {
   start "$1"
   cpu=$(taskset -cp $$ | sed 's/.*[ ,-]//')
   [ "$(nproc)" -gt 1 ] && "${priority[@]}" true 2>/dev/null || priority=(nice -n -10)
+  echo "${priority[0]}" >"$OUT/priority"
   cow=$(mktemp -u "$OUT/root.XXXXXX")
   "${priority[@]}" taskset -c "$cpu" timeout -k5 "$TIMEOUT" "$CACHE/um/linux" mem="${MEM}M" ubd0="$cow,$CACHE/image.ext4" root=/dev/ubda rootfstype=ext4 rw \
     quiet loglevel=4 panic=-1 con=null con0=fd:0,fd:1 ssl=null ${TTY:+ssl1=tty:$TTY} init=/lib/systemd/systemd \
