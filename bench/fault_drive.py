@@ -40,8 +40,8 @@ class Tally:
 
     Attributes:
         wrong_s: by state, seconds with a pose that is more than WRONG_M off.
-        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; told: each, with
-            the way to it.
+        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; told: each, and each
+            false LOST, with the way to it.
         false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong; blind_lost: while
             neither camera nor wheels said anything, so that nobody could know.
     """
@@ -218,6 +218,8 @@ class Drive:
         if e.state is State.LOST and self._state is not State.LOST:
             name = "blind_lost" if self._fault == "dark, no wheels" else "true_lost" if wrong else "false_lost"
             setattr(t, name, getattr(t, name) + 1)
+            if name == "false_lost":
+                t.told.append(f"seed {self._seed} {t.seconds:.1f} s, false LOST ({e.reason}): {'; '.join(self._news)}")
         if e.state is not self._state:
             self._news.append(f"{t.seconds:.1f} {e.state.name} {off:.2f} m ({e.reason})")
         self._state = e.state

@@ -165,7 +165,14 @@ class Pipeline:
             return
         if can_confirm(self._filter.landmarks()):
             why = f"{blind_m:.2f} m driven blind"
+            self._end_search()
             self._hypothesis = Confirmation(sure=False, carried=carried, why=why)
+
+    def _end_search(self) -> None:
+        """One search at a time: the filter's own waits for labels that a hypothesis gives and takes."""
+        pose, cov, depletion = self._filter.estimate()
+        if depletion.mode_weight < SURE:
+            self._filter.reset(pose, cov + np.diag(_JUMP_SIGMA**2), self._filter.landmarks())
 
     def _pose(self) -> tuple[Array, Array, Depletion]:
         """The filter's pose, carried over the gap since the last good frame."""
@@ -179,6 +186,8 @@ class Pipeline:
         self._turn_rad += abs(float(motion.prev_from_curr[2]))
         if crossings is None or not len(crossings) or self._gap is not _NO_GAP:
             return None
+        if self._hypothesis is not None:
+            self._end_search()
         cfg = self._config.filter
         due = (
             self._updated_ns is None
@@ -196,7 +205,7 @@ class Pipeline:
         if self._map_axis_rad is None:
             self._map_axis_rad = float(se2.wrap(crossings.psi_rad + float(pose[2])))
         observations = self._seen_from(pose, crossings)
-        if depletion.mode_weight >= SURE:
+        if depletion.mode_weight >= SURE or self._hypothesis is not None:
             return observations
         return replace(observations, label=np.full(len(observations), UNLABELLED))
 

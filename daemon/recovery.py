@@ -57,11 +57,12 @@ class Recovering(JointFilter):
         """Track; or, lost, search the map until one pose is left."""
         if self._bank is None:
             pose, cov = self._joint.pose.copy(), self._joint.pose_cov.copy()
-            before = self._counters["observations"] - self._counters["outliers"]
+            c = self._counters
+            matched, refused = c["observations"], c["outliers"]
             super().update(obs)
-            believed = self._counters["observations"] - self._counters["outliers"] - before
+            matched, refused = c["observations"] - matched, c["outliers"] - refused
             self._chance = self._chance_of_slip()
-            self._watch_loss(obs, believed)
+            self._watch_loss(obs, matched, matched - refused)
             if self._bank is None:
                 self._watch_tiles(obs)
                 self._watch_rivals(obs, pose, cov)
@@ -106,10 +107,14 @@ class Recovering(JointFilter):
         quiet = self._now - self._settled <= QUIET_UPDATES
         return not quiet and unexplained(known, self._joint.pose, obs, self._settings.association_gate_m)
 
-    def _watch_loss(self, obs: Observations, believed: int) -> None:
-        """Count updates that contradict the map; too many in a row begin a search."""
+    def _watch_loss(self, obs: Observations, matched: int, believed: int) -> None:
+        """Count updates that contradict the map; too many in a row begin a search.
+
+        Of a map in the making, features that nobody labelled may be new: those that lie at a landmark count.
+        """
         told = int(np.count_nonzero((obs.label >= 0) | (obs.label == UNLABELLED) & (self._known is not None)))
-        if told:
+        if told or matched:
+            told = max(told, matched)
             self._refused = self._refused + 1 if 2 * believed < told else 0
         if self._refused >= self._settings.lost_updates and self._size() >= 3:
             self._begin_search()
