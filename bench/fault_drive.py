@@ -43,7 +43,7 @@ class Tally:
         wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; told: each, and each
             false LOST, with the way to it.
         false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong; blind_lost: while
-            neither camera nor wheels said anything, so that nobody could know.
+            neither camera nor wheels said anything and until the first motion after that, so that nobody could know.
     """
 
     seconds: float = 0.0
@@ -84,7 +84,7 @@ class Drive:
         self._until_ns = 0
         self._next_ns = self._ns + 30 * 10**9
         self._trouble_ns: int | None = None
-        self._was_wrong = False
+        self._was_wrong = self._blind = False
         self._state = State.INIT
         self._news: deque[str] = deque(maxlen=_NEWS)
         self._saved: tuple[Array, Array] | None = None
@@ -204,6 +204,7 @@ class Drive:
         off = float(np.hypot(*(e.pose - self._truth())[:2]))
         wrong = off > WRONG_M
         t.seconds += dt
+        self._blind = self._fault == "dark, no wheels" or (self._blind and not e.motion.ok)
         t.state_s[e.state.name] = t.state_s.get(e.state.name, 0.0) + dt
         if wrong:
             t.wrong_s[e.state.name] = t.wrong_s.get(e.state.name, 0.0) + dt
@@ -216,7 +217,7 @@ class Drive:
         if not wrong:
             self._was_wrong = False
         if e.state is State.LOST and self._state is not State.LOST:
-            name = "blind_lost" if self._fault == "dark, no wheels" else "true_lost" if wrong else "false_lost"
+            name = "blind_lost" if self._blind else "true_lost" if wrong else "false_lost"
             setattr(t, name, getattr(t, name) + 1)
             if name == "false_lost":
                 t.told.append(f"seed {self._seed} {t.seconds:.1f} s, false LOST ({e.reason}): {'; '.join(self._news)}")

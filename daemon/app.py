@@ -40,6 +40,7 @@ from ceilvo.daemon.summary import format_summary
 from ceilvo.drivers.base_link import BaseLink
 from ceilvo.drivers.cameras import make_camera
 from ceilvo.drivers.capture import CaptureEvent, CaptureLoop
+from ceilvo.drivers.machine import give_back_memory
 from ceilvo.drivers.modbus_base import ModbusBase
 from ceilvo.drivers.paced_camera import PacedCamera
 from ceilvo.drivers.ports import Base, Camera
@@ -55,6 +56,7 @@ _TICK_S = 0.05
 _SILENT_FRAMES = 3.0
 _COAST_PERIOD_S = 0.1
 _STOP_S = 1.0
+_TRIM_NS = 60 * 10**9
 _SILENT = "the camera gives no frames"
 
 
@@ -168,6 +170,7 @@ class Daemon:
     def _supervise(self, screen: Screen | None) -> None:
         """Everything slow and periodic, until somebody says stop."""
         health = save = self._clock()
+        trim = health + _TRIM_NS
         told: State | None = None
         while not self._stop.wait(_TICK_S):
             now, last = self._clock(), self._estimator.last
@@ -182,6 +185,9 @@ class Daemon:
             if now >= save:
                 save = now + int(1e9 * self._config.service.state_period_s)
                 self._save()
+            if now >= trim:
+                trim = now + _TRIM_NS
+                give_back_memory()
             if screen is not None:
                 title = f"ceilvo {self._config.robot.name}"
                 events, room = self.events, self._plan.room_m

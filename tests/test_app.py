@@ -1,7 +1,10 @@
 """The wired process on a simulated robot: real pseudo-terminal, real Zenoh, and what happens when parts fail."""
 
 import json
+import os
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -224,3 +227,25 @@ def test_a_calibration_of_another_camera_is_refused(base: SimBase, caplog: pytes
     config = config_of(World(WorldSpec(seed=SEED)), base.port, free_port())
     assert run(Plan(config, other, camera)) == EXIT_CONFIG
     assert "999" in caplog.text
+
+
+def test_memory_of_a_bad_minute_is_given_back() -> None:
+    """With the allocator's settings of the service, which keep it otherwise."""
+    code = """
+import numpy as np
+from ceilvo.drivers.machine import give_back_memory
+def resident_mb():
+    with open("/proc/self/statm") as f:
+        return int(f.read().split()[1]) * 4096 / 1e6
+frames = [np.ones((480, 640), np.uint8) for _ in range(300)]
+last = frames[-1]
+del frames
+before = resident_mb()
+give_back_memory()
+print(before - resident_mb())
+"""
+    settings = {"MALLOC_MMAP_THRESHOLD_": "33554432", "MALLOC_TRIM_THRESHOLD_": "268435456"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120, env=os.environ | settings
+    )
+    assert float(done.stdout) > 60.0
