@@ -48,7 +48,7 @@ _UNSURE_M, _UNSURE_RAD = 0.15, 0.5
 _SLIP_SHARE = 0.3
 _JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 _MUCH_BETTER = 4
-_VIEW_PERIOD_S = 0.2
+_VIEW_PERIOD_S = 0.1
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
 

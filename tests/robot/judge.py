@@ -70,7 +70,7 @@ def read(out: Path, share: Path) -> Run:
     return Run(
         facts,
         _json_lines(out / "samples.jsonl"),
-        _json_lines(out / "telegrams.jsonl"),
+        _json_lines(out / "telegrams-drive.jsonl"),
         np.zeros((0, 3), np.int64) if feed is None else feed,
         np.loadtxt(share / "truth.csv", delimiter=","),
         _text(out / "service.txt"),

@@ -103,8 +103,11 @@ def checks(life: Life) -> Iterator[Check]:
                 "all" if kept is not None else "",
                 kept,
             )
-    same = f.get("memory_same_process", "-")
-    yield Check("memory: same process", same, "yes", same == "yes" if life.timed else None)
+    if "memory_end_ns" in f:
+        back = life.first(life.ns("memory_end_ns"), good=True)
+        kept = life.within(back, PROCESS_S)
+        yield Check("memory: same process", f.get("memory_same_process", "-"), "", None)
+        yield Check("memory: good again after", f"{back:.2f} s", f"<= {PROCESS_S:g} s", kept, back)
     kills = [int(v) / 1e3 for k, v in f.items() if k.startswith("kill") and k.endswith("_ms")]
     slowest = max(kills, default=float("inf"))
     yield Check(

@@ -91,6 +91,7 @@ status=0
 if [ "${ONLY:-drive}" = drive ]; then
   step "boot: the drive"
   boot guest.sh "$OUT" 240 || status=1
+  cp "$OUT/telegrams.jsonl" "$OUT/telegrams-drive.jsonl" # the base goes on with the next
 fi
 if [ "${ONLY:-faults}" = faults ]; then
   step "boot: faults"

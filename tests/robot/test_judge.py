@@ -155,7 +155,7 @@ def fault_life(timed: bool, flagged_s: float = 0.2, recovered_s: float = 1.0) ->
     """A robot whose camera stalled from 1 s to 4 s; poses come every 0.1 s."""
     facts = {"phase_stalled": "ok", "status_absent": "INIT: camera", "status_stall": "LOST", "rejected": "0"}
     facts |= {"stall_begin_ns": "1000000000", "stall_end_ns": "4000000000", "kill1_ms": "3000"}
-    facts |= {"memory_same_process": "yes", "calibration_end": "status 78, failed"}
+    facts |= {"memory_same_process": "yes", "memory_end_ns": "8000000000", "calibration_end": "status 78, failed"}
     poses = []
     for k in range(100):
         t = k * SECOND_NS // 10 + 1
