@@ -203,7 +203,7 @@ corrupt_calibration() {
 rc=0
 rm -f "$out/facts.txt" "$out/samples.jsonl"
 for phase in ${PHASES:-setup stalled frozen black white replugged wrong_format silent_base clock_steps disk_full read_only \
-  starved memory kills corrupt_state corrupt_calibration}; do
+  starved kills memory corrupt_state corrupt_calibration}; do
   step "$phase"
   if $phase; then note "phase_$phase" ok; else
     step "$phase failed"
