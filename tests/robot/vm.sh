@@ -174,7 +174,8 @@ run_um() {
   [ "$(nproc)" -gt 1 ] && "${priority[@]}" true 2>/dev/null || priority=(nice -n -10)
   echo "${priority[0]}" >"$OUT/priority"
   cow=$(mktemp -u "$OUT/root.XXXXXX")
-  "${priority[@]}" taskset -c "$cpu" timeout -k5 "$TIMEOUT" "$CACHE/um/linux" mem="${MEM}M" ubd0="$cow,$CACHE/image.ext4" root=/dev/ubda rootfstype=ext4 rw \
+  # The timeout has a place of its own: a guest that spins would keep it from running.
+  timeout -k5 "$TIMEOUT" "${priority[@]}" taskset -c "$cpu" "$CACHE/um/linux" mem="${MEM}M" ubd0="$cow,$CACHE/image.ext4" root=/dev/ubda rootfstype=ext4 rw \
     quiet loglevel=4 panic=-1 con=null con0=fd:0,fd:1 ssl=null ${TTY:+ssl1=tty:$TTY} init=/lib/systemd/systemd \
     systemd.show_status=0 vmshare="$share" vmout="$OUT" vmmods="$CACHE/um/lib/modules" \
     </dev/null >"$OUT/console.txt" 2>&1 || r=$?
