@@ -67,6 +67,7 @@ class Lines:
         points: (P, 2) px, edge points in the level view that support a line, for pictures and coverage checks.
         point_line: (P,) index of their line.
         share: of the edge points there are, how many were looked at.
+        evenly: those stand at even distances along their lines, not anywhere.
     """
 
     psi_rad: float
@@ -83,6 +84,7 @@ class Lines:
     points: NDArray[np.float32]
     point_line: Ints
     share: float = 1.0
+    evenly: bool = False
 
 
 @dataclass(frozen=True, slots=True)

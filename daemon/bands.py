@@ -27,7 +27,7 @@ from ceilvo.types import Array, Ints, Lines
 
 _CELL_PX = 4.0
 _SPARSE_PX, _FAR_PX = 12.0, 10.0
-_CLOSE_PX, _NEAR_PX = 3.0, 2.0
+_CLOSE_PX, _NEAR_PX = 2.0, 2.0
 _GROW_PX = 15.0
 _SHIFT_GATES_PX = (4.0, 2.5, 1.5)
 _LIKELY_SHIFT_PX = 5.0
@@ -103,7 +103,7 @@ class BandDetector:
             return None
         if self._config.estimate_tilt:
             fit.lean_on(prior)
-        return join_grooves(fit, self._config, share, free)
+        return join_grooves(fit, self._config, share, free, evenly=True)
 
 
 def look_ups(calibration: Calibration, max_view_deg: float) -> Grids:

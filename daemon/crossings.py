@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _COVERAGE_BIN_PX = 2.0
+_EVEN_BIN_SPACINGS = 1.5  # no bin of a line that is there stays empty
 _CORNER_PX = 2.0
 _ARM_SHARE = 0.6
 _FEWEST_HITS = 2.0
@@ -72,19 +73,19 @@ def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: floa
         return np.zeros((len(ids), len(at)), bool)
     row = np.full(len(lines.axis), -1, np.int32)
     row[ids] = np.arange(len(ids), dtype=np.int32)
-    margin = reach_px + 2.0 * _COVERAGE_BIN_PX
+    bin_px = _EVEN_BIN_SPACINGS / lines.share if lines.evenly else _COVERAGE_BIN_PX
+    margin = reach_px + 2.0 * bin_px
     low = float(at.min()) - margin
-    bins = int((float(at.max()) - low + margin) / _COVERAGE_BIN_PX) + 2
+    bins = int((float(at.max()) - low + margin) / bin_px) + 2
     normal = _normals(lines.psi_rad)[along_axis]
     hit = kernel.hits(
-        np.asarray(lines.points, np.float32), row[lines.point_line], normal, low, _COVERAGE_BIN_PX, (len(ids), bins)
+        np.asarray(lines.points, np.float32), row[lines.point_line], normal, low, bin_px, (len(ids), bins)
     )
     total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
-    cells = [
-        ((at + d - low) / _COVERAGE_BIN_PX).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)
-    ]
+    cells = [((at + d - low) / bin_px).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)]
     before = total[:, cells[2] + 1] - total[:, cells[0]]
     after = total[:, cells[3] + 1] - total[:, cells[1]]
-    filled = 1.0 - (1.0 - lines.share) ** _COVERAGE_BIN_PX  # of the bins along a line that is there
-    need = _ARM_SHARE * filled * reach_px / _COVERAGE_BIN_PX
+    # of the bins along a line that is there
+    filled = 1.0 if lines.evenly else 1.0 - (1.0 - lines.share) ** bin_px
+    need = _ARM_SHARE * filled * reach_px / bin_px
     return np.asarray(np.maximum(before, after) >= max(need, _FEWEST_HITS))

@@ -40,12 +40,15 @@ class EdgeSet:
     noise_px: float
 
 
-def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior) -> tuple[Lines, EdgeSet] | None:
+def join_grooves(
+    fit: JointFit, config: Features, share: float, free: TiltPrior, evenly: bool = False
+) -> tuple[Lines, EdgeSet] | None:
     """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line.
 
     Args:
         share: edge points looked at, of all there may be; fewer make a line then.
         free: tilt as this frame alone says it.
+        evenly: the points looked at stand at even distances along their lines, not anywhere.
 
     Returns:
         The lines and the edges under them; None when fewer than two edges have enough points.
@@ -87,6 +90,7 @@ def join_grooves(fit: JointFit, config: Features, share: float, free: TiltPrior)
         points=points[used],
         point_line=point_line[used],
         share=share,
+        evenly=evenly,
     )
     return _turn_axes(lines, turned), _edge_set(fit, order, share)
 

@@ -61,6 +61,30 @@ def warmed(world: World) -> tuple[LineFinder, float]:
     return finder, t
 
 
+def test_a_close_look_sees_the_crossings_of_a_full_one() -> None:
+    """Also where a vent's slats end short of a joint: what a map holds must not depend on how one looked."""
+    world = world_with(0.0)
+    close = LineFinder(world.calibration, Features(full_every=10))
+    found, missed, extra = 0, 0, 0
+    for k in range(120):
+        t = 1.0 + k / RATE_HZ
+        step = se2.between(world.truth_at(t - 1 / RATE_HZ), world.truth_at(t))
+        lines = close(world.frame_at(t), step)
+        if k % 4 or not close.verified:
+            continue
+        full = LineFinder(world.calibration, Features(full_every=1))(world.frame_at(t), None)
+        assert lines is not None and full is not None
+        a, b = (cross(seen, world.calibration, Features()).uv_px for seen in (full, lines))
+        apart = np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))
+        found += int(np.count_nonzero(apart.min(axis=1) < 1.0))
+        missed += int(np.count_nonzero(apart.min(axis=1) >= 1.0))
+        extra += int(np.count_nonzero(apart.min(axis=0) >= 1.0))
+    print(f"seed {SEED}: {found} seen by both, {missed} only by a full look, {extra} only by a close one")
+    assert found > 500
+    assert missed < 0.1 * found
+    assert extra < 0.15 * found
+
+
 def test_a_black_frame_is_no_lines_and_a_full_look() -> None:
     world = world_with(0.0)
     finder, t = warmed(world)
