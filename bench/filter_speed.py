@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(_table(document[key], f"Time of a step against {title}", axis))
     console.print(_peer_table(document["peers"]))
     for line in document["skipped"]:
-        console.print(line)
+        console.print(line, markup=False)
     found = bars(document)
     console.print(table(found, "What it must show"))
     args.json.parent.mkdir(parents=True, exist_ok=True)

@@ -324,10 +324,10 @@ def _report(
         if document[key]:
             console.print(_as_table(document[key], title))
     for line in skipped:
-        console.print(line)
+        console.print(line, markup=False)
     console.print(table(bars(results), "What it must show"))
     for line in verdicts(results):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     args.json.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(args.json, json.dumps(plain({**document, "text": verdicts(results)}), indent=1) + "\n")
     console.print(f"figures in {args.json}")

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.se2 import rotation, transform
+from ceilvo.daemon.map_raster import Home
+from ceilvo.se2 import compose, inverse, rotation, transform
 from ceilvo.types import Array, Landmarks, Observations
 
 _MARGIN, _JUMP_MARGIN = 12, 24
-_SHARE = 0.85
+_SHARE, _LONG_SHARE, _AT_ONCE_SHARE = 0.85, 0.93, 0.97
 _SURE_SHARE = 0.6
 _FEWEST_VIEWS = 6
-_FOUND_VIEWS = 40
+_LONG_VIEWS = 40
 _FEWEST = 5
 _FEWEST_LANDMARKS = 6
-_ELSEWHERE_SHARE = 0.03
+_ELSEWHERE_SHARE, _LONG_ELSEWHERE_SHARE = 0.03, 0.006
 _REACH_TILES = 3
 _SMALLEST_TILE_M = 0.28
 
@@ -33,16 +34,40 @@ class Confirmation:
         why: for the reason of the state.
         found: it came from looking all over the map. Ceilings repeat themselves at many distances and the map may lack
             the right place, so it must be right for a longer way.
+        reach_m: how far the robot can be from where its way since it was last sure took it.
+        home_from_map: (3,) takes the assumed pose to where that way ended.
     """
 
-    def __init__(self, sure: bool, carried: bool = False, why: str = "", found: bool = False) -> None:
+    def __init__(
+        self,
+        sure: bool,
+        carried: bool = False,
+        why: str = "",
+        found: bool = False,
+        reach_m: float = np.inf,
+        home_from_map: Array | None = None,
+    ) -> None:
         self.sure, self.carried, self.why, self.found = sure, carried, why, found
+        self.reach_m = reach_m
+        self.home_from_map = np.zeros(3) if home_from_map is None else home_from_map
         self._explained: Array = np.zeros(1)
-        self._seen = self._views = self._elsewhere = 0
+        self._seen = self._views = self._elsewhere = self._ahead_of_map = 0
 
-    def after_gap(self, carried: bool) -> Confirmation:
+    def after_gap(self, carried: bool, reach_m: float = 0.0) -> Confirmation:
         """The same hypothesis after a further blind way: what was counted before it says nothing any more."""
-        return Confirmation(False, self.carried and carried, self.why, self.found)
+        both = self.carried and carried
+        return Confirmation(False, both, self.why, self.found, self.reach_m + reach_m, self.home_from_map)
+
+    def jumped(self, old: Array, new: Array) -> Confirmation:
+        """A hypothesis that says the robot is at `new` instead of at `old`."""
+        home_from_map = compose(self.home_from_map, compose(old, inverse(new)))
+        return Confirmation(
+            False, why="found elsewhere on the map", found=True, reach_m=self.reach_m, home_from_map=home_from_map
+        )
+
+    def home(self, pose: Array) -> Home | None:
+        """Where the robot should be if nobody carried it, for an assumed pose; None where nothing is known of that."""
+        return Home(compose(self.home_from_map, pose), self.reach_m) if np.isfinite(self.reach_m) else None
 
     def weigh(self, explained: Array, seen: int, elsewhere: int, nis: float, nis_max: float) -> bool:
         """Take in one view from a new place.
@@ -50,22 +75,33 @@ class Confirmation:
         Args:
             explained: (1 + K,) features that the map explains from the assumed pose and from its K rivals.
             seen: features in the view.
-            elsewhere: how many more the best place of the whole map would explain.
+            elsewhere: how many more the best other place of the whole map would explain, negative where none does.
 
         Returns:
             True once the hypothesis is confirmed.
         """
         if explained.shape != self._explained.shape:
-            self._explained, self._seen, self._views, self._elsewhere = np.zeros(explained.shape), 0, 0, 0
+            self._explained = np.zeros(explained.shape)
+            self._seen = self._views = self._elsewhere = self._ahead_of_map = 0
         self._explained = self._explained + explained
         self._seen, self._views = self._seen + seen, self._views + 1
-        self._elsewhere += elsewhere
+        self._elsewhere += max(elsewhere, 0)
+        self._ahead_of_map -= elsewhere
         fits = explained[0] >= max(_FEWEST, _SURE_SHARE * seen) and nis <= nis_max
         if self.sure or len(explained) == 1:
             return bool(fits and self.sure)
         ahead = self._explained[0] - np.max(self._explained[1:])
-        views = _FOUND_VIEWS if self.found else _FEWEST_VIEWS
-        return bool(fits and ahead >= _MARGIN and self._convinces(0, views) and self._best_of_all)
+        return bool(fits and ahead >= _MARGIN and self._believed())
+
+    def _believed(self) -> bool:
+        """Near where the robot should be a few good views do; anywhere else it takes many, or better ones."""
+        if self._views >= _LONG_VIEWS:
+            return self._holds(_LONG_SHARE, _LONG_ELSEWHERE_SHARE)
+        if self.found or self._views < _FEWEST_VIEWS:
+            return False
+        if np.isfinite(self.reach_m):
+            return self._holds(_SHARE, _ELSEWHERE_SHARE)
+        return self._ahead_of_map >= _MARGIN and self._holds(_AT_ONCE_SHARE, _ELSEWHERE_SHARE)
 
     def better(self) -> int | None:
         """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
@@ -74,7 +110,8 @@ class Confirmation:
         order = np.argsort(self._explained)
         best, second = int(order[-1]), int(order[-2])
         ahead = self._explained[best] - self._explained[second]
-        return best - 1 if best > 0 and ahead >= _JUMP_MARGIN and self._convinces(best) else None
+        convinces = self._views >= _FEWEST_VIEWS and self._explained[best] >= _SHARE * self._seen
+        return best - 1 if best > 0 and ahead >= _JUMP_MARGIN and convinces else None
 
     @property
     def hopeless(self) -> bool:
@@ -82,16 +119,16 @@ class Confirmation:
 
         All views count: were the last one enough, a wrong pose would only have to wait for the one that fits.
         """
-        enough = not self.sure and self._views >= _FEWEST_VIEWS
-        return enough and not (self._convinces(0) and self._best_of_all)
+        if self.sure or self._views < _FEWEST_VIEWS:
+            return False
+        if self._views >= _LONG_VIEWS:
+            return not self._holds(_LONG_SHARE, _LONG_ELSEWHERE_SHARE)
+        return not self._holds(_SHARE, _ELSEWHERE_SHARE)
 
-    @property
-    def _best_of_all(self) -> bool:
-        return self._elsewhere <= _ELSEWHERE_SHARE * self._seen
-
-    def _convinces(self, pose: int, views: int = _FEWEST_VIEWS) -> bool:
-        """Whether enough views were explained nearly whole: the best of bad ones is none."""
-        return bool(self._views >= views and self._explained[pose] >= _SHARE * self._seen)
+    def _holds(self, share: float, elsewhere_share: float) -> bool:
+        """Whether the views were explained nearly whole, the best of bad ones being none, and nowhere better."""
+        explained = self._explained[0] >= share * self._seen
+        return bool(explained and self._elsewhere <= elsewhere_share * self._seen)
 
 
 def convincing(explained: int, seen: int) -> bool:

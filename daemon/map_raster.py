@@ -21,19 +21,43 @@ _DISC_CELLS = 3
 _STEP_CELLS = 2
 _MARGIN_M = 1.0
 _MOST_CELLS = 4_000_000
+_GROUND_M = 0.45
+_MAPPED_SHARE = 0.9
+_SAME_PLACE_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where a robot should be (3,) by its way since it was last sure, and how far off that it can be at most."""
+
+    pose: Array
+    reach_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A pose (3,) on the map, how many features it explains, and how many the pose asked about does."""
+    """A pose (3,) on the map, how many features it explains, and how many the pose asked about does.
+
+    rival: how many the best place that is not the pose asked about explains.
+    near: places have to be near this, where the map does not know all ground that the robot may be on.
+    """
 
     pose: Array
     explained: int
     here: int
+    rival: int
+    near: Home | None = None
+
+    def allows(self, pose: Array) -> bool:
+        """Whether the robot can be at a pose (3,)."""
+        return self.near is None or float(np.hypot(*(pose - self.near.pose)[:2])) <= self.near.reach_m
 
 
-def best_place(landmarks: Landmarks, observations: Observations, pose: Array) -> Place | None:
+def best_place(landmarks: Landmarks, observations: Observations, pose: Array, home: Home | None = None) -> Place | None:
     """The pose of the whole map that explains most of a view, beside the given one; None without a map.
+
+    Where a ceiling repeats itself, ground that the map lacks looks like some that it has: unless all that is within
+    reach of `home` is mapped, only places within reach count.
 
     Positions are tried every 0.1 m, a feature hits within 0.15 m.
     """
@@ -42,16 +66,23 @@ def best_place(landmarks: Landmarks, observations: Observations, pose: Array) ->
     raster = _Raster.of(landmarks, pad)
     if raster is None or not len(observations):
         return None
-    best, here = (-1, np.zeros(3)), 0
+    near = None if home is None or raster.knows(home, observations) else home
+    best, here, rival = (-1, np.zeros(3)), 0, 0
     for turn in range(4):
         theta = wrap(observations.heading_rad - 0.5 * np.pi * turn)
         counts = raster.count(observations.xy_base_m @ rotation(theta).T, turn_kind(observations.kind, turn))
+        others = counts
+        if abs(wrap(theta - float(pose[2]))) < 0.25 * np.pi:
+            here = raster.near(counts, pose[:2])
+            others = np.where(raster.within(Home(pose, _SAME_PLACE_M)), 0, counts)
+        if near is not None:
+            possible = raster.within(near)
+            counts, others = counts * possible, others * possible
+        rival = max(rival, int(np.max(others)))
         y, x = np.unravel_index(int(np.argmax(counts)), counts.shape)
         if int(counts[y, x]) > best[0]:
             best = (int(counts[y, x]), np.array([*raster.position(int(x), int(y)), theta]))
-        if abs(wrap(theta - float(pose[2]))) < 0.25 * np.pi:
-            here = raster.near(counts, pose[:2])
-    return Place(best[1], best[0], here)
+    return Place(best[1], best[0], here, rival, near)
 
 
 class _Raster:
@@ -85,6 +116,26 @@ class _Raster:
             top, left = pad + dy, pad + dx
             out += self._images[k, top : top + rows : _STEP_CELLS, left : left + cols : _STEP_CELLS]
         return out
+
+    def within(self, home: Home) -> NDArray[np.bool_]:
+        """(Y, X) elements of count() that are within reach."""
+        rows, cols = (-(-(n - 2 * self._pad) // _STEP_CELLS) for n in self._images.shape[1:])
+        x, y = ((np.arange(n) * _STEP_CELLS * _CELL_M + o) for n, o in zip((cols, rows), self._origin_m, strict=True))
+        off = np.hypot(x - home.pose[0], y[:, None] - home.pose[1])
+        return np.asarray(off <= home.reach_m)
+
+    def knows(self, home: Home, observations: Observations) -> bool:
+        """Whether the map has landmarks all around every feature, wherever within reach the robot is."""
+        rows, cols = self._images.shape[1:]
+        size_m = _CELL_M * (np.array([cols, rows]) - 2 * self._pad)
+        inside = np.minimum(home.pose[:2] - self._origin_m, self._origin_m + size_m - home.pose[:2])
+        if float(np.min(inside)) < home.reach_m:
+            return False
+        size = 2 * round(_GROUND_M / _CELL_M) - 1
+        ground = cv2.dilate(np.max(self._images, axis=0), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+        offset_m = observations.xy_base_m @ rotation(float(home.pose[2])).T
+        count = _Raster(ground[None], self._origin_m, self._pad).count(offset_m, np.zeros(len(offset_m), np.int64))
+        return bool(np.all(count[self.within(home)] >= _MAPPED_SHARE * len(offset_m)))
 
     def position(self, x: int, y: int) -> tuple[float, float]:
         """Metres in map of an element of count()."""

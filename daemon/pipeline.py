@@ -46,6 +46,7 @@ _NO_GAP = Motion(np.zeros(3), np.zeros((3, 3)), 0, 0.0)
 _SURE_M = 0.12
 _UNSURE_M, _UNSURE_RAD = 0.15, 0.5
 _SLIP_SHARE = 0.3
+_REACH_M = 0.3
 _JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 _MUCH_BETTER = 4
 _VIEW_PERIOD_S = 0.1
@@ -160,13 +161,14 @@ class Pipeline:
         if drift_m + _SLIP_SHARE * blind_m <= _UNSURE_M and turned_rad <= _UNSURE_RAD:
             return
         carried = drift_m <= _UNSURE_M and turned_rad <= _UNSURE_RAD
+        reach_m = drift_m + blind_m + _REACH_M
         if self._hypothesis is not None:
-            self._hypothesis = self._hypothesis.after_gap(carried)
+            self._hypothesis = self._hypothesis.after_gap(carried, reach_m)
             return
         if can_confirm(self._filter.landmarks()):
             why = f"{blind_m:.2f} m driven blind"
             self._end_search()
-            self._hypothesis = Confirmation(sure=False, carried=carried, why=why)
+            self._hypothesis = Confirmation(sure=False, carried=carried, why=why, reach_m=reach_m)
 
     def _end_search(self) -> None:
         """One search at a time: the filter's own waits for labels that a hypothesis gives and takes."""
@@ -232,25 +234,26 @@ class Pipeline:
         landmarks, gate_m = self._filter.landmarks(), self._config.filter.association_gate_m
         others = np.zeros((0, 2)) if hypothesis.sure else rival_shifts(landmarks, self._map_axis_rad or 0.0)
         counts = explained_at(np.vstack([np.zeros((1, 2)), others]), pose, observations, landmarks, gate_m)
-        place = None if hypothesis.sure else best_place(landmarks, observations, pose)
-        elsewhere = 0 if place is None else place.explained - place.here
+        place = None if hypothesis.sure else best_place(landmarks, observations, pose, hypothesis.home(pose))
+        elsewhere = 0 if place is None else place.rival - place.here
         seen, nis_high = len(observations), self._config.states.nis_high
         if hypothesis.weigh(counts, seen, elsewhere, depletion.nis, nis_high):
             self._hypothesis = None
             return
         better = hypothesis.better()
-        if better is not None:
-            self._jump(pose + np.array([*others[better], 0.0]), landmarks)
+        rival = pose if better is None else pose + np.array([*others[better], 0.0])
+        if better is not None and (place is None or place.allows(rival)):
+            self._jump(hypothesis, pose, rival, landmarks)
         elif hypothesis.hopeless:
             if place is not None and elsewhere > _MUCH_BETTER and convincing(place.explained, seen):
-                self._jump(place.pose, landmarks)
+                self._jump(hypothesis, pose, place.pose, landmarks)
             else:
                 self._hypothesis = hypothesis.after_gap(hypothesis.carried)
 
-    def _jump(self, pose: Array, landmarks: Landmarks) -> None:
+    def _jump(self, hypothesis: Confirmation, old: Array, pose: Array, landmarks: Landmarks) -> None:
         """Try another pose: a hypothesis like any other."""
         self._filter.reset(pose, np.diag(_JUMP_SIGMA**2), landmarks)
-        self._hypothesis = Confirmation(sure=False, why="found elsewhere on the map", found=True)
+        self._hypothesis = hypothesis.jumped(old, pose)
 
     def _conclude(
         self,
@@ -354,8 +357,8 @@ class Pipeline:
     def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
         self._filter.reset(pose, cov, landmarks)
         self._gap, self._blind_m = _NO_GAP, 0.0
-        sure = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1])) < _SURE_M
-        self._hypothesis = None if confirmed else Confirmation(sure)
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]))
+        self._hypothesis = None if confirmed else Confirmation(sigma_m < _SURE_M, reach_m=3.0 * sigma_m + _REACH_M)
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns = None
 

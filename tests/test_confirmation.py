@@ -4,19 +4,61 @@ import numpy as np
 import pytest
 
 from ceilvo.daemon.confirmation import Confirmation, explained_at, rival_shifts
+from ceilvo.se2 import compose
 from ceilvo.types import Landmarks, Observations
 
 NIS, NIS_MAX = 1.0, 3.0
 
 
-def views(own: int, rival: int, seen: int, count: int, sure: bool = False, nis: float = NIS) -> list[bool]:
-    confirmation = Confirmation(sure)
-    return [confirmation.weigh(np.array([own, rival, rival - 1], float), seen, 0, nis, NIS_MAX) for _ in range(count)]
+def views(
+    own: int,
+    rival: int,
+    seen: int,
+    count: int,
+    sure: bool = False,
+    nis: float = NIS,
+    reach_m: float = 1.0,
+    elsewhere: int = 0,
+) -> list[bool]:
+    confirmation = Confirmation(sure, reach_m=reach_m)
+    explained = np.array([own, rival, rival - 1], float)
+    return [confirmation.weigh(explained, seen, elsewhere, nis, NIS_MAX) for _ in range(count)]
 
 
 def test_the_better_pose_is_believed_after_a_few_views() -> None:
     assert views(30, 28, 32, 10) == [False] * 5 + [True] * 5
     assert views(30, 20, 32, 10) == [False] * 5 + [True] * 5  # never by a few views alone
+
+
+def test_where_the_robot_can_be_anywhere_the_same_views_need_to_be_better_or_many() -> None:
+    """A stored pose; where the map lacks the right place, one a tile off explains most of what is seen."""
+    assert views(30, 28, 32, 50, reach_m=np.inf) == [False] * 39 + [True] * 11
+    assert views(32, 28, 32, 50, reach_m=np.inf) == [False] * 39 + [True] * 11
+    assert views(32, 28, 32, 10, reach_m=np.inf, elsewhere=-4) == [False] * 5 + [True] * 5
+
+
+@pytest.mark.parametrize("reach_m", [1.0, np.inf])
+def test_a_place_that_was_searched_for_needs_many_views_that_fit_nowhere_better(reach_m: float) -> None:
+    """Ground that the map lacks looks like some that it has: most features fit, now here and now there."""
+    for own, elsewhere, believed in ((49, 0, True), (44, 0, False), (48, 1, False)):
+        found = Confirmation(False, found=True, reach_m=reach_m)
+        told = [found.weigh(np.array([own, 40.0, 39.0]), 50, elsewhere, NIS, NIS_MAX) for _ in range(39)]
+        assert not any(told) and not found.hopeless
+        assert found.weigh(np.array([own, 40.0, 39.0]), 50, elsewhere, NIS, NIS_MAX) is believed
+        assert found.hopeless is not believed
+
+
+def test_home_stays_where_the_way_led_whatever_is_assumed() -> None:
+    start, there, further = np.array([1.0, 2.0, 0.3]), np.array([4.0, 0.5, -1.2]), np.array([0.7, 0.1, 0.4])
+    hypothesis = Confirmation(False, reach_m=0.8).jumped(start, there)
+    home = hypothesis.home(compose(there, further))
+    assert home is not None and home.reach_m == 0.8
+    assert np.allclose(home.pose, compose(start, further))
+    again = hypothesis.jumped(compose(there, further), start).after_gap(carried=True, reach_m=0.5)
+    home = again.home(start)
+    assert home is not None and home.reach_m == pytest.approx(1.3)
+    assert np.allclose(home.pose, compose(start, further))
+    assert Confirmation(False).home(start) is None
 
 
 def test_a_bare_grid_never_decides() -> None:
@@ -56,7 +98,7 @@ def test_a_pose_that_fits_now_is_not_believed_while_its_views_fit_better_elsewhe
     assert not any(told)
     assert wrong.hopeless
     right = Confirmation(sure=False, found=found)
-    told = [right.weigh(np.array([49.0, 45.0, 44.0]), 50, k % 2, NIS, NIS_MAX) for k in range(40)]
+    told = [right.weigh(np.array([49.0, 45.0, 44.0]), 50, k % 8 == 7, NIS, NIS_MAX) for k in range(40)]
     assert told[-1]
     assert not any(told[:5])
     assert not right.hopeless

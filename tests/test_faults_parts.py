@@ -12,15 +12,16 @@ import pytest
 from ceilvo import config
 from ceilvo.config import Config
 from ceilvo.daemon.estimator import Estimator
-from ceilvo.daemon.map_raster import best_place
+from ceilvo.daemon.map_raster import Home, best_place
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.base_link import BaseLink
 from ceilvo.drivers.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.mock_base import MockBase
 from ceilvo.drivers.mock_camera import MockCamera, moving_square
 from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
+from ceilvo.se2 import inverse, transform
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Depletion, Estimate, Frame, Landmarks, Motion, Observations, State
+from ceilvo.types import Array, Depletion, Estimate, Frame, Landmarks, Motion, Observations, State
 
 SEED = 6
 
@@ -209,6 +210,44 @@ def test_the_place_that_explains_a_view_is_found_whatever_was_believed(seed: int
     there = best_place(landmarks, view, pose)
     assert there is not None
     assert there.here == there.explained
+
+
+def tiles(width: int, height: int) -> Landmarks:
+    """Landmarks 0.6 m apart, every 4th by 3rd a lamp's: the ceiling looks the same 2.4 and 1.8 m further."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(width), np.arange(height)))
+    kind = np.where((i % 4 == 0) & (j % 3 == 0), 2, 4)
+    n = len(kind)
+    return Landmarks(np.arange(n), 0.6 * np.column_stack([i, j]), np.tile(np.eye(2) * 1e-6, (n, 1, 1)), kind, kind)
+
+
+def seen_at(whole: Landmarks, pose: Array) -> Observations:
+    near = np.hypot(*(whole.xy_map_m - pose[:2]).T) < 1.5
+    n = int(near.sum())
+    xy = transform(inverse(pose), whole.xy_map_m[near])
+    return Observations(xy, np.full((n, 2), 1e-4), whole.kind[near], np.full(n, -1), float(pose[2]), 1e-6, 0.0)
+
+
+@pytest.mark.parametrize("reach_m", [0.5, 1.0])
+def test_ground_that_is_not_mapped_is_not_taken_for_a_place_like_it(reach_m: float) -> None:
+    """The robot drove off the map; what it sees there is all on the map too, 2.4 m back."""
+    whole, pose = tiles(20, 10), np.array([8.6, 2.9, 0.0])
+    mapped = whole.xy_map_m[:, 0] < 7.5
+    part = Landmarks(*(getattr(whole, name)[mapped] for name in ("ids", "xy_map_m", "cov_m2", "kind", "sightings")))
+    view = seen_at(whole, pose)
+    anywhere = best_place(part, view, pose)
+    assert anywhere is not None and anywhere.explained == len(view)
+    place = best_place(part, view, pose, Home(pose, reach_m))
+    assert place is not None and place.explained < 0.8 * len(view)
+    assert place.allows(place.pose) and not place.allows(anywhere.pose)
+
+
+def test_a_robot_that_was_carried_off_mapped_ground_is_found_anywhere() -> None:
+    whole = tiles(20, 10)
+    pose, believed = np.array([8.6, 2.9, 0.0]), np.array([7.6, 2.2, 0.1])
+    view = seen_at(whole, pose)
+    place = best_place(whole, view, believed, Home(believed, 0.5))
+    assert place is not None and place.explained == len(view) > place.here
+    assert place.allows(pose)
 
 
 def test_without_a_map_there_is_no_place() -> None:
