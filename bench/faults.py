@@ -41,9 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     total, leg, before_s = _so_far(a.out, a.method, a.seed) if a.resume else (Tally(), 0, 0.0)
     begun_s = time.process_time() - before_s
     result: dict[str, object] = {"ok": False}
-    while total.seconds < 3600.0 * a.hours:
+    while (left_s := 3600.0 * a.hours - total.seconds) > 1.0:
         tape = record(a.seed + leg, ROOMS_M[leg % len(ROOMS_M)], config.features)
-        left_s = 3600.0 * a.hours - total.seconds
         total.add(Drive(tape, config, a.seed + leg, kinds).run(min(_LEG_S, left_s)))
         leg += 1
         result = summary(total, a.method, leg, time.process_time() - begun_s) | {"seed": a.seed}
