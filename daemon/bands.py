@@ -18,7 +18,7 @@ from ceilvo.config import Features
 from ceilvo.daemon import kernel
 from ceilvo.daemon.edges import gradient
 from ceilvo.daemon.grooves import EdgeSet, join_grooves
-from ceilvo.daemon.kernel_numpy import LOOKUP_STEP_PX, SEGMENT_PX, Array32, Ends, Grids, Int32s, Look
+from ceilvo.daemon.kernel_numpy import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
 from ceilvo.daemon.line_fit import JointFit, Points
 from ceilvo.daemon.lines import AS_CLEAN, LastFit
 from ceilvo.daemon.tilt import TiltPrior
@@ -30,7 +30,8 @@ _SPARSE_PX, _FAR_PX = 12.0, 10.0
 _CLOSE_PX, _NEAR_PX = 2.0, 2.0
 _GROW_PX = 15.0
 _SHIFT_GATES_PX = (4.0, 2.5, 1.5)
-_LIKELY_SHIFT_PX = 5.0
+_SHIFTS_PX = np.arange(-_FAR_PX - 2.0, _FAR_PX + 3.0)
+_LIKELY = np.exp(-0.5 * (_SHIFTS_PX / 5.0) ** 2)
 _BENT_RAD = 0.02
 _FEWEST_POINTS = 40
 _FEWEST_CLOSE = 600  # with less to see a whole look costs little, and sees what a band misses
@@ -152,13 +153,16 @@ def _oriented(edges: EdgeSet) -> Array:
 def _aligned(edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, focal_px: float) -> tuple[EdgeSet, Array]:
     """The edges and the tilt, moved by the shift, turn and tilt that most points share."""
     half = points.ends[2]
-    rho, tangent = kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad)
-    off_px = rho.astype(np.float64) * focal_px - edges.offset_px[line]
-    first = np.arange(len(line)) < half
-    start = np.where(first, _mode(off_px[first]), _mode(off_px[~first]))
-    model = np.column_stack([first, ~first, -focal_px * _bends(edges.psi_rad, first, rho, tangent)])
+    rho, tangent = (v.astype(np.float64) for v in kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad))
+    off_px = rho * focal_px - edges.offset_px[line]
+    fitted, found = np.empty(len(line)), np.zeros(5)
+    model = np.zeros((len(line), 5))
+    for axis, part in enumerate((slice(0, half), slice(half, None))):
+        fitted[part] = _mode(off_px[part])
+        model[part, axis] = 1.0
+        model[part, 2:] = _bends(edges.psi_rad + 0.5 * np.pi * axis, rho[part], tangent[part])
+    model[:, 2:] *= -focal_px
     weak = np.diag([1e-6, 1e-6, *np.full(3, _BENT_RAD**-2)])
-    fitted, found = start, np.zeros(5)
     for gate in _SHIFT_GATES_PX:
         use = np.abs(off_px - fitted) < gate
         m = model[use]
@@ -169,10 +173,13 @@ def _aligned(edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, foca
     return moved, tilt_rad + found[3:]
 
 
-def _bends(psi_rad: float, first: NDArray[np.bool_], rho: Array32, tangent: Array32) -> Array:
-    """(K, 3) how rho of a ray as a level robot sees it grows with the direction and with the tilt taken off it."""
-    angle = psi_rad + np.where(first, 0.0, 0.5 * np.pi)
-    nx, ny = np.cos(angle), np.sin(angle)
+def _bends(angle_rad: float, rho: Array, tangent: Array) -> Array:
+    """(K, 3) how rho of a ray as a level robot sees it grows with the direction and with the tilt taken off it.
+
+    Args:
+        angle_rad: of the normal that rho is counted along.
+    """
+    nx, ny = np.cos(angle_rad), np.sin(angle_rad)
     x, y = rho * nx - tangent * ny, rho * ny + tangent * nx
     about_x = -nx * x * y - ny * (1.0 + y * y)
     about_y = nx * (1.0 + x * x) + ny * x * y
@@ -183,12 +190,13 @@ def _mode(off_px: Array) -> float:
     """The shift that most points share; small ones are likelier beforehand."""
     if len(off_px) == 0:
         return 0.0
-    reach = int(_FAR_PX) + 2
+    reach = len(_SHIFTS_PX) // 2
     cell = np.clip(np.rint(off_px).astype(np.int64) + reach, 0, 2 * reach)
-    votes = np.bincount(cell, minlength=2 * reach + 1).astype(np.float64)
-    three = np.convolve(votes, np.ones(3), "same")
-    bins = np.arange(2 * reach + 1) - reach
-    return float(bins[np.argmax(three * np.exp(-0.5 * (bins / _LIKELY_SHIFT_PX) ** 2))])
+    votes = np.bincount(cell, minlength=len(_SHIFTS_PX))
+    three = votes.copy()
+    three[1:] += votes[:-1]
+    three[:-1] += votes[1:]
+    return float(_SHIFTS_PX[np.argmax(three * _LIKELY)])
 
 
 def _enough(found: Ints, hoped: Array) -> bool:

@@ -58,22 +58,24 @@ def join_grooves(
         return None
     order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
     order = order[_distinct(fit, order)]
-    offset, axis, group = fit.offset[order], fit.axis[order], fit.line_group[order]
-    partner = _pairs(offset, axis, group % 2, fit.support[order], config.groove_px)
-    first = (partner < 0) | (partner > np.arange(len(order)))  # one entry a pair
+    offset, group = fit.offset[order], fit.line_group[order]
+    axis, own = group // 2, np.arange(len(order))
+    support = fit.support[order]
+    partner = _pairs(offset, axis, group % 2, support, config.groove_px)
+    paired = partner >= 0
+    other = np.where(paired, partner, own)
+    first = other >= own  # one entry a pair
     new_of_old = np.full(len(fit.offset), -1, np.int64)
     index = np.cumsum(first) - 1
-    new_of_old[order] = np.where(first, index, index[np.maximum(partner, 0)])
-    other = np.where(partner >= 0, partner, np.arange(len(order)))
-    paired = partner >= 0
+    new_of_old[order] = index[np.minimum(other, own)]
     edge_kind = np.where(group % 2 == 1, LineKind.RISING, LineKind.FALLING)
-    support = fit.support[order]
     sigma = fit.sigma_px()[order]
     joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
     joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
-    points = fit.uv()
-    point_line = new_of_old[fit.line]
-    used = point_line >= 0
+    points, point_line = fit.uv(), new_of_old[fit.line]
+    if len(order) < len(new_of_old):
+        used = point_line >= 0
+        points, point_line = points[used], point_line[used]
     psi, turned = fold_turns(fit.psi)
     lines = Lines(
         psi_rad=psi,
@@ -87,8 +89,8 @@ def join_grooves(
         tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
         free_tilt_rad=free.mean_rad,
         free_tilt_sigma_rad=free.sigma_rad,
-        points=points[used],
-        point_line=point_line[used],
+        points=points,
+        point_line=point_line,
         share=share,
         evenly=evenly,
     )
