@@ -137,6 +137,7 @@ def lamps_config(start: Array) -> Config:
         base.odometry,
         max_speed_mps=10.0,
         max_accel_mps2=500.0,
+        max_turn_accel_radps2=500.0,
         residual_max_m=0.06,
         match_radius_m=0.25,
         ransac_px=4.0,

@@ -106,6 +106,12 @@ class Odometry:
         10.0, "a step that the last twist contradicts by more than this acceleration is a failure", low=0.1, high=1000.0
     )
     max_turn_radps: float = key(3.5, "faster turning is a failure", low=0.05, high=20.0)
+    max_turn_accel_radps2: float = key(
+        10.0,
+        "a turn that the last twist contradicts by more than this angular acceleration is a failure",
+        low=0.1,
+        high=1000.0,
+    )
     noise_xy_m: float = key(
         0.00002, "standard deviation added to every step along x and y for what the fit does not see", low=0.0, high=0.1
     )

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.daemon.map_raster import Home
-from ceilvo.se2 import compose, inverse, rotation, transform
+from ceilvo.daemon.map_raster import GROUND_M, Home
+from ceilvo.se2 import compose, inverse, rotation, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
 _MARGIN, _JUMP_MARGIN = 12, 24
@@ -24,6 +24,9 @@ _FEWEST_LANDMARKS = 6
 _ELSEWHERE_SHARE, _LONG_ELSEWHERE_SHARE = 0.03, 0.006
 _REACH_TILES = 3
 _SMALLEST_TILE_M = 0.28
+_TURNED_RAD = 0.15
+_NEAR_M = 2.0  # rivals of that distance are tried anyway
+_FEWEST_MAPPED, _UNKNOWN_SHARE = 10, 0.5
 
 
 class Confirmation:
@@ -99,7 +102,7 @@ class Confirmation:
             return self._holds(_LONG_SHARE, _LONG_ELSEWHERE_SHARE)
         if self.found or self._views < _FEWEST_VIEWS:
             return False
-        if np.isfinite(self.reach_m):
+        if self.reach_m <= _NEAR_M:
             return self._holds(_SHARE, _ELSEWHERE_SHARE)
         return self._ahead_of_map >= _MARGIN and self._holds(_AT_ONCE_SHARE, _ELSEWHERE_SHARE)
 
@@ -129,6 +132,25 @@ class Confirmation:
         """Whether the views were explained nearly whole, the best of bad ones being none, and nowhere better."""
         explained = self._explained[0] >= share * self._seen
         return bool(explained and self._elsewhere <= elsewhere_share * self._seen)
+
+
+def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) -> bool:
+    """Whether a view cannot be from a pose: its lines lie otherwise, or mapped ground shows something else.
+
+    Args:
+        observations: labelled as seen from that pose.
+    """
+    if abs(wrap(observations.heading_rad - float(pose[2]))) > _TURNED_RAD:
+        return True
+    seen = transform(pose, observations.xy_base_m)
+    reach_m = float(np.max(np.hypot(*observations.xy_base_m.T), initial=0.0)) + GROUND_M
+    at = landmarks.xy_map_m[np.hypot(*(landmarks.xy_map_m - pose[:2]).T) < reach_m]
+    if not len(at):
+        return False
+    apart2 = np.min((seen[:, 0, None] - at[:, 0]) ** 2 + (seen[:, 1, None] - at[:, 1]) ** 2, axis=1)
+    mapped = apart2 < GROUND_M**2
+    known = int(np.count_nonzero(observations.label[mapped] >= 0))
+    return bool(np.count_nonzero(mapped) >= _FEWEST_MAPPED and known < _UNKNOWN_SHARE * np.count_nonzero(mapped))
 
 
 def convincing(explained: int, seen: int) -> bool:

@@ -16,12 +16,13 @@ from ceilvo.kinds import CROSSING_KINDS, turn_kind
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
+GROUND_M = 0.45
+"""Ground is mapped so near a landmark."""
 _CELL_M = 0.05
 _DISC_CELLS = 3
 _STEP_CELLS = 2
 _MARGIN_M = 1.0
 _MOST_CELLS = 4_000_000
-_GROUND_M = 0.45
 _MAPPED_SHARE = 0.9
 _SAME_PLACE_M = 0.3
 
@@ -131,7 +132,7 @@ class _Raster:
         inside = np.minimum(home.pose[:2] - self._origin_m, self._origin_m + size_m - home.pose[:2])
         if float(np.min(inside)) < home.reach_m:
             return False
-        size = 2 * round(_GROUND_M / _CELL_M) - 1
+        size = 2 * round(GROUND_M / _CELL_M) - 1
         ground = cv2.dilate(np.max(self._images, axis=0), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
         offset_m = observations.xy_base_m @ rotation(float(home.pose[2])).T
         count = _Raster(ground[None], self._origin_m, self._pad).count(offset_m, np.zeros(len(offset_m), np.int64))

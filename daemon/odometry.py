@@ -166,10 +166,15 @@ class VisualOdometry:
         if not self._twist_known:
             return ""
         elapsed_s = self._since_ref_s + dt_s
-        off = float(np.hypot(*(fit.b_from_a - self._twist * elapsed_s)[:2]))
-        noise = _JERK_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
-        allowed = self._config.max_accel_mps2 * elapsed_s**2 + noise
-        return f"jumped {off:.3f} m off its course within {elapsed_s:.3f} s" if off > allowed else ""
+        off = fit.b_from_a - self._twist * elapsed_s
+        off_m, off_rad = float(np.hypot(off[0], off[1])), abs(se2.wrap(float(off[2])))
+        noise_m = _JERK_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
+        noise_rad = _JERK_SIGMAS * math.sqrt(fit.cov[2, 2])
+        if off_m > self._config.max_accel_mps2 * elapsed_s**2 + noise_m:
+            return f"jumped {off_m:.3f} m off its course within {elapsed_s:.3f} s"
+        if off_rad > self._config.max_turn_accel_radps2 * elapsed_s**2 + noise_rad:
+            return f"turned {off_rad:.3f} rad off its course within {elapsed_s:.3f} s"
+        return ""
 
     def _coasting_twist(self) -> Array:
         """The last twist, fading with the gap: a robot that is told its pose is bad will stop."""

@@ -14,7 +14,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.confirmation import Confirmation, can_confirm, convincing, explained_at, rival_shifts
+from ceilvo.daemon.confirmation import Confirmation, can_confirm, contradicted, convincing, explained_at, rival_shifts
 from ceilvo.daemon.crossings import cross
 from ceilvo.daemon.filters import make_filter
 from ceilvo.daemon.map_raster import best_place
@@ -49,6 +49,7 @@ _SLIP_SHARE = 0.3
 _REACH_M = 0.3
 _JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 _MUCH_BETTER = 4
+_CONTRADICTIONS = 2
 _VIEW_PERIOD_S = 0.1
 _START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 
@@ -86,6 +87,7 @@ class Pipeline:
         self._travel_m = self._turn_rad = 0.0
         self._hypothesis: Confirmation | None = None
         self._news = True
+        self._contradictions = 0
         self._odom = np.zeros(3)
         self._states = StateMachine(config.states)
         self.reset()
@@ -122,10 +124,13 @@ class Pipeline:
         self._predict(motion)
         self._odom = se2.compose(self._odom, motion.prev_from_curr)
         observations = self._observe(stamp_ns, motion, crossings)
+        if observations is not None and self._hypothesis is None:
+            self._watch(observations)
         if observations is not None:
             # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
             if self._hypothesis is None:
-                self._filter.update(observations)
+                if not self._contradictions:
+                    self._filter.update(observations)
             elif self._hypothesis.sure or convincing(_matched(observations), len(observations)):
                 self._filter.update(_explained(observations))
             if crossings is not None and self._hypothesis is not None and self._news:
@@ -169,6 +174,16 @@ class Pipeline:
             why = f"{blind_m:.2f} m driven blind"
             self._end_search()
             self._hypothesis = Confirmation(sure=False, carried=carried, why=why, reach_m=reach_m)
+
+    def _watch(self, observations: Observations) -> None:
+        """A view that contradicts the map teaches nothing; where the next one does too, the pose is in doubt."""
+        pose, _, depletion = self._filter.estimate()
+        landmarks = self._filter.landmarks()
+        contradicts = depletion.mode_weight >= SURE and contradicted(observations, pose, landmarks)
+        self._contradictions = self._contradictions + 1 if contradicts else 0
+        if self._contradictions >= _CONTRADICTIONS and can_confirm(landmarks):
+            self._hypothesis = Confirmation(sure=False, why="what is seen contradicts the map")
+            self._contradictions = 0
 
     def _end_search(self) -> None:
         """One search at a time: the filter's own waits for labels that a hypothesis gives and takes."""
@@ -356,7 +371,7 @@ class Pipeline:
 
     def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
         self._filter.reset(pose, cov, landmarks)
-        self._gap, self._blind_m = _NO_GAP, 0.0
+        self._gap, self._blind_m, self._contradictions = _NO_GAP, 0.0, 0
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]))
         self._hypothesis = None if confirmed else Confirmation(sigma_m < _SURE_M, reach_m=3.0 * sigma_m + _REACH_M)
         self._travel_m = self._turn_rad = 0.0

@@ -138,6 +138,19 @@ def test_a_consistent_jump_that_no_robot_makes_is_a_failure() -> None:
     assert abs(motion.prev_from_curr[0] - 0.5 * DT_S) < 0.002
 
 
+def test_a_turn_that_no_robot_makes_is_a_failure() -> None:
+    """An old picture on a bend: it fits a part of what was seen last, turned by half a radian."""
+    vo, poses = VisualOdometry(Odometry(max_turn_radps=20.0)), circle(10)
+    for p in poses:
+        vo.step(seen_from(p), DT_S)
+    motion = vo.step(seen_from(se2.compose(poses[-1], np.array([0.5 * DT_S, 0.0, -0.1]))), DT_S)
+    assert motion.failure is not None and "rad off its course" in motion.failure
+    assert abs(motion.prev_from_curr[2] - 0.6 * DT_S) < 0.002
+    brisk = VisualOdometry(Odometry())
+    turned = [np.array([2.0, 2.0, 0.5 * 8.0 * (k * DT_S) ** 2]) for k in range(10)]  # 8 rad/s^2
+    assert all([brisk.step(seen_from(p), DT_S).ok for p in turned][1:])
+
+
 def test_a_robot_that_is_already_moving_is_taken_as_it_is() -> None:
     vo, poses = VisualOdometry(Odometry()), circle(5, v_mps=1.5, w_radps=0.0)
     assert all([vo.step(seen_from(p), DT_S).ok for p in poses][1:])

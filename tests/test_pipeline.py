@@ -139,6 +139,23 @@ def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World) -> Non
     assert State.TRACKING not in states
 
 
+def test_a_robot_that_is_put_elsewhere_in_the_light_is_in_doubt_at_once_and_teaches_the_map_nothing(
+    world: World,
+) -> None:
+    pipeline, shot = pipeline_of(world), list(frames(world, 8.0))
+    for frame in shot:
+        last = pipeline.step(frame)
+    known, stamp_ns = len(pipeline.landmarks()), shot[-1].stamp_ns
+    states = []
+    for k, frame in enumerate(shot[60:90]):  # 1.4 m back and before the bend
+        estimate = pipeline.step(replace(frame, stamp_ns=stamp_ns + (k + 1) * 66_666_667))
+        wrong = np.hypot(*(estimate.pose - world.truth_at(world.seconds(frame.stamp_ns)))[:2]) > 0.3
+        states.append((estimate.state, wrong))
+    assert last.state is State.TRACKING
+    assert (State.TRACKING, True) not in states
+    assert len(pipeline.landmarks()) <= known + 3
+
+
 def test_reset_forgets_the_map_and_says_so(world: World) -> None:
     pipeline = pipeline_of(world)
     for frame in frames(world, 2.0):
