@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _MAX_MISSES = 8
 _TWIST_FADES_S = 1.0
 _JERK_SIGMAS = 5.0
+_FEWEST_SHARE = 1.0 / 3.0  # on lap after lap 0.6 at least, 0.37 on bare plaster with a few lamps
 _FRESH = 0.6  # of the error of a direction or tilt; the rest is the same lines' in the next frame and cancels
 
 
@@ -130,7 +131,11 @@ class VisualOdometry:
         )
         if fit is None:
             return None, "too few consistent correspondences"
-        failure = self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s) or self._jerk(fit, dt_s)
+        failure = (
+            self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)
+            or self._jerk(fit, dt_s)
+            or _minority(fit, crossings, ref)
+        )
         if failure:
             return None, failure
         sigma_rad = _FRESH * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
@@ -190,6 +195,14 @@ class VisualOdometry:
         share = 0.25 * (self._since_ref_s**4 - start_s**4)
         xy, theta = self._config.coast_accel_mps2**2 * share, self._config.coast_turn_radps2**2 * share
         return Motion(np.asarray(predicted, np.float64), np.diag([xy, xy, theta]) + self._floor(), 0, 0.0, reason)
+
+
+def _minority(fit: RigidFit, crossings: Crossings, ref: Crossings) -> str:
+    """A motion that few of the crossings share which both frames must show: a part that fits by chance."""
+    view_m = 2.0 * float(np.median(np.hypot(*(ref.xy_base_m - ref.xy_base_m.mean(axis=0)).T)))
+    overlap = max(1.0 - float(np.hypot(*fit.b_from_a[:2])) / max(view_m, 1e-9), 0.0)
+    most, used = min(len(crossings), len(ref)), int(np.count_nonzero(fit.used))
+    return f"{used} of {most} crossings moved alike" if used < _FEWEST_SHARE * overlap * most else ""
 
 
 def _own_sigma_m(crossings: Crossings, which: Ints) -> float:

@@ -1,5 +1,7 @@
 """Visual odometry on constructed crossings: signs, gaps, failures, axes that change their names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,6 +151,21 @@ def test_a_turn_that_no_robot_makes_is_a_failure() -> None:
     brisk = VisualOdometry(Odometry())
     turned = [np.array([2.0, 2.0, 0.5 * 8.0 * (k * DT_S) ** 2]) for k in range(10)]  # 8 rad/s^2
     assert all([brisk.step(seen_from(p), DT_S).ok for p in turned][1:])
+
+
+def test_a_motion_that_a_fifth_of_the_crossings_share_is_a_failure() -> None:
+    """The others saw another place: what is left fits by chance."""
+    vo, poses = VisualOdometry(Odometry()), circle(5)
+    for p in poses:
+        vo.step(seen_from(p), DT_S)
+    view = seen_from(se2.compose(poses[-1], np.array([0.5 * DT_S, 0.0, 0.6 * DT_S])))
+    strayed = np.arange(len(view)) % 5 > 0
+    off = np.where(strayed[:, None], np.array([0.21, 0.33]), 0.0)
+    motion = vo.step(replace(view, xy_base_m=view.xy_base_m + off, uv_px=view.uv_px + 186.0 * off), DT_S)
+    assert motion.failure is not None and "crossings moved alike" in motion.failure
+    half = np.where((np.arange(len(view)) % 2 > 0)[:, None], np.array([0.21, 0.33]), 0.0)
+    motion = vo.step(replace(view, xy_base_m=view.xy_base_m + half, uv_px=view.uv_px + 186.0 * half), 0.0)
+    assert motion.ok
 
 
 def test_a_robot_that_is_already_moving_is_taken_as_it_is() -> None:
