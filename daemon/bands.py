@@ -32,7 +32,7 @@ _GROW_PX = 15.0
 _SHIFT_GATES_PX = (4.0, 2.5, 1.5)
 _SHIFTS_PX = np.arange(-_FAR_PX - 2.0, _FAR_PX + 3.0)
 _LIKELY = np.exp(-0.5 * (_SHIFTS_PX / 5.0) ** 2)
-_BENT_RAD = 0.02
+_BENT_RAD, _HELD_RAD = 0.02, 1e-9
 _FEWEST_POINTS = 40
 _FEWEST_CLOSE = 600  # with less to see a whole look costs little, and sees what a band misses
 _SEEN_SHARE, _FOUND_SHARE = 0.4, 0.7
@@ -65,6 +65,7 @@ class BandDetector:
         self._focal = calibration.level_view.focal_px
         self._grids = look_ups(calibration, config.max_view_deg)
         self._gate = float(np.cos(np.radians(config.direction_gate_deg)))
+        self._bent_rad = _BENT_RAD if config.estimate_tilt else _HELD_RAD
 
     def __call__(
         self, gray: NDArray[np.uint8], expected: EdgeSet, last: LastFit, prior: TiltPrior
@@ -85,7 +86,7 @@ class BandDetector:
         sparse = look(edges, last.tilt_rad, Look(_SPARSE_PX, _FAR_PX, floor, self._gate, True))
         if len(sparse[1]) < _FEWEST_POINTS:
             return None
-        edges, tilt_rad = _aligned(edges, sparse[0], sparse[1], last.tilt_rad, self._focal)
+        edges, tilt_rad = _aligned(edges, sparse[0], sparse[1], last.tilt_rad, self._focal, self._bent_rad)
         points, line, looked = look(edges, tilt_rad, Look(_CLOSE_PX, _NEAR_PX, floor, self._gate, False))
         if len(line) < _FEWEST_CLOSE or not _enough(np.bincount(line, minlength=len(looked)), looked * edges.filled):
             return None
@@ -150,8 +151,10 @@ def _oriented(edges: EdgeSet) -> Array:
     return np.column_stack([sign * np.cos(angle), sign * np.sin(angle), sign * edges.offset_px, start, end])
 
 
-def _aligned(edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, focal_px: float) -> tuple[EdgeSet, Array]:
-    """The edges and the tilt, moved by the shift, turn and tilt that most points share."""
+def _aligned(
+    edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, focal_px: float, bent_rad: float
+) -> tuple[EdgeSet, Array]:
+    """The edges and the tilt, moved by the shift, turn and tilt (of about bent_rad) that most points share."""
     half = points.ends[2]
     rho, tangent = (v.astype(np.float64) for v in kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad))
     off_px = rho * focal_px - edges.offset_px[line]
@@ -162,7 +165,7 @@ def _aligned(edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, foca
         model[part, axis] = 1.0
         model[part, 2:] = _bends(edges.psi_rad + 0.5 * np.pi * axis, rho[part], tangent[part])
     model[:, 2:] *= -focal_px
-    weak = np.diag([1e-6, 1e-6, *np.full(3, _BENT_RAD**-2)])
+    weak = np.diag([1e-6, 1e-6, _BENT_RAD**-2, bent_rad**-2, bent_rad**-2])
     for gate in _SHIFT_GATES_PX:
         use = np.abs(off_px - fitted) < gate
         m = model[use]

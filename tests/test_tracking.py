@@ -85,6 +85,17 @@ def test_a_close_look_sees_the_crossings_of_a_full_one() -> None:
     assert extra < 0.15 * found
 
 
+def test_bands_take_no_tilt_where_none_is_to_be_estimated() -> None:
+    """Else a tilt that only helped to find the edges stays, and the next full look has none: steps to and fro."""
+    world = world_with(1.0)
+    finder = LineFinder(world.calibration, Features(full_every=10, estimate_tilt=False))
+    for k in range(30):
+        lines = finder(world.frame_at(2.0 + k / RATE_HZ), np.array([0.35 / RATE_HZ, 0.0, 0.0]))
+        assert lines is not None
+        assert np.abs(lines.tilt_rad).max() < 1e-9
+    assert finder.verified > 10
+
+
 def test_a_black_frame_is_no_lines_and_a_full_look() -> None:
     world = world_with(0.0)
     finder, t = warmed(world)
