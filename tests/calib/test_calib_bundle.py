@@ -36,6 +36,25 @@ def test_its_sigma_is_the_scatter_of_repetitions() -> None:
     assert np.sqrt(np.mean([f.cluster_cov[0, 0] for f in fits])) == pytest.approx(scatter, rel=0.25)
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_few_views_that_each_tell_of_something_else_do_not_understate_the_scatter(seed: int) -> None:
+    """Errors common to a view, seven parameters, twelve views."""
+    rng = np.random.default_rng(seed)
+    designs = [rng.normal(size=(20, 2)) @ rng.normal(size=(2, 7)) for _ in range(12)]
+
+    def repeated() -> bundle.BundleFit:
+        seen = [
+            d @ rng.normal(0.0, 0.1, 7) + rng.normal(0.0, 0.01, 20) for d in designs
+        ]  # the same wrong world in a view
+        return bundle.solve(lambda i, p, _: designs[i] @ p - seen[i], np.zeros(7), np.zeros((12, 0)))
+
+    fits = [repeated() for _ in range(150)]
+    scatter = np.std([f.shared for f in fits], axis=0)
+    sigma = np.sqrt(np.mean([np.diag(f.cluster_cov) for f in fits], axis=0))
+    print(f"seed {seed}: sigma over scatter {sigma / scatter}")
+    assert np.exp(np.mean(np.log(sigma / scatter))) == pytest.approx(1.0, abs=0.12)
+
+
 def test_outliers_do_not_pull_when_they_count_linearly() -> None:
     x, ys = lines(np.random.default_rng(2), 0.01)
     ys[1][:4] += 5.0
