@@ -26,7 +26,7 @@ _REACH_TILES = 3
 _SMALLEST_TILE_M = 0.28
 _TURNED_RAD = 0.15
 _NEAR_M = 2.0  # rivals of that distance are tried anyway
-_FEWEST_MAPPED, _UNKNOWN_SHARE = 10, 0.5
+_FEWEST_MAPPED, _HALF = 10, 0.5
 
 
 class Confirmation:
@@ -97,14 +97,14 @@ class Confirmation:
         return bool(fits and ahead >= _MARGIN and self._believed())
 
     def _believed(self) -> bool:
-        """Near where the robot should be a few good views do; anywhere else it takes many, or better ones."""
+        """Where the robot should be a few good views do; else it takes many or better ones, and no place like it."""
+        if not self.found and self.reach_m <= _NEAR_M:
+            return self._views >= _FEWEST_VIEWS and self._holds(_SHARE, _ELSEWHERE_SHARE)
+        if self._ahead_of_map < _MARGIN:
+            return False
         if self._views >= _LONG_VIEWS:
             return self._holds(_LONG_SHARE, _LONG_ELSEWHERE_SHARE)
-        if self.found or self._views < _FEWEST_VIEWS:
-            return False
-        if self.reach_m <= _NEAR_M:
-            return self._holds(_SHARE, _ELSEWHERE_SHARE)
-        return self._ahead_of_map >= _MARGIN and self._holds(_AT_ONCE_SHARE, _ELSEWHERE_SHARE)
+        return not self.found and self._views >= _FEWEST_VIEWS and self._holds(_AT_ONCE_SHARE, _ELSEWHERE_SHARE)
 
     def better(self) -> int | None:
         """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
@@ -137,6 +137,8 @@ class Confirmation:
 def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) -> bool:
     """Whether a view cannot be from a pose: its lines lie otherwise, or mapped ground shows something else.
 
+    On mapped ground, less than half of what is seen is in the map, and less than half of what is in the map is seen.
+
     Args:
         observations: labelled as seen from that pose.
     """
@@ -150,7 +152,9 @@ def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) 
     apart2 = np.min((seen[:, 0, None] - at[:, 0]) ** 2 + (seen[:, 1, None] - at[:, 1]) ** 2, axis=1)
     mapped = apart2 < GROUND_M**2
     known = int(np.count_nonzero(observations.label[mapped] >= 0))
-    return bool(np.count_nonzero(mapped) >= _FEWEST_MAPPED and known < _UNKNOWN_SHARE * np.count_nonzero(mapped))
+    within = np.all((at >= seen.min(axis=0)) & (at <= seen.max(axis=0)), axis=1)
+    surprising, missed = known < _HALF * np.count_nonzero(mapped), known < _HALF * np.count_nonzero(within)
+    return bool(np.count_nonzero(mapped) >= _FEWEST_MAPPED and surprising and missed)
 
 
 def convincing(explained: int, seen: int) -> bool:

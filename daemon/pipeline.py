@@ -250,7 +250,7 @@ class Pipeline:
         others = np.zeros((0, 2)) if hypothesis.sure else rival_shifts(landmarks, self._map_axis_rad or 0.0)
         counts = explained_at(np.vstack([np.zeros((1, 2)), others]), pose, observations, landmarks, gate_m)
         place = None if hypothesis.sure else best_place(landmarks, observations, pose, hypothesis.home(pose))
-        elsewhere = 0 if place is None else place.rival - place.here
+        elsewhere = int(np.max(counts[1:], initial=0.0) - counts[0]) if place is None else place.rival - place.here
         seen, nis_high = len(observations), self._config.states.nis_high
         if hypothesis.weigh(counts, seen, elsewhere, depletion.nis, nis_high):
             self._hypothesis = None

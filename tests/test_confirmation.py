@@ -32,15 +32,16 @@ def test_the_better_pose_is_believed_after_a_few_views() -> None:
 
 def test_where_the_robot_can_be_anywhere_the_same_views_need_to_be_better_or_many() -> None:
     """A stored pose; where the map lacks the right place, one a tile off explains most of what is seen."""
-    assert views(30, 28, 32, 50, reach_m=np.inf) == [False] * 39 + [True] * 11
-    assert views(32, 28, 32, 50, reach_m=np.inf) == [False] * 39 + [True] * 11
+    assert views(30, 28, 32, 50, reach_m=np.inf, elsewhere=-1) == [False] * 39 + [True] * 11
+    assert views(32, 28, 32, 50, reach_m=np.inf, elsewhere=-1) == [False] * 11 + [True] * 39
+    assert not any(views(32, 28, 32, 500, reach_m=np.inf))  # another place of the map explains as much
     assert views(32, 28, 32, 10, reach_m=np.inf, elsewhere=-4) == [False] * 5 + [True] * 5
 
 
 @pytest.mark.parametrize("reach_m", [1.0, np.inf])
 def test_a_place_that_was_searched_for_needs_many_views_that_fit_nowhere_better(reach_m: float) -> None:
     """Ground that the map lacks looks like some that it has: most features fit, now here and now there."""
-    for own, elsewhere, believed in ((49, 0, True), (44, 0, False), (48, 1, False)):
+    for own, elsewhere, believed in ((49, -1, True), (44, -1, False), (48, 1, False)):
         found = Confirmation(False, found=True, reach_m=reach_m)
         told = [found.weigh(np.array([own, 40.0, 39.0]), 50, elsewhere, NIS, NIS_MAX) for _ in range(39)]
         assert not any(told) and not found.hopeless
@@ -94,11 +95,11 @@ def test_a_pose_that_fits_now_is_not_believed_while_its_views_fit_better_elsewhe
     wrong = Confirmation(sure=False, found=found)
     told = []
     for k in range(200):
-        told.append(wrong.weigh(np.array([45.0, 40.0, 39.0]), 50, 0 if k % 10 == 9 else 5, NIS, NIS_MAX))
+        told.append(wrong.weigh(np.array([45.0, 40.0, 39.0]), 50, -1 if k % 10 == 9 else 5, NIS, NIS_MAX))
     assert not any(told)
     assert wrong.hopeless
     right = Confirmation(sure=False, found=found)
-    told = [right.weigh(np.array([49.0, 45.0, 44.0]), 50, k % 8 == 7, NIS, NIS_MAX) for k in range(40)]
+    told = [right.weigh(np.array([49.0, 45.0, 44.0]), 50, 1 if k % 8 == 7 else -2, NIS, NIS_MAX) for k in range(40)]
     assert told[-1]
     assert not any(told[:5])
     assert not right.hopeless
