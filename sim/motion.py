@@ -169,11 +169,13 @@ class WheelOdometry:
 
     STEP_S = 0.005
     CHUNK_S = 60.0
+    _KEPT = 3
 
     def __init__(self, path: LapPath, spec: WheelSpec | None = None, seed: int = 1) -> None:
         self._path, self._spec, self._seed = path, spec or WheelSpec(), seed
         self._lock = threading.Lock()
-        self._chunks: list[Array] = []
+        self._starts: list[Array] = [np.zeros(3)]
+        self._recent: dict[int, Array] = {}
 
     def at(self, t_s: float) -> Array:
         """(3,) odom_from_base [m, m, rad], theta in [-pi, pi); the identity before time 0."""
@@ -188,10 +190,13 @@ class WheelOdometry:
     def _chunk(self, k: int) -> Array:
         """(n + 1, 3) samples of one chunk, theta not wrapped; the first is the last of the chunk before."""
         with self._lock:
-            while len(self._chunks) <= k:
-                start = self._chunks[-1][-1] if self._chunks else np.zeros(3)
-                self._chunks.append(self._integrate(len(self._chunks), start))
-            return self._chunks[k]
+            while len(self._starts) <= k:
+                self._starts.append(self._integrate(len(self._starts) - 1, self._starts[-1])[-1].copy())
+            if k not in self._recent:
+                if len(self._recent) == self._KEPT:
+                    del self._recent[min(self._recent)]
+                self._recent[k] = self._integrate(k, self._starts[k])
+            return self._recent[k]
 
     def _integrate(self, k: int, start: Array) -> Array:
         n = round(self.CHUNK_S / self.STEP_S)
