@@ -133,7 +133,8 @@ class _Raster:
         if float(np.min(inside)) < home.reach_m:
             return False
         size = 2 * round(GROUND_M / _CELL_M) - 1
-        ground = cv2.dilate(np.max(self._images, axis=0), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        ground = np.asarray(cv2.dilate(np.max(self._images, axis=0), disc), np.uint8)
         offset_m = observations.xy_base_m @ rotation(float(home.pose[2])).T
         count = _Raster(ground[None], self._origin_m, self._pad).count(offset_m, np.zeros(len(offset_m), np.int64))
         return bool(np.all(count[self.within(home)] >= _MAPPED_SHARE * len(offset_m)))
