@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from ceilvo import se2
+from ceilvo.bench.lamp_grid import Judged, judge, seen
 from ceilvo.bench.vision_run import save_picture
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import write_calibration
@@ -35,12 +36,14 @@ from ceilvo.daemon.trajectory import Trajectory, TrajectoryError, match_stamps, 
 from ceilvo.drivers.cameras import source_camera
 from ceilvo.errors import CeilvoError, FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import Array, Crossings, Lines
+from ceilvo.types import Array, Crossings, Frame, Lines
 
 CEILING_M = 2.515
 """8.25 ft: the unit of the reference's u and v."""
 _NOMINAL = NoiseCurves((0.05,), (0.05,), sigma_theta_rad=0.02, r_min_m=0.0, r_max_m=6.0)
 _MATCH_NS = 10_000_000
+LAMP_PITCH_M = (3.048, 3.6576)
+"""Lamps hang 10 and 12 ft apart (the recording's SOURCE.txt). Nobody tells ceilvo; the other tracker is built on it."""
 LAMP_BARS = {"distance_median_m": 0.15, "distance_max_m": 0.4, "heading_max_deg": 2.0, "step_median_m": 0.012}
 
 
@@ -92,6 +95,12 @@ def lamps(folder: Path, out: Path) -> dict[str, float]:
         "step_median_m": error.step_median_m,
     }
     print(_lamps_table(figures))
+    lamps_seen = seen((f.gray for f in _recorded(folder)), lamps_calibration())
+    pitch = np.array(LAMP_PITCH_M)
+    for who, poses in (("ceilvo", est.poses), ("other", ref.poses)):
+        judged = judge(lamps_seen, poses, pitch)
+        print(_judged_line(who, judged))
+        figures |= {f"{who}_lamps_off_m": judged.off_m, f"{who}_lamp_step_m": judged.step_m}
     plot(est, ref, error, work / "trajectories.png")
     return figures
 
@@ -102,7 +111,7 @@ def prepare_lamps(folder: Path, work: Path) -> None:
     reference = reference_poses(folder / "reference.txt")
     write_calibration(work / "calibration.yaml", lamps_calibration(), force=True)
     write_atomic(work / "config.yaml", render_config(lamps_config(reference[0])))
-    stamps = _stamps(folder)
+    stamps = [frame.stamp_ns for frame in _recorded(folder)]
     if len(stamps) != len(reference):
         raise FileFormatError(
             f"{folder}: {len(stamps)} frames and {len(reference)} lines in reference.txt, expected as many of each"
@@ -162,16 +171,21 @@ def reference_poses(file: Path) -> Array:
     return np.column_stack([-CEILING_M * table[:, :2], se2.wrap_array(-table[:, 2])])
 
 
-def _stamps(folder: Path) -> list[int]:
+def _recorded(folder: Path) -> Iterator[Frame]:
     camera = source_camera(folder, 640, 480)
     camera.open()
     try:
-        stamps = []
         while (frame := camera.read()) is not None:
-            stamps.append(frame.stamp_ns)
-        return stamps
+            yield frame
     finally:
         camera.close()
+
+
+def _judged_line(who: str, j: Judged) -> str:
+    return (
+        f"lamps, placed by the poses of {who:6}: {1e3 * j.off_m:.0f} mm rms off the grid they hang on, drifting by "
+        f"{100 * j.stretch:.1f} % of the way; a lamp moves {1e3 * j.step_m:.1f} mm from frame to frame"
+    )
 
 
 def _good_motions(jsonl: Path) -> int:
