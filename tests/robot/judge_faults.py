@@ -10,14 +10,16 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from judge import Check, report
 
 GOOD = ("TRACKING", "DEGRADED")
 FLAGGED_S = 0.3
-"""200 ms after the first frame that is missing, which is up to a period (67 ms) later, and the timing."""
+"""200 ms after the first frame that is missing, a period (67 ms) until that is published, and the timing."""
 RECOVERY_S = 2.0
 PROCESS_S = 5.0
 CAMERA = ("stall", "frozen", "black", "white", "replug")
@@ -38,6 +40,13 @@ class Life:
 
     def ns(self, name: str) -> int:
         return int(self.facts.get(name, "0"))
+
+    def due_ns(self, after_ns: int) -> int:
+        """When the first frame after a time was due, by the poses of the frames before."""
+        before = [recv_ns for recv_ns, _, _ in self.poses if recv_ns <= after_ns][-16:]
+        if len(before) < 2:
+            return after_ns
+        return max(after_ns, before[-1] + round(median(b - a for a, b in pairwise(before))))
 
     def first(self, after_ns: int, good: bool) -> float:
         """Seconds from a time until a pose that is (not) good; inf when none came."""
@@ -77,7 +86,7 @@ def checks(life: Life) -> Iterator[Check]:
     for name in CAMERA:
         if f"{name}_begin_ns" not in f:
             continue
-        flagged = life.first(life.ns(f"{name}_begin_ns"), good=False)
+        flagged = life.first(life.due_ns(life.ns(f"{name}_begin_ns")), good=False)
         promise = f"<= {FLAGGED_S:g} s" if name != "replug" else ""
         yield Check(
             f"{name}: flagged after",
