@@ -22,6 +22,7 @@ _FEWEST_PX = 25
 _BORDER_PX = 4
 _FARTHEST_M = 3.2
 _AREA_RATIO = 1.35
+_SMALLEST_M2 = 1e-4
 _SAME_LAMP_M = 0.4
 
 
@@ -74,13 +75,9 @@ def _place(
     xy = to_ceiling(calibration.ceiling_from_level, level)
     if float(np.hypot(*xy.T).max()) > _FARTHEST_M:
         return None
-    x, y = xy.T
-    x2, y2 = np.roll(x, -1), np.roll(y, -1)
-    cross = x * y2 - x2 * y
-    area = 0.5 * float(np.sum(cross))
-    if abs(area) < 1e-4:
-        return None
-    return float(np.sum((x + x2) * cross) / (6.0 * area)), float(np.sum((y + y2) * cross) / (6.0 * area)), abs(area)
+    moments = cv2.moments(xy.astype(np.float32)[:, None])
+    area = moments["m00"]
+    return (moments["m10"] / area, moments["m01"] / area, area) if area > _SMALLEST_M2 else None
 
 
 def judge(lamps: Lamps, poses: Array, pitch_m: Array) -> Judged:

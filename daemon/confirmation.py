@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.daemon.map_raster import GROUND_M, Home
+from ceilvo.daemon.map_raster import Home
 from ceilvo.se2 import compose, inverse, rotation, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
@@ -27,6 +27,7 @@ _SMALLEST_TILE_M = 0.28
 _TURNED_RAD = 0.15
 _NEAR_M = 2.0  # rivals of that distance are tried anyway
 _FEWEST_MAPPED, _HALF = 10, 0.5
+_GROUND_M = 0.45  # ground is mapped so near a landmark
 
 
 class Confirmation:
@@ -145,12 +146,12 @@ def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) 
     if abs(wrap(observations.heading_rad - float(pose[2]))) > _TURNED_RAD:
         return True
     seen = transform(pose, observations.xy_base_m)
-    reach_m = float(np.max(np.hypot(*observations.xy_base_m.T), initial=0.0)) + GROUND_M
+    reach_m = float(np.max(np.hypot(*observations.xy_base_m.T), initial=0.0)) + _GROUND_M
     at = landmarks.xy_map_m[np.hypot(*(landmarks.xy_map_m - pose[:2]).T) < reach_m]
     if not len(at):
         return False
     apart2 = np.min((seen[:, 0, None] - at[:, 0]) ** 2 + (seen[:, 1, None] - at[:, 1]) ** 2, axis=1)
-    mapped = apart2 < GROUND_M**2
+    mapped = apart2 < _GROUND_M**2
     known = int(np.count_nonzero(observations.label[mapped] >= 0))
     within = np.all((at >= seen.min(axis=0)) & (at <= seen.max(axis=0)), axis=1)
     surprising, missed = known < _HALF * np.count_nonzero(mapped), known < _HALF * np.count_nonzero(within)

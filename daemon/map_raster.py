@@ -16,10 +16,9 @@ from ceilvo.kinds import CROSSING_KINDS, turn_kind
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
-GROUND_M = 0.45
-"""Ground is mapped so near a landmark."""
 _CELL_M = 0.05
 _DISC_CELLS = 3
+_GROUND_CELLS = 8  # around those discs
 _STEP_CELLS = 2
 _MARGIN_M = 1.0
 _MOST_CELLS = 4_000_000
@@ -75,15 +74,21 @@ def best_place(landmarks: Landmarks, observations: Observations, pose: Array, ho
         others = counts
         if abs(wrap(theta - float(pose[2]))) < 0.25 * np.pi:
             here = raster.near(counts, pose[:2])
-            others = np.where(raster.within(Home(pose, _SAME_PLACE_M)), 0, counts)
+            others = np.where(raster.within(pose, _SAME_PLACE_M), 0, counts)
         if near is not None:
-            possible = raster.within(near)
+            possible = raster.within(near.pose, near.reach_m)
             counts, others = counts * possible, others * possible
         rival = max(rival, int(np.max(others)))
         y, x = np.unravel_index(int(np.argmax(counts)), counts.shape)
         if int(counts[y, x]) > best[0]:
             best = (int(counts[y, x]), np.array([*raster.position(int(x), int(y)), theta]))
     return Place(best[1], best[0], here, rival, near)
+
+
+def _widened(image: NDArray[np.uint8], cells: int) -> NDArray[np.uint8]:
+    """With a disc of so many cells around every set one."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * cells + 1, 2 * cells + 1))
+    return np.asarray(cv2.dilate(image, disc), np.uint8)
 
 
 class _Raster:
@@ -102,10 +107,8 @@ class _Raster:
         images = np.zeros((CROSSING_KINDS, height, width), np.uint8)
         col, row = (np.round((xy - low) / _CELL_M).astype(np.int64) + pad).T
         images[landmarks.kind, row, col] = 1
-        size = 2 * _DISC_CELLS + 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
         for image in images:
-            image[:] = cv2.dilate(image, disc)
+            image[:] = _widened(image, _DISC_CELLS)
         return _Raster(images, low, pad)
 
     def count(self, offset_m: Array, kind: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -118,12 +121,11 @@ class _Raster:
             out += self._images[k, top : top + rows : _STEP_CELLS, left : left + cols : _STEP_CELLS]
         return out
 
-    def within(self, home: Home) -> NDArray[np.bool_]:
-        """(Y, X) elements of count() that are within reach."""
+    def within(self, pose: Array, reach_m: float) -> NDArray[np.bool_]:
+        """(Y, X) elements of count() that are so near a pose."""
         rows, cols = (-(-(n - 2 * self._pad) // _STEP_CELLS) for n in self._images.shape[1:])
         x, y = ((np.arange(n) * _STEP_CELLS * _CELL_M + o) for n, o in zip((cols, rows), self._origin_m, strict=True))
-        off = np.hypot(x - home.pose[0], y[:, None] - home.pose[1])
-        return np.asarray(off <= home.reach_m)
+        return np.asarray(np.hypot(x - pose[0], y[:, None] - pose[1]) <= reach_m)
 
     def knows(self, home: Home, observations: Observations) -> bool:
         """Whether the map has landmarks all around every feature, wherever within reach the robot is."""
@@ -132,12 +134,10 @@ class _Raster:
         inside = np.minimum(home.pose[:2] - self._origin_m, self._origin_m + size_m - home.pose[:2])
         if float(np.min(inside)) < home.reach_m:
             return False
-        size = 2 * round(GROUND_M / _CELL_M) - 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        ground = np.asarray(cv2.dilate(np.max(self._images, axis=0), disc), np.uint8)
+        ground = _widened(np.max(self._images, axis=0), _GROUND_CELLS)
         offset_m = observations.xy_base_m @ rotation(float(home.pose[2])).T
         count = _Raster(ground[None], self._origin_m, self._pad).count(offset_m, np.zeros(len(offset_m), np.int64))
-        return bool(np.all(count[self.within(home)] >= _MAPPED_SHARE * len(offset_m)))
+        return bool(np.all(count[self.within(home.pose, home.reach_m)] >= _MAPPED_SHARE * len(offset_m)))
 
     def position(self, x: int, y: int) -> tuple[float, float]:
         """Metres in map of an element of count()."""

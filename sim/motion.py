@@ -191,12 +191,16 @@ class WheelOdometry:
         """(n + 1, 3) samples of one chunk, theta not wrapped; the first is the last of the chunk before."""
         with self._lock:
             while len(self._starts) <= k:
-                self._starts.append(self._integrate(len(self._starts) - 1, self._starts[-1])[-1].copy())
-            if k not in self._recent:
-                if len(self._recent) == self._KEPT:
-                    del self._recent[min(self._recent)]
-                self._recent[k] = self._integrate(k, self._starts[k])
-            return self._recent[k]
+                self._starts.append(self._kept(len(self._starts) - 1)[-1].copy())
+            return self._kept(k)
+
+    def _kept(self, k: int) -> Array:
+        """A chunk whose start is known, integrated once while it is among the recent."""
+        if k not in self._recent:
+            if len(self._recent) == self._KEPT:
+                del self._recent[min(self._recent)]
+            self._recent[k] = self._integrate(k, self._starts[k])
+        return self._recent[k]
 
     def _integrate(self, k: int, start: Array) -> Array:
         n = round(self.CHUNK_S / self.STEP_S)
