@@ -124,16 +124,11 @@ class Pipeline:
         self._predict(motion)
         self._odom = se2.compose(self._odom, motion.prev_from_curr)
         observations = self._observe(stamp_ns, motion, crossings)
-        if observations is not None and self._hypothesis is None:
-            self._watch(observations)
         if observations is not None:
-            # a hypothesis must not teach the map: what it does not explain would be learnt and then confirm it
             if self._hypothesis is None:
-                if not self._contradictions:
-                    self._filter.update(observations)
-            elif self._hypothesis.sure or convincing(_matched(observations), len(observations)):
-                self._filter.update(_explained(observations))
-            if crossings is not None and self._hypothesis is not None and self._news:
+                self._watch(observations)
+            self._learn(observations)
+            if self._hypothesis is not None and self._news:
                 self._confirm(self._hypothesis, observations)
         lap("filter")
         return self._conclude(stamp_ns, dt_s, motion, crossings, observations)
@@ -175,13 +170,22 @@ class Pipeline:
             self._end_search()
             self._hypothesis = Confirmation(sure=False, carried=carried, why=why, reach_m=reach_m)
 
+    def _learn(self, observations: Observations) -> None:
+        """A hypothesis must not teach the map: what it does not explain would be learnt and then confirm it."""
+        if self._hypothesis is None:
+            if not self._contradictions:
+                self._filter.update(observations)
+        elif self._hypothesis.sure or convincing(_matched(observations), len(observations)):
+            self._filter.update(_explained(observations))
+
     def _watch(self, observations: Observations) -> None:
         """A view that contradicts the map teaches nothing; where the next one does too, the pose is in doubt."""
         pose, _, depletion = self._filter.estimate()
         landmarks = self._filter.landmarks()
-        contradicts = depletion.mode_weight >= SURE and contradicted(observations, pose, landmarks)
+        judged = depletion.mode_weight >= SURE and can_confirm(landmarks)
+        contradicts = judged and contradicted(observations, pose, landmarks)
         self._contradictions = self._contradictions + 1 if contradicts else 0
-        if self._contradictions >= _CONTRADICTIONS and can_confirm(landmarks):
+        if self._contradictions >= _CONTRADICTIONS:
             self._hypothesis = Confirmation(sure=False, why="what is seen contradicts the map")
             self._contradictions = 0
 
@@ -348,32 +352,35 @@ class Pipeline:
         cfg = self._config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
         known = self._filter.landmarks() if keep_map else None
-        if known is None or not len(known):
-            known, self._map_axis_rad = None, None
         self._odometry = VisualOdometry(self._config.odometry)
         self._lines.reset()
         self._states.reset("started")
         self._odom = np.zeros(3)
         self._twist = np.zeros(3)
-        self._start_at(start, np.diag(_START_SIGMA**2), known, confirmed=known is None)
+        self._start_at(start, np.diag(_START_SIGMA**2), known)
 
     def assume(self, pose: Array, cov: Array, why: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
-        self._start_at(pose, cov, self._filter.landmarks(), confirmed=not len(self._filter.landmarks()))
+        self._start_at(pose, cov, self._filter.landmarks())
         self._states.reset(why)
 
     def know_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Array, cov: Array) -> None:
         """Start on a map of an earlier run; the pose is a hypothesis that landmarks must confirm."""
         self._map_axis_rad = map_axis_rad
-        self._start_at(pose, cov, landmarks, confirmed=False)
+        self._start_at(pose, cov, landmarks)
         self._hypothesis = Confirmation(sure=False)  # the robot may have driven on since the pose was stored
         self._states.reset("stored map and pose, to be confirmed")
 
-    def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, confirmed: bool) -> None:
-        self._filter.reset(pose, cov, landmarks)
+    def _start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None) -> None:
+        """Without landmarks nothing contradicts the pose, and the ceiling's direction is seen anew."""
+        known = landmarks if landmarks is not None and len(landmarks) else None
+        if known is None:
+            self._map_axis_rad = None
+        self._filter.reset(pose, cov, known)
         self._gap, self._blind_m, self._contradictions = _NO_GAP, 0.0, 0
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]))
-        self._hypothesis = None if confirmed else Confirmation(sigma_m < _SURE_M, reach_m=3.0 * sigma_m + _REACH_M)
+        sure, reach_m = sigma_m < _SURE_M, 3.0 * sigma_m + _REACH_M
+        self._hypothesis = None if known is None else Confirmation(sure, reach_m=reach_m)
         self._travel_m = self._turn_rad = 0.0
         self._updated_ns = None
 

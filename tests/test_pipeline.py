@@ -156,6 +156,18 @@ def test_a_robot_that_is_put_elsewhere_in_the_light_is_in_doubt_at_once_and_teac
     assert len(pipeline.landmarks()) <= known + 3
 
 
+def test_a_pose_that_is_given_before_anything_is_mapped_turns_the_map_with_it(world: World) -> None:
+    pipeline, shot = pipeline_of(world), list(frames(world, 3.0))
+    pipeline.step(shot[0])
+    assert not len(pipeline.landmarks())
+    turned = world.initial_pose + np.array([0.0, 0.0, 0.4])
+    pipeline.assume(turned, np.diag([0.02, 0.02, 0.02]) ** 2, "told")
+    last = [pipeline.step(frame) for frame in shot[1:]][-1]
+    assert last.state is State.TRACKING
+    assert last.landmarks > 20
+    assert abs(error(world, last)[2] - 0.4) < 0.02
+
+
 def test_reset_forgets_the_map_and_says_so(world: World) -> None:
     pipeline = pipeline_of(world)
     for frame in frames(world, 2.0):
