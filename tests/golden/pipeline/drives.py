@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import sys
 from collections.abc import Iterator, Mapping
@@ -228,6 +229,7 @@ def fingerprint() -> dict[str, str]:
         "cpu": str(sorted(set(cpu))),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
+        "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS", "all"),
         "kernel": "compiled" if COMPILED else "numpy",
     }
 
