@@ -27,7 +27,7 @@ help:
 	@echo "make kill-test         kill -9 while it saves, KILLS=200 times"
 	@echo "make fuzz              every reader of bytes, MINUTES=10 each; by coverage where atheris can be installed"
 	@echo "make dist              wheel and source archive in dist/"
-	@echo "make config            write config.yaml anew from the schema in ceilvo/config.py"
+	@echo "make config            write config.yaml anew from the schema in ceilvo/config/schema.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
 
 run: $(VENV)/.installed
@@ -43,24 +43,24 @@ check: $(VENV)/.installed-dev
 	MYPYPATH=build/site $(BIN)/mypy -p ceilvo
 
 config: $(VENV)/.installed
-	$(BIN)/python -m ceilvo.config_file > config.yaml.new && mv config.yaml.new config.yaml
+	$(BIN)/python -m ceilvo.config.reader > config.yaml.new && mv config.yaml.new config.yaml
 
 dist: $(VENV)/.installed-dev
 	$(BIN)/python -m build --outdir dist .
 
 bench-paper: $(VENV)/.installed-bench
-	$(BIN)/ceilvod experiment paper --seeds $(or $(SEEDS),100) --jobs $(or $(JOBS),1)
+	$(BIN)/python -m ceilvo.bench.paper --seeds $(or $(SEEDS),100) --jobs $(or $(JOBS),1)
 
 bench-mrclam: $(VENV)/.installed-bench
-	$(BIN)/ceilvod experiment mrclam $(DATA) --jobs $(or $(JOBS),1)
+	$(BIN)/python -m ceilvo.bench.mrclam $(DATA) --jobs $(or $(JOBS),1)
 
 bench-filter: $(VENV)/.installed-bench
-	$(BIN)/ceilvod experiment speed
+	$(BIN)/python -m ceilvo.bench.speed.filter_step
 
 bench-calib: $(VENV)/.installed
-	$(BIN)/python -m ceilvo.calib.study sigma --count 100
-	$(BIN)/python -m ceilvo.calib.study drive --count 8
-	$(BIN)/python -m ceilvo.calib.study rigs --count 50
+	$(BIN)/python -m ceilvo.calib.practice.study sigma --count 100
+	$(BIN)/python -m ceilvo.calib.practice.study drive --count 8
+	$(BIN)/python -m ceilvo.calib.practice.study rigs --count 50
 
 soak: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.soak --hours $(or $(HOURS),1)
@@ -69,10 +69,10 @@ bench-faults: $(VENV)/.installed
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10) --resume
 
 bench-latency: $(VENV)/.installed
-	$(BIN)/python -m ceilvo.bench.latency --seconds $(or $(SECONDS),60)
+	$(BIN)/python -m ceilvo.bench.speed.latency --seconds $(or $(SECONDS),60)
 
 kill-test: $(VENV)/.installed-dev
-	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/test_faults_files.py -k killed -q
+	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_files.py -k killed -q
 
 fuzz: $(VENV)/.installed-dev
 	@$(PIP) -e '.[fuzz]' -c constraints.txt || echo "atheris cannot be installed here: mutations at random instead"
@@ -99,7 +99,7 @@ $(BIN)/pip:
 	@echo "making $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml setup.py constraints.txt daemon/_kernel.c | $(BIN)/pip
+$(VENV)/.installed: pyproject.toml setup.py constraints.txt daemon/vision/kernel/_kernel.c | $(BIN)/pip
 	@echo "installing ceilvo into $(VENV) (first time: about a minute)"
 	@$(PIP) -e . -c constraints.txt
 	@touch $@

@@ -6,8 +6,8 @@ from setuptools import Extension, setup
 setup(
     ext_modules=[
         Extension(
-            "ceilvo.daemon._kernel",
-            ["daemon/_kernel.c"],
+            "ceilvo.daemon.vision.kernel._kernel",
+            ["daemon/vision/kernel/_kernel.c"],
             extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math"],
             optional=True,
         ),

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ceilvo.calib import run_check, run_intrinsics, run_mount, run_projection, run_report, run_sigma, run_survey
+from ceilvo.calib.commands import check as run_check
+from ceilvo.calib.commands import intrinsics as run_intrinsics
+from ceilvo.calib.commands import mount as run_mount
+from ceilvo.calib.commands import projection as run_projection
+from ceilvo.calib.commands import report as run_report
+from ceilvo.calib.commands import sigma as run_sigma
+from ceilvo.calib.commands import survey as run_survey
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration, sign_calibration, write_calibration
 from ceilvo.errors import CeilvoError

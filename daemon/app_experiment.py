@@ -15,7 +15,7 @@ EXPERIMENTS = {
 def run_experiment(name: str, arguments: Sequence[str]) -> int:
     """Exit code of an experiment of EXPERIMENTS."""
     if name == "paper":
-        return int(import_module("ceilvo.bench.paper").main(arguments))
+        return int(import_module("ceilvo.bench.paper.__main__").main(arguments))
     if name == "mrclam":
-        return int(import_module("ceilvo.bench.mrclam").main(arguments))
-    return int(import_module("ceilvo.bench.filter_speed").main(arguments))
+        return int(import_module("ceilvo.bench.mrclam.__main__").main(arguments))
+    return int(import_module("ceilvo.bench.speed.filter_step").main(arguments))

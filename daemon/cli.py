@@ -17,16 +17,16 @@ from ceilvo import __version__
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
-from ceilvo.config_check import cross_check
-from ceilvo.config_file import calibration_path, load_config
-from ceilvo.config_file import replace as replace_keys
-from ceilvo.daemon import app
-from ceilvo.daemon.app_doctor import examine
+from ceilvo.config.checks import cross_check
+from ceilvo.config.reader import calibration_path, load_config
+from ceilvo.config.reader import replace as replace_keys
+from ceilvo.daemon.app import process as app
+from ceilvo.daemon.app.watch import watch_robots
 from ceilvo.daemon.app_experiment import EXPERIMENTS, run_experiment
-from ceilvo.daemon.app_replay import replay_recording
-from ceilvo.daemon.app_rerun import Rerun, is_recording, replay_run
-from ceilvo.daemon.app_watch import watch_robots
-from ceilvo.daemon.replay import Outputs
+from ceilvo.daemon.doctor.examination import examine
+from ceilvo.daemon.replay.command import replay_recording
+from ceilvo.daemon.replay.replay import Outputs
+from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run
 from ceilvo.errors import CeilvoError, FileFormatError
 
 log = logging.getLogger("ceilvo")
@@ -217,7 +217,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _run_simulated(options: argparse.Namespace) -> int:
-    from ceilvo.daemon.app_simulation import simulation  # a robot has no need of it
+    from ceilvo.daemon.app.simulation import simulation  # a robot has no need of it
 
     config = _config(options)
     cross_check(config, None, "config")

@@ -14,15 +14,22 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.confirmation import Confirmation, can_confirm, contradicted, convincing, explained_at, rival_shifts
-from ceilvo.daemon.crossings import cross
-from ceilvo.daemon.filters import make_filter
-from ceilvo.daemon.map_raster import best_place
-from ceilvo.daemon.observation import observe
-from ceilvo.daemon.odometry import VisualOdometry
-from ceilvo.daemon.particles import SURE, PoseFilter
-from ceilvo.daemon.states import Evidence, StateMachine
-from ceilvo.daemon.tracking import LineFinder
+from ceilvo.daemon.integrity.states import Evidence, StateMachine
+from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
+from ceilvo.daemon.relocalisation.filters import make_filter
+from ceilvo.daemon.relocalisation.hypothesis_test import (
+    Confirmation,
+    can_confirm,
+    contradicted,
+    convincing,
+    explained_at,
+    rival_shifts,
+)
+from ceilvo.daemon.relocalisation.place_search import best_place
+from ceilvo.daemon.slam.association import observe
+from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter
+from ceilvo.daemon.vision.crossings import cross
+from ceilvo.daemon.vision.line_finder import LineFinder
 from ceilvo.types import (
     NO_LANDMARK,
     UNLABELLED,

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from ceilvo.drivers.base_protocol import BaseStatus, PoseTelegram
-from ceilvo.drivers.wire import Topic
+from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
+from ceilvo.drivers.bus.messages import Topic
 from ceilvo.types import Frame
 
 

@@ -23,13 +23,13 @@ from typing import IO
 
 import serial
 
-from ceilvo.drivers.base_protocol import POSE_ADDRESS, STATUS_ADDRESS
-from ceilvo.drivers.mock_base import BaseFaults, BaseModel, Odometry, ReceivedTelegram, standing_still
-from ceilvo.drivers.modbus_base import port_parity
+from ceilvo.config.serial_budget import POSE_REGISTERS, STATUS_REGISTERS, bits_per_char, frame_gap_s, stop_bits
+from ceilvo.drivers.base.mock_base import BaseFaults, BaseModel, Odometry, ReceivedTelegram, standing_still
+from ceilvo.drivers.base.modbus import port_parity
+from ceilvo.drivers.base.protocol import POSE_ADDRESS, STATUS_ADDRESS
 from ceilvo.drivers.ports import Clock
 from ceilvo.errors import BaseLinkError
 from ceilvo.sim import rtu
-from ceilvo.wire_budget import POSE_REGISTERS, STATUS_REGISTERS, bits_per_char, frame_gap_s, stop_bits
 
 _INCOMPLETE_S = 0.05
 """A request that pauses for this long is dropped; a real slave takes 3.5 characters, a pty is not that regular."""

@@ -125,7 +125,7 @@ install_share() {
   for f in "$here/constraints.txt" "$here/../constraints.txt"; do
     if [ -f "$f" ]; then install -m644 "$f" "$1/constraints.txt"; break; fi
   done
-  "$new/bin/python" -I -m ceilvo.config_file >"$1/config.yaml"
+  "$new/bin/python" -I -m ceilvo.config.reader >"$1/config.yaml"
 }
 
 install_user() {

@@ -6,8 +6,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the daemon has it: the last bits depend on it
 
-import cv2  # noqa: E402
-from hypothesis import settings  # noqa: E402
+import cv2
+from hypothesis import settings
 
 settings.register_profile("fixed", derandomize=True, deadline=None, print_blob=True, max_examples=60)
 settings.register_profile("explore", deadline=None, print_blob=True, max_examples=1000)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ceilvo.calib.board import Board
 from ceilvo.calib.cli import main
-from ceilvo.calib.session import Session
-from ceilvo.calib.sources import Picture
-from ceilvo.calib.virtual_bench import VirtualBench
+from ceilvo.calib.practice.virtual_bench import VirtualBench
+from ceilvo.calib.session.session import Session
+from ceilvo.calib.targets.board import Board
+from ceilvo.calib.targets.sources import Picture
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 
 CAMERA = simulated_camera(width_px=480, height_px=360)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from ceilvo import config
-from ceilvo.drivers.mock_camera import MockCamera, moving_square
-from ceilvo.drivers.mock_v4l2 import MockV4l2Device
+from ceilvo.drivers.camera.mock_camera import MockCamera, moving_square
+from ceilvo.drivers.camera.mock_v4l2 import MockV4l2Device
+from ceilvo.drivers.camera.recorded import FolderCamera, VideoCamera, write_folder
+from ceilvo.drivers.camera.v4l2_camera import V4l2Camera
 from ceilvo.drivers.ports import Camera, CameraInfo
-from ceilvo.drivers.recorded_camera import FolderCamera, VideoCamera, write_folder
-from ceilvo.drivers.v4l2_camera import V4l2Camera
 from ceilvo.errors import CameraError
 from ceilvo.types import Frame
 
@@ -161,7 +161,7 @@ class TestMock(CameraContract):
 
 class TestMockRecording(CameraContract):
     def make(self, tmp_path: Path) -> Camera:
-        from ceilvo.drivers.mock_camera import Good
+        from ceilvo.drivers.camera.mock_camera import Good
 
         return MockCamera([Good(FRAMES)], live=False, wait=no_wait)
 

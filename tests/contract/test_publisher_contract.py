@@ -16,11 +16,11 @@ import zenoh
 
 from ceilvo import config
 from ceilvo.calibration import Calibration
-from ceilvo.drivers.mock_bus import MockBus
+from ceilvo.drivers.bus.messages import Topic
+from ceilvo.drivers.bus.mock_bus import MockBus
+from ceilvo.drivers.bus.requests import Handlers, Result
+from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import Publisher
-from ceilvo.drivers.requests import Handlers, Result
-from ceilvo.drivers.wire import Topic
-from ceilvo.drivers.zenoh_bus import ZenohBus
 from ceilvo.errors import BusError
 from ceilvo.types import Landmarks
 

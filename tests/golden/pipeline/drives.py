@@ -22,10 +22,10 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config, Filter
-from ceilvo.daemon.crossings import cross
-from ceilvo.daemon.kernel import COMPILED
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.tracking import LineFinder
+from ceilvo.daemon.vision.crossings import cross
+from ceilvo.daemon.vision.kernel import COMPILED
+from ceilvo.daemon.vision.line_finder import LineFinder
 from ceilvo.sim.motion import LapSpec, TiltSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec
@@ -173,7 +173,7 @@ def estimates(drive: Drive) -> Iterator[Estimate]:
         elif request is not None:
             pipeline = _asked(pipeline, drive, request, pose, rng)
         kind = fault["do"] if k < until else ""
-        wheels = drive.wheels[k] if k < until and not fault.get("wheels", True) else drive.wheels[k]
+        wheels = drive.wheels[k]
         given: WheelMotion | None = wheels
         if kind == "carried":
             given = WheelMotion(np.zeros(3), wheels.cov)
@@ -223,7 +223,9 @@ def table(run: Iterator[Estimate]) -> tuple[np.ndarray, list[str]]:
 
 def fingerprint() -> dict[str, str]:
     """What the last bits depend on: two computers with the same words are the same platform."""
-    cpu = [v for v in Path("/proc/cpuinfo").read_text().splitlines() if v.startswith(("model name", "CPU part", "flags"))]
+    cpu = [
+        v for v in Path("/proc/cpuinfo").read_text().splitlines() if v.startswith(("model name", "CPU part", "flags"))
+    ]
     return {
         "machine": platform.machine(),
         "cpu": str(sorted(set(cpu))),
@@ -244,7 +246,9 @@ def main(arguments: list[str]) -> None:
             record(name)
         for method in methods:
             figures, words = table(estimates(load(name, method)))
-            np.savez_compressed(HERE / f"{name}.{method}.npz", allow_pickle=False, figures=figures, words=np.array(words))
+            np.savez_compressed(
+                HERE / f"{name}.{method}.npz", allow_pickle=False, figures=figures, words=np.array(words)
+            )
             print(f"{name} {method}: {len(figures)} estimates")
     (HERE / "platform.json").write_text(json.dumps(fingerprint(), indent=1) + "\n")
 

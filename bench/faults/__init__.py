@@ -1,0 +1,1 @@
+"""Laps with faults, faster than real time."""

@@ -1,0 +1,81 @@
+"""What the camera of a driving robot saw, line by line: rendered and detected once, driven as often as wanted.
+
+A lap is periodic, so its frames can follow each other for hours. Several takes of the lap, each with its own noise,
+keep one frame from coming back in every lap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.daemon.vision.line_finder import LineFinder
+from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.motion import LapSpec
+from ceilvo.sim.world import World, WorldSpec
+from ceilvo.types import Array, Lines
+
+RATE_HZ = 10.0
+TAKES = 3
+_WARM_FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Tape:
+    """Lines of every frame of every take, lines[take][k], and the true pose at frame k, (K, 3)."""
+
+    calibration: Calibration
+    truth: Array
+    lines: tuple[tuple[Lines | None, ...], ...]
+
+    @property
+    def frames(self) -> int:
+        return len(self.truth)
+
+
+def record(seed: int, room_m: float, features: Features) -> Tape:
+    """Drive the laps of one room; every frame is rendered and its lines are found as in the daemon."""
+    world = World(WorldSpec(seed=seed, lap=LapSpec(room_m=room_m), ceiling=replace(CeilingSpec(), room_m=room_m)))
+    lap = world.path
+    speed = lap.spec.speed_mps
+    start_s = lap.spec.rest_s + lap.spec.ramp_s
+    count = round(lap.lap_m / speed * RATE_HZ)
+    step_s = lap.lap_m / speed / count
+    takes = []
+    for take in range(TAKES):
+        finder = LineFinder(world.calibration, features)
+        first_s = start_s + take * count * step_s
+        found = [finder(world.frame_at(first_s + k * step_s), None) for k in range(-_WARM_FRAMES, count)]
+        takes.append(tuple(_light(lines) for lines in found[_WARM_FRAMES:]))
+    times = start_s + step_s * np.arange(count)
+    return Tape(world.calibration, world.truth_at(times), tuple(takes))
+
+
+def _light(lines: Lines | None) -> Lines | None:
+    """As float32 where it is long: crossings are looked for at the points under the lines."""
+    return None if lines is None else replace(lines, points=lines.points.astype(np.float32))
+
+
+class TapeFinder:
+    """Takes the place of the pipeline's LineFinder; `show` puts the lines of the next frame in."""
+
+    def __init__(self) -> None:
+        self._lines: Lines | None = None
+
+    def show(self, lines: Lines | None) -> None:
+        self._lines = lines
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def __call__(
+        self, gray: NDArray[np.uint8], prev_from_curr: Array | None, lap: Callable[[str], None] = lambda stage: None
+    ) -> Lines | None:
+        lap("edges")
+        lap("lines")
+        return self._lines

@@ -1,0 +1,1 @@
+"""Recorded robots in the UTIAS multi-robot format."""

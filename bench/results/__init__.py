@@ -1,0 +1,1 @@
+"""Single results on disk, and the bars they are held to."""

@@ -1,0 +1,1 @@
+"""The daemon for hours, with faults on a schedule."""

@@ -1,0 +1,1 @@
+"""Time: of a filter's step, and from the exposure to whoever needs the pose."""

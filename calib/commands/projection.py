@@ -1,0 +1,241 @@
+"""`calib projection`: static tilt and ceiling height, from the ceiling's grid or from measured points."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calib.session.assemble import camera_from, update_file
+from ceilvo.calib.session.common import (
+    bench_of,
+    check_size,
+    conclude,
+    pictures,
+    session_of,
+    session_options,
+    source_options,
+)
+from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.views import collect, moved
+from ceilvo.calib.solve.degeneracy import layout_problem
+from ceilvo.calib.solve.dlt import from_points_alone
+from ceilvo.calib.solve.grid import from_grid
+from ceilvo.calib.solve.joint import Joint
+from ceilvo.calib.solve.projection import Mounting, from_points, plausible
+from ceilvo.calib.targets.click_page import ClickPage
+from ceilvo.calib.targets.marks import clicked, detected, read_marks
+from ceilvo.calib.targets.points_file import ask_on_terminal, read_points
+from ceilvo.camera import CameraModel
+from ceilvo.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from ceilvo.calib.cli import Commands
+
+Array = NDArray[np.float64]
+
+STEP = "projection"
+_LOOKS = 10
+_PICTURES = 20
+_FEW = 5
+
+
+def add(commands: Commands) -> None:
+    p = commands.add_parser(
+        STEP,
+        help="2. tilt and ceiling height, from the tiled ceiling itself or from measured points",
+        description="Put the robot under the tiled ceiling in 10 to 20 places, turned differently; or measure points.",
+        epilog="example: calib projection --device /dev/video0 --tile-m 0.6; "
+        "points: CSV x_m,y_m,z_m,u_px,v_px, x and y in base, z 0 on the ceiling and negative below, raw pixels",
+    )
+    session_options(p)
+    source_options(p)
+    p.add_argument("--tile-m", type=float, help="side of the ceiling's tiles; simulated: 0.6")
+    p.add_argument(
+        "--height-m", type=float, help="ceiling above the camera by tape, to a tenth; decides where two grids fit"
+    )
+    p.add_argument("--points", type=Path, metavar="CSV", help="measured points instead of the grid")
+    p.add_argument(
+        "--marks", type=Path, metavar="CSV", help="measured marks on the ceiling, x_m,y_m[,z_m] in base, to be clicked "
+        "in a browser; with a column id they are ArUco markers and are found"
+    )  # fmt: skip
+    p.add_argument("--dictionary", default="5X5_100", help="of the markers (%(default)s)")
+    p.add_argument("--listen", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page to click in (%(default)s)")
+    p.add_argument("--units", choices=("m", "mm"), help="of the CSV, when it is doubtful")
+    p.add_argument(
+        "--size", metavar="WxH", help="points without 'calib intrinsics', of a lens without distortion: the picture, px"
+    )
+    p.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    session = session_of(args)
+    session.begin(STEP)
+    if args.size is not None:
+        found, camera, extra = _without_lens(args, session)
+    else:
+        camera, cov = camera_from(session.need("intrinsics", "the projection"))
+        measured = args.points or args.marks
+        found, extra = _points(args, session, camera, cov) if measured else _grid(args, session, camera, cov)
+    bad = plausible(found, (camera.width_px, camera.height_px)) + extra.pop("problems", [])
+    session.save(STEP, _result(found) | extra | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
+    print(update_file(session))
+    return conclude(STEP, _rows(found, extra), bad, args)
+
+
+def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any) -> tuple[Mounting, dict[str, Any]]:
+    tile_m = tile_of(args)
+    if args.height_m is not None and args.height_m > 50.0:
+        raise CalibrationError(
+            f"--height-m: found {args.height_m:g}, which looks like millimetres; expected {args.height_m / 1e3:g}"
+        )
+    bench = bench_of(args).places(_PICTURES) if args.simulate else None
+    got = collect(args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES)
+    found, _ = from_grid(camera, got.views, tile_m, got.tilt_rad, cov, args.height_m)
+    few = [f"{len(got.seen)} pictures, at least {_FEW} needed: other places, other headings"]
+    extra: dict[str, Any] = {"pictures": len(got.seen), "method": "grid"}
+    if found.joint is not None and found.joint.agrees:
+        extra["lens"] = _lens(found.joint, session.need("intrinsics", "the projection"))
+    return found, extra | {"problems": few if len(got.seen) < _FEW else []}
+
+
+def _lens(joint: Joint, board: dict[str, Any]) -> dict[str, Any]:
+    """As `calib intrinsics` has it; of says which lens it was refined from."""
+    sigma = np.sqrt(np.diag(joint.lens_cov))
+    return {
+        "camera": asdict(joint.camera), "model": board["model"], "sigma": sigma, "cov": joint.lens_cov,
+        "of": board["camera"],
+    }  # fmt: skip
+
+
+def tile_of(args: argparse.Namespace) -> float:
+    tile_m = 0.6 if args.tile_m is None and args.simulate else args.tile_m
+    if tile_m is None:
+        raise CalibrationError(
+            "projection: found no tile size, expected --tile-m (measure one tile, joint to joint) or --points"
+        )
+    if 50.0 <= tile_m <= 10_000.0:
+        raise CalibrationError(f"--tile-m: found {tile_m:g}, which looks like millimetres; expected {tile_m / 1e3:g}")
+    if not 0.05 <= tile_m <= 10.0:
+        raise CalibrationError(f"--tile-m: found {tile_m:g}, expected 0.05 to 10")
+    return float(tile_m)
+
+
+def _points(
+    args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any
+) -> tuple[Mounting, dict[str, Any]]:
+    size = (camera.width_px, camera.height_px)
+    xyz, uv, how = _measured(args, session, size)
+    _sound(how, xyz, uv, size, known_lens=True)
+    return _of_points(from_points(camera, xyz, uv, cov), how)
+
+
+def _measured(args: argparse.Namespace, session: Session, size: tuple[int, int]) -> tuple[Array, Array, str]:
+    """xyz_m and uv_px of measured points, and where from; marks that were found or clicked are kept as such."""
+    if args.points is not None:
+        return *read_points(args.points, args.units), f"points of {args.points}"
+    if args.simulate:
+        raise CalibrationError(
+            "--marks: found --simulate, but the virtual bench has no marks; practise with its tiles: "
+            "calib projection --simulate"
+        )
+    marks = read_marks(args.marks, args.units, ask_on_terminal)
+    with pictures(args, None) as source:
+        usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))
+        some = itertools.islice(usable, _LOOKS) if source.info.live else usable
+        if marks.ids is None:
+            xyz, uv, count = clicked(marks, some, ClickPage(args.listen))
+        else:
+            xyz, uv, count = detected(marks, some, args.dictionary, least=4)
+    rows = "\n".join(",".join(f"{v:.4f}" for v in row) for row in np.column_stack([xyz, uv]))
+    kept = session.write("projection/points.csv", f"x_m,y_m,z_m,u_px,v_px\n{rows}\n")
+    return (
+        xyz,
+        uv,
+        f"{len(xyz)} marks {'clicked' if marks.ids is None else 'found'} in {count} pictures, kept in {kept}",
+    )
+
+
+def _sound(how: str, xyz: Array, uv: Array, size: tuple[int, int], known_lens: bool) -> None:
+    reason = layout_problem(xyz, uv, size, known_lens)
+    if reason:
+        raise CalibrationError(f"{how}: {reason}")
+
+
+def _of_points(found: Mounting, how: str) -> tuple[Mounting, dict[str, Any]]:
+    off = np.hypot(*found.residual_px.T)
+    listed = [f"point {i + 1}: {off[i]:.2f} px" for i in np.argsort(-off)[:12]]
+    return found, {"method": how, "points": len(off), "points_off": listed}
+
+
+def _without_lens(args: argparse.Namespace, session: Session) -> tuple[Mounting, CameraModel, dict[str, Any]]:
+    """A lens that is not in the session yet comes from the points as well, without distortion."""
+    if args.points is None and args.marks is None:
+        raise CalibrationError("--size: found neither --points nor --marks; without them 'calib intrinsics' is needed")
+    w, _, h = args.size.partition("x")
+    if not (w.isdigit() and h.isdigit() and 16 <= int(w) <= 16384 and 16 <= int(h) <= 16384):
+        raise CalibrationError(f"--size: found {args.size!r}, expected WIDTHxHEIGHT, for example 640x480")
+    if session.result("intrinsics") is not None and not session.force:
+        raise CalibrationError(
+            f"--size: found a lens in {session.folder} already, expected none; leave --size out, "
+            "or pass --force to replace it"
+        )
+    size = (int(w), int(h))
+    xyz, uv, how = _measured(args, session, size)
+    _sound(how, xyz, uv, size, known_lens=False)
+    found, camera, cov = from_points_alone(xyz, uv, size)
+    lens = {
+        "camera": asdict(camera), "camera_id": "", "model": "pinhole", "sigma": np.sqrt(np.diag(cov)), "cov": cov,
+        "rms_px": found.rms_px, "source": how, "problems": [], "verdict": "PASS",
+    }  # fmt: skip
+    session.save("intrinsics", lens)
+    found, extra = _of_points(found, f"{how}, lens unknown: DLT, without distortion")
+    return found, camera, extra
+
+
+def _lens_text(joint: Joint) -> str:
+    moved = f"{np.sqrt(joint.moved):.1f} of the board's sigma (rms)"
+    if not joint.agrees:
+        return f"as from the board; the grid would move it by {moved}: do tiles sag, are they uneven, did focus change?"
+    c, s = joint.camera, np.sqrt(np.diag(joint.lens_cov))
+    return (
+        f"refined on the grid, by {moved}: focal length {c.fx_px:.3f} +- {s[0]:.3f}, {c.fy_px:.3f} +- {s[1]:.3f} px, "
+        f"centre {c.cx_px:.3f} +- {s[2]:.3f}, {c.cy_px:.3f} +- {s[3]:.3f} px"
+    )
+
+
+def _result(m: Mounting) -> dict[str, Any]:
+    return {
+        "roll_rad": m.roll_rad,
+        "pitch_rad": m.pitch_rad,
+        "height_m": m.height_m,
+        "yaw_rad": m.yaw_rad,
+        "xy_m": m.xy_m,
+        "sigma": m.sigma,
+        "cov": m.cov,
+        "rms_px": m.rms_px,
+        "tile_m": m.tile_m,
+        "evidence": m.evidence,
+    }
+
+
+def _rows(m: Mounting, extra: dict[str, Any]) -> list[tuple[str, str]]:
+    s = m.sigma
+    rows = [
+        ("method", str(extra["method"]) + (f"; {m.evidence}" if m.evidence else "")),
+        ("ceiling height", f"{m.height_m:.4f} +- {s[2]:.4f} m above the camera"),
+        ("roll", f"{np.degrees(m.roll_rad):+.3f} +- {np.degrees(s[0]):.3f} deg"),
+        ("pitch", f"{np.degrees(m.pitch_rad):+.3f} +- {np.degrees(s[1]):.3f} deg"),
+        ("reprojection", f"{m.rms_px:.3f} px rms, {len(m.uv_px)} points"),
+    ]
+    if m.joint is not None:
+        rows.append(("lens", _lens_text(m.joint)))
+    if m.xy_m is not None and m.yaw_rad is not None:
+        rows.append(("offset", f"{m.xy_m[0]:+.4f} +- {s[4]:.4f}, {m.xy_m[1]:+.4f} +- {s[5]:.4f} m in base"))
+        rows.append(("yaw", f"{np.degrees(m.yaw_rad):+.3f} +- {np.degrees(s[3]):.3f} deg"))
+    return rows + [("worst points", line) for line in extra.get("points_off", [])[:5]]

@@ -1,0 +1,138 @@
+"""`calib survey`: drive or push the robot through the room once and learn what its ceiling is worth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from ceilvo.calib.evaluate.survey import Survey, flicker
+from ceilvo.calib.session.assemble import identity, update_file
+from ceilvo.calib.session.common import (
+    Progress,
+    bench_of,
+    calibration_of,
+    check_size,
+    conclude,
+    pictures,
+    session_of,
+    session_options,
+    source_options,
+)
+from ceilvo.calib.session.session import Session
+from ceilvo.calibration import Calibration
+from ceilvo.config import Config
+from ceilvo.daemon.integrity.staleness import STRETCH_S, worst_stretch
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.errors import CalibrationError
+from ceilvo.types import Frame
+
+if TYPE_CHECKING:
+    from ceilvo.calib.cli import Commands
+
+STEP = "survey"
+_SIMULATED = 240
+
+
+def add(commands: Commands) -> None:
+    p = commands.add_parser(
+        STEP,
+        help="5. is the ceiling good enough? drive through the room once",
+        description="Drive or push the robot once through all of the room; Ctrl-C ends it and gives the verdict.",
+        epilog="example: calib survey --config /etc/ceilvo/config.yaml",
+    )
+    session_options(p)
+    source_options(p)
+    p.add_argument("--calibration", type=Path, metavar="FILE", help="default: the session's calibration.yaml")
+    p.add_argument("--seconds", type=float, default=300.0, help="longest live drive (%(default)s)")
+    p.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    session = session_of(args)
+    session.begin(STEP)
+    _, calibration = calibration_of(args)
+    survey, ended = _drive(args, calibration)
+    light = flicker(survey.light)
+    bad = survey.problems()
+    _save(session, survey, calibration, light.text, bad)
+    print(update_file(session))
+    rows = [
+        ("drive", f"{len(survey.path)} frames, {len(survey.cells)} places of 0.5 m{', ended early' if ended else ''}"),
+        ("crossings", f"{survey.density:.1f} a square metre"),
+        ("ambiguity", f"{100 * survey.ambiguity:.0f} % of what is seen is the same one tile on"),
+        ("poor places", f"{len(survey.poor())}"),
+        ("dark places", f"{len(survey.dark())}"),
+        ("vision failed", f"{100 * survey.failed:.1f} % of the frames"),
+        ("NIS", _nis_text(survey.mean_nis, worst_stretch(survey.nis))),
+        ("flicker", light.text),
+        ("map", str(session.folder / "survey" / "map.png")),
+    ]
+    return conclude(STEP, rows + [("note", n) for n in survey.notes()], bad, args)
+
+
+def _nis_text(mean: float | None, worst: float | None) -> str:
+    if mean is None or worst is None:
+        return "too few updates"
+    return f"{mean:.2f} per degree of freedom, {worst:.2f} in the worst {STRETCH_S:.0f} s"
+
+
+def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, bool]:
+    """All frames through the daemon's own pipeline; whether Ctrl-C ended it."""
+    progress, survey = Progress(STEP), Survey(calibration)
+    pipeline = Pipeline(calibration, Config(), np.random.default_rng(args.seed))
+    camera = calibration.camera
+    bench = bench_of(args).drive(_SIMULATED) if args.simulate else None
+    first_ns = last_ns = 0
+    with pictures(args, bench) as source:
+        try:
+            for picture in source:
+                reason = picture.problem or check_size(picture, (camera.width_px, camera.height_px), "calibrated are")
+                if reason:
+                    progress.note(f"{picture.name}: rejected, {reason}")
+                    continue
+                if picture.stamp_ns <= last_ns:
+                    continue
+                first_ns, last_ns = first_ns or picture.stamp_ns, picture.stamp_ns
+                estimate = pipeline.step(Frame(len(survey.path), picture.stamp_ns, picture.gray))
+                view = pipeline.view
+                ok = estimate.motion.ok or not survey.path
+                survey.add(picture.gray, estimate, view.crossings if view else None, ok)
+                progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")
+                if source.info.live and (last_ns - first_ns) * 1e-9 > args.seconds:
+                    break
+            ended = False
+        except KeyboardInterrupt:
+            if not survey.path:
+                raise
+            ended = True
+    progress.end()
+    if len(survey.path) < 10:
+        raise CalibrationError(f"survey: found {len(survey.path)} usable frames, at least 10 needed; drive on")
+    return survey, ended
+
+
+def _save(session: Session, survey: Survey, calibration: Calibration, light: str, bad: list[str]) -> None:
+    ok, png = cv2.imencode(".png", survey.picture())
+    if ok:
+        session.write("survey/map.png", png.tobytes())
+    result: dict[str, Any] = {
+        "frames": len(survey.path),
+        "places": len(survey.cells),
+        "crossings_per_m2": survey.density,
+        "ambiguity": survey.ambiguity,
+        "poor_places": len(survey.poor()),
+        "dark_places": len(survey.dark()),
+        "failed_share": survey.failed,
+        "nis": worst_stretch(survey.nis),
+        "mean_nis": survey.mean_nis,
+        "of": identity(calibration.projection, calibration.noise),
+        "flicker": light,
+        "notes": survey.notes(),
+        "problems": bad,
+        "verdict": "FAIL" if bad else "PASS",
+    }
+    session.save(STEP, result)

@@ -1,0 +1,1 @@
+"""A virtual bench to practise on, and what commissioning is worth on it."""

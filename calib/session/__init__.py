@@ -1,0 +1,1 @@
+"""The commissioning session on disk, and what its steps share."""

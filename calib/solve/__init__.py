@@ -1,0 +1,1 @@
+"""The mathematics of commissioning: from samples to parameters with their sigmas."""

@@ -1,0 +1,172 @@
+"""Static tilt and ceiling height (eq. 5) from pictures of the ceiling's own grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calib.solve import bundle
+from ceilvo.calib.solve.joint import refine
+from ceilvo.calib.solve.lattice import Lattice, Spacing, spacings, to_lattice
+from ceilvo.calib.solve.projection import HEIGHTS_M, Mounting, lens_of, with_lens_error
+from ceilvo.calib.targets.ceiling_view import GridView
+from ceilvo.calibration import mount_rotation
+from ceilvo.camera import CameraModel
+from ceilvo.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+_ROUGHLY = 1.1
+_ON_GRID = 0.25
+_SUPPORT = 0.35
+_RIVAL = 0.8
+_HUBER = 3.0
+
+
+@dataclass(frozen=True)
+class GridSample:
+    """A picture's crossings on the lattice: index (K, 2) tiles, uv_px (K, 2), start (3,) in tiles and rad."""
+
+    index: Array
+    uv_px: Array
+    start: Array
+
+
+def grid_samples(views: list[GridView], tile_share: float) -> list[GridSample | None]:
+    """For each picture its crossings on the lattice, None where too few are."""
+    out: list[GridSample | None] = []
+    for view in views:
+        lattice: Lattice | None = to_lattice(view, tile_share)
+        if lattice is None:
+            out.append(None)
+        else:
+            out.append(GridSample(lattice.index.astype(np.float64), view.uv_px[lattice.used], lattice.xy_yaw))
+    return out
+
+
+def from_grid(
+    camera: CameraModel,
+    views: list[GridView],
+    tile_m: float,
+    tilt_rad: tuple[float, float],
+    intrinsics_cov: Array | None = None,
+    height_m: float | None = None,
+) -> tuple[Mounting, Array]:
+    """Static tilt and height from pictures of a tiled ceiling; also (V, 3) each camera pose in its picture's lattice.
+
+    Args:
+        tile_m: side of a tile.
+        tilt_rad: roll, pitch to start from.
+        intrinsics_cov: of the lens, which is then refined on the grid; None = the lens is taken as exact.
+        height_m: of the ceiling above the camera as far as known, to within a tenth; None = anything.
+
+    Raises:
+        CalibrationError: the crossings are not regular, or in two ways.
+    """
+    share, evidence = _decided(views, tile_m, height_m)
+    samples = [s for s in grid_samples(views, share) if s is not None]
+    if not samples:
+        raise CalibrationError("projection: found no picture with six crossings on the grid; take others")
+    start = np.array([*tilt_rad, tile_m / share])
+    fit, samples = _grid_fit(camera, samples, tile_m, start)
+
+    def of_lens(other: CameraModel) -> bundle.Residuals:
+        return grid_residuals(other, samples, tile_m)
+
+    cov, level, joint = bundle.widest(fit), fit.shared, None
+    if intrinsics_cov is not None and np.linalg.matrix_rank(intrinsics_cov) == len(intrinsics_cov):
+        joint = refine(camera, intrinsics_cov, of_lens, fit, _shared_errors(samples))
+    if joint is not None and joint.agrees:
+        fit, cov, level = joint.fit, joint.level_cov, joint.level
+    elif intrinsics_cov is not None and (lens := lens_of(camera)) is not None:
+        moves, _ = bundle.response(lambda p: of_lens(lens[0](p)), lens[1], fit.shared, fit.views)
+        cov = with_lens_error(cov, moves, intrinsics_cov)
+    residual = np.concatenate(fit.residuals).reshape(-1, 2)
+    uv = np.concatenate([s.uv_px for s in samples])
+    roll, pitch, height = (float(v) for v in level)
+    found = Mounting(roll, pitch, height, None, None, cov, residual, uv, fit.rms, tile_m, evidence, joint)
+    return found, fit.views
+
+
+def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tuple[float, str]:
+    """Tile over height, and what speaks for it.
+
+    Raises:
+        CalibrationError: nothing does, or it speaks for another as well.
+    """
+    low, high = HEIGHTS_M if height_m is None else (height_m / _ROUGHLY, height_m * _ROUGHLY)
+    found = spacings(views, (tile_m / high, tile_m / low))
+    best = found[0] if found else Spacing(tile_m, 0.0, 0.0)
+    said = "" if height_m is None else f" for a ceiling {height_m:g} m above the camera, give or take a tenth"
+    if best.on_grid < _ON_GRID or best.support < _SUPPORT:
+        raise CalibrationError(
+            f"projection: found no grid of square tiles of {tile_m:g} m{said}: {100 * best.on_grid:.0f} % of the "
+            f"crossings are on the best one, {100 * _ON_GRID:.0f} needed, {100 * best.filled:.0f} % of its nodes seen; "
+            "is the ceiling tiled, is the tile's size right? Fewer lamps and vents elsewhere? Or measure --points"
+        )
+    evidence = f"{100 * best.on_grid:.0f} % of the crossings are on it, {100 * best.filled:.0f} % of its nodes seen"
+    if len(found) == 1:
+        return best.share, evidence
+    rival = found[1]
+    if rival.support > _RIVAL * best.support:
+        raise CalibrationError(
+            f"projection: found two grids that fit, of a ceiling {tile_m / best.share:.2f} m above the camera "
+            f"(support {best.support:.2f}) and {tile_m / rival.share:.2f} m ({rival.support:.2f}); "
+            "measure it with a tape and pass --height-m"
+        )
+    return best.share, evidence + (
+        f"; the next best, of a ceiling at {tile_m / rival.share:.2f} m, has "
+        f"{rival.support / best.support:.2f} of the support"
+    )
+
+
+def _shared_errors(samples: list[GridSample]) -> float:
+    """Coordinates of crossings for each joint, which gives one error to all that are on it."""
+    joints = sum(len(np.unique(s.index[:, k])) for s in samples for k in (0, 1))
+    return 2.0 * sum(len(s.index) for s in samples) / joints
+
+
+def _grid_fit(
+    camera: CameraModel, samples: list[GridSample], tile_m: float, start: Array
+) -> tuple[bundle.BundleFit, list[GridSample]]:
+    """Robust first, then without the crossings that do not belong."""
+    views = np.array([[s.start[0] * tile_m, s.start[1] * tile_m, s.start[2]] for s in samples])
+    fit = _grid_solve(camera, samples, tile_m, start, views, rounds=30, huber=_HUBER)
+    noise = 1.4826 * float(np.median(np.abs(np.concatenate(fit.residuals))))
+    clean = []
+    for sample, r in zip(samples, fit.residuals, strict=True):
+        good = (np.abs(r.reshape(-1, 2)) < max(5.0 * noise, 0.3)).all(axis=1)
+        clean.append(replace(sample, index=sample.index[good], uv_px=sample.uv_px[good]))
+    keep = [i for i, s in enumerate(clean) if len(s.index) >= 4]
+    clean = [clean[i] for i in keep]
+    return _grid_solve(camera, clean, tile_m, fit.shared, fit.views[keep], rounds=30), clean
+
+
+def _grid_solve(
+    camera: CameraModel,
+    samples: list[GridSample],
+    tile_m: float,
+    shared: Array,
+    views: Array,
+    rounds: int,
+    huber: float | None = None,
+) -> bundle.BundleFit:
+    return bundle.solve(grid_residuals(camera, samples, tile_m), shared, views, rounds=rounds, huber=huber)
+
+
+def grid_residuals(camera: CameraModel, samples: list[GridSample], tile_m: float) -> bundle.Residuals:
+    """Of all pictures, as the bundle takes them."""
+
+    def residuals(i: int, p: Array, view: Array) -> Array:
+        return grid_residual(camera, samples[i], tile_m, p, view)
+
+    return residuals
+
+
+def grid_residual(camera: CameraModel, sample: GridSample, tile_m: float, shared: Array, view: Array) -> Array:
+    """Pixels; shared: roll, pitch, height; view: the camera's x, y in the lattice (m) and heading."""
+    xyz = np.column_stack([sample.index * tile_m - view[:2], np.full(len(sample.index), shared[2])])
+    rays = xyz @ mount_rotation(view[2], shared[0], shared[1]).T
+    return np.asarray(np.nan_to_num(camera.pixels(rays) - sample.uv_px, nan=1e3).ravel())

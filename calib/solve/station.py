@@ -1,0 +1,102 @@
+"""Noise samples without driving: the robot stands at several places, turned several ways, under its tiled ceiling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo import se2
+from ceilvo.calib.solve.lattice import to_lattice
+from ceilvo.calib.solve.sigma import Errors
+from ceilvo.calib.targets.ceiling_view import GridView
+from ceilvo.calibration import Calibration
+from ceilvo.daemon.odometry.rigid import rigid_motion
+from ceilvo.daemon.vision.crossings import to_ceiling
+from ceilvo.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+_SAME_SHARE = 0.1
+_OUTLIER = 6.0
+MIN_STANDS = 6
+
+
+@dataclass(frozen=True)
+class Stand:
+    """All pictures that were taken at one place and heading."""
+
+    label: str
+    views: list[GridView]
+
+
+def in_base(calibration: Calibration, uv_px: Array) -> Array:
+    """(N, 2) raw pixels to metres on the ceiling in base."""
+    return to_ceiling(calibration.ceiling_from_level, calibration.level_view.from_raw(uv_px))
+
+
+def errors_against_grid(
+    calibration: Calibration, stands: list[Stand], tile_m: float, height_m: float | None = None
+) -> Errors:
+    """What is left of each crossing when the grid is laid on all of them, in base axes.
+
+    Pictures of one stand are averaged: they share what calibration does to them. The three freedoms of laying the
+    grid are given back by the usual factor.
+
+    Args:
+        height_m: of the ceiling above the camera as seen now, to find the grid; None is the calibration's.
+
+    Raises:
+        CalibrationError: too few stands under a regular ceiling.
+    """
+    share = tile_m / (calibration.ceiling_height_m if height_m is None else height_m)
+    r, dx, dy, dtheta = [], [], [], []
+    used = 0
+    for stand in stands:
+        found = _one(calibration, stand, share, tile_m)
+        if found is None:
+            continue
+        used += 1
+        xy, off, turn = found
+        r.append(np.hypot(*(xy - calibration.mount_xy_m).T))
+        dx.append(off[:, 0])
+        dy.append(off[:, 1])
+        dtheta.append(turn)
+    if used < MIN_STANDS:
+        raise CalibrationError(
+            f"sigma: found the ceiling's grid at {used} of {len(stands)} stands, at least {MIN_STANDS} needed; "
+            "stand at more places, and turned differently"
+        )
+    return Errors(np.concatenate(r), np.concatenate(dx), np.concatenate(dy), np.array(dtheta))
+
+
+def _one(calibration: Calibration, stand: Stand, share: float, tile_m: float) -> tuple[Array, Array, float] | None:
+    """Crossings in base (K, 2), their errors (K, 2), and the error of the lines' direction."""
+    first = to_lattice(stand.views[0], share)
+    if first is None:
+        return None
+    seen = [in_base(calibration, stand.views[0].uv_px[first.used])]
+    near = _SAME_SHARE * tile_m
+    for view in stand.views[1:]:
+        other = in_base(calibration, view.uv_px)
+        d = np.hypot(*(seen[0][:, None] - other[None]).transpose(2, 0, 1))
+        j = d.argmin(axis=1)
+        seen.append(np.where((d[np.arange(len(j)), j] < near)[:, None], other[j], np.nan))
+    xy = np.asarray(np.nanmean(np.stack(seen), axis=0), np.float64)
+    grid = first.index.astype(np.float64) * tile_m
+    good = np.ones(len(xy), bool)
+    for _ in range(3):
+        fit = rigid_motion(grid[good], xy[good])
+        off = xy - se2.transform(fit, grid)
+        size = np.hypot(*off.T)
+        good = size < max(_OUTLIER * float(np.median(size[good])), 0.003)
+    n = int(good.sum())
+    if n < 6:
+        return None
+    psi = np.mean([np.exp(4j * v.psi_rad) for v in stand.views])
+    b = calibration.camera_from_base.T
+    yaw = np.arctan2(b[1, 0], b[0, 0])
+    direction = float(np.angle(psi)) / 4.0 + float(yaw)
+    turn = float(np.angle(np.exp(4j * (direction - fit[2])))) / 4.0
+    return xy[good], off[good] * np.sqrt(2 * n / (2 * n - 3)), turn

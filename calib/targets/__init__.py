@@ -1,0 +1,1 @@
+"""What is looked at: boards, marks, the ceiling itself; and where its pictures come from."""

@@ -1,0 +1,191 @@
+"""Combinations of configuration values that cannot work together, though each is in its range."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Base, Camera, Config, Recorder, Zenoh
+from ceilvo.config.serial_budget import wire_budget
+from ceilvo.errors import ConfigError
+
+_FORBIDDEN_IN_SEGMENT = re.compile(r"[/*$#?\s]")
+_ENDPOINT = re.compile(r"[a-z][a-z0-9_+-]*/\S+")
+_LOOPBACK = re.compile(r"[a-z0-9_+-]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost)(:\d+)?([?#].*)?")
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """The keys that do not go together, the one to name first, and the rest of the message."""
+
+    keys: tuple[str, ...]
+    text: str
+
+
+def cross_check(config: Config, calibration: Calibration | None = None, source: str = "config") -> tuple[str, ...]:
+    """Refuse what cannot work; `source` names the file in messages.
+
+    Returns:
+        Notes on what works but may not be meant.
+
+    Raises:
+        ConfigError: one line a conflict.
+    """
+    found = conflicts(config, calibration)
+    if found:
+        raise ConfigError(*(f"{source}: {c.keys[0]}: {c.text}" for c in found))
+    return notes(config)
+
+
+def conflicts(config: Config, calibration: Calibration | None = None) -> list[Conflict]:
+    """All of them, in the order of the sections."""
+    return [
+        *_names(config),
+        *_camera(config.camera),
+        *_calibration(config, calibration),
+        *_states(config),
+        *_base(config.base),
+        *_zenoh(config.zenoh),
+        *_recorder(config.recorder),
+    ]
+
+
+def notes(config: Config) -> tuple[str, ...]:
+    """What works but may not be meant, one line each."""
+    out = []
+    camera, base, zenoh = config.camera, config.base, config.zenoh
+    if base.enabled and base.rate_hz > camera.rate_hz:
+        out.append(
+            f"base.rate_hz: {base.rate_hz:g} is above camera.rate_hz {camera.rate_hz:g}; "
+            "poses between frames repeat the last one with a greater age"
+        )
+    open_ends = [e for e in zenoh.listen if not _LOOPBACK.fullmatch(e)]
+    if zenoh.enabled and open_ends and not zenoh.config_file:
+        out.append(
+            f"zenoh.listen: {', '.join(open_ends)} may be reached from the network, by anybody and unencrypted; "
+            "zenoh.config_file can bring TLS and access control"
+        )
+    return tuple(out)
+
+
+def _names(config: Config) -> Iterator[Conflict]:
+    for key, value in (("robot.name", config.robot.name), ("zenoh.prefix", config.zenoh.prefix)):
+        bad = _FORBIDDEN_IN_SEGMENT.search(value)
+        if value and not bad and not value.startswith("@"):
+            continue
+        why = "nothing" if not value else repr(value)
+        yield Conflict(
+            (key,),
+            f"found {why}, expected one segment of a Zenoh key: not empty, none of / * $ # ? or blanks, "
+            "no @ in front; try letters, digits, - and _",
+        )
+
+
+def _camera(camera: Camera) -> Iterator[Conflict]:
+    if camera.source != "v4l2" and not camera.path:
+        yield Conflict(
+            ("camera.path", "camera.source"),
+            f"found nothing, expected the {camera.source} that camera.source: {camera.source} reads; name it",
+        )
+    if camera.source != "v4l2":
+        return
+    if not camera.device:
+        yield Conflict(
+            ("camera.device", "camera.source"), "found nothing, expected a device node; ls /dev/v4l/by-id/ shows yours"
+        )
+    period_us = 1e6 / camera.rate_hz
+    if camera.exposure_us is not None and camera.exposure_us > period_us:
+        yield Conflict(
+            ("camera.exposure_us", "camera.rate_hz"),
+            f"found {camera.exposure_us:g}, expected at most {period_us:.0f}, the time between two frames at "
+            f"camera.rate_hz {camera.rate_hz:g}; shorten it or lower the rate",
+        )
+    if camera.read_timeout_s * camera.rate_hz <= 1.0:
+        yield Conflict(
+            ("camera.read_timeout_s", "camera.rate_hz"),
+            f"found {camera.read_timeout_s:g}, expected more than {1 / camera.rate_hz:.3g}, the time between two "
+            f"frames at camera.rate_hz {camera.rate_hz:g}; a healthy camera would count as lost",
+        )
+    if camera.reopen_min_s > camera.reopen_max_s:
+        yield Conflict(
+            ("camera.reopen_min_s", "camera.reopen_max_s"),
+            f"found {camera.reopen_min_s:g}, expected at most camera.reopen_max_s {camera.reopen_max_s:g}; swap them?",
+        )
+
+
+def _calibration(config: Config, calibration: Calibration | None) -> Iterator[Conflict]:
+    if not config.calibration.file:
+        yield Conflict(("calibration.file",), "found nothing, expected the file that calib wrote; name it")
+    if calibration is None:
+        return
+    have = (config.camera.width_px, config.camera.height_px)
+    want = (calibration.camera.width_px, calibration.camera.height_px)
+    if have != want:
+        yield Conflict(
+            ("camera.width_px", "camera.height_px"),
+            f"found {have[0]} x {have[1]} pixels, expected {want[0]} x {want[1]} as in the calibration; "
+            "set width_px and height_px to that or calibrate at the new size",
+        )
+
+
+def _states(config: Config) -> Iterator[Conflict]:
+    s = config.states
+    if s.lost_sigma_m <= s.degraded_sigma_m:
+        yield Conflict(
+            ("states.lost_sigma_m", "states.degraded_sigma_m"),
+            f"found {s.lost_sigma_m:g}, expected more than states.degraded_sigma_m {s.degraded_sigma_m:g}; "
+            "a pose must degrade before it is lost",
+        )
+    if s.nis_lost <= s.nis_high:
+        yield Conflict(
+            ("states.nis_lost", "states.nis_high"),
+            f"found {s.nis_lost:g}, expected more than states.nis_high {s.nis_high:g}; "
+            "a pose must degrade before it is lost",
+        )
+
+
+def _base(base: Base) -> Iterator[Conflict]:
+    if not base.enabled:
+        return
+    if not base.port:
+        yield Conflict(("base.port",), "found nothing, expected a serial device; name it or set base.enabled to false")
+    budget = wire_budget(base)
+    if not budget.fits:
+        yield Conflict(
+            ("base.rate_hz", "base.baud", "base.turnaround_ms", "base.function", "base.parity"),
+            f"found {base.rate_hz:g}, expected at most {math.floor(100 * budget.max_rate_hz) / 100:g} "
+            f"at base.baud {base.baud}: {budget.arithmetic}; lower the rate or raise the baud",
+        )
+    if not budget.timeout_fits:
+        yield Conflict(
+            ("base.timeout_s", "base.baud", "base.turnaround_ms", "base.function", "base.parity"),
+            f"found {base.timeout_s:g}, expected at least {budget.answer_s:.3g}, which an answer takes at base.baud "
+            f"{base.baud} with base.turnaround_ms {base.turnaround_ms:g}; every one would come too late",
+        )
+
+
+def _zenoh(zenoh: Zenoh) -> Iterator[Conflict]:
+    if not zenoh.enabled:
+        return
+    for key, ends in (("zenoh.listen", zenoh.listen), ("zenoh.connect", zenoh.connect)):
+        for end in ends:
+            if not _ENDPOINT.fullmatch(end):
+                yield Conflict((key,), f"found {end!r}, expected protocol/address; for example tcp/192.168.0.2:7447")
+    if zenoh.mode == "client" and not (zenoh.connect or zenoh.multicast or zenoh.config_file):
+        yield Conflict(
+            ("zenoh.connect", "zenoh.mode", "zenoh.multicast"),
+            "found nothing, expected a router, which zenoh.mode: client needs when zenoh.multicast is off; "
+            "name its endpoint, for example tcp/192.168.0.2:7447",
+        )
+
+
+def _recorder(recorder: Recorder) -> Iterator[Conflict]:
+    if recorder.enabled and recorder.kept_bytes < recorder.ring_bytes:
+        yield Conflict(
+            ("recorder.kept_bytes", "recorder.ring_bytes"),
+            f"found {recorder.kept_bytes}, expected at least recorder.ring_bytes {recorder.ring_bytes}; "
+            "a fault keeps the whole ring",
+        )

@@ -1,0 +1,1 @@
+"""The process: threads, outputs, requests, the screen."""

@@ -1,0 +1,102 @@
+"""What every estimate goes to: the base, Zenoh, the log, the recorder."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+
+from ceilvo.calibration import Calibration
+from ceilvo.daemon.app.estimator import Estimator
+from ceilvo.daemon.pipeline import View
+from ceilvo.daemon.replay.overlay import draw_overlay
+from ceilvo.daemon.replay.recording import Tape
+from ceilvo.drivers.base.link import BaseLink
+from ceilvo.drivers.bus import messages as wire
+from ceilvo.drivers.bus.messages import ON_DEMAND, Topic
+from ceilvo.drivers.ports import Publisher
+from ceilvo.errors import CeilvoError
+from ceilvo.types import Estimate, State
+
+log = logging.getLogger("ceilvo")
+
+_EVENTS = 20
+_JPEG_QUALITY = 80
+
+
+class Outputs:
+    """Thread-safe for events and health; estimates come from one thread."""
+
+    def __init__(
+        self,
+        robot: str,
+        calibration: Calibration,
+        estimator: Estimator,
+        base: BaseLink | None,
+        bus: Publisher | None,
+        clock: Callable[[], int],
+        tape: Tape | None = None,
+    ) -> None:
+        self._robot, self._calibration, self._estimator = robot, calibration, estimator
+        self._base, self._bus, self._clock, self._tape = base, bus, clock, tape
+        self._told: State | None = None
+        self.events: deque[str] = deque(maxlen=_EVENTS)
+
+    def publish(self, estimate: Estimate) -> None:
+        """To the base, then to Zenoh; neither blocks."""
+        if self._base is not None:
+            self._base.submit(estimate)
+        if self._bus is not None:
+            now_ns = self._clock()
+            stamp = wire.Stamp(estimate.stamp_ns, time.time_ns() - (now_ns - estimate.stamp_ns))
+            self._bus.put(Topic.POSE, wire.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns))
+            self._bus.put(Topic.ODOM, wire.encode_odom(self._robot, estimate, stamp.unix_ns))
+            self._offer(self._bus, estimate.seq, stamp)
+        if self._tape is not None:
+            self._tape.published(estimate)
+        if estimate.state is not self._told:
+            before = "start" if self._told is None else self._told.name
+            self._told = estimate.state
+            level = logging.INFO if estimate.state is State.TRACKING else logging.WARNING
+            self.event("state", f"{before} -> {estimate.state.name}: {estimate.reason}", level)
+
+    def _offer(self, bus: Publisher, seq: int, stamp: wire.Stamp) -> None:
+        """What costs work to make, only while somebody subscribes."""
+        if not any(bus.wanted(topic) for topic in ON_DEMAND):
+            return
+        shown, robot = self._estimator.shown(), self._robot
+        bus.offer(Topic.LANDMARKS, lambda: wire.encode_landmarks(robot, stamp, shown.landmarks))
+        bus.offer(Topic.PARTICLES, lambda: wire.encode_particles(robot, seq, stamp, shown.particles, shown.weights))
+        view = shown.view
+        if view is not None:
+            bus.offer(Topic.IMAGE, lambda: self._jpeg(view))
+
+    def _jpeg(self, view: View) -> bytes:
+        image = draw_overlay(view.frame.gray, view.lines, view.crossings, self._calibration.level_view)
+        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        if not ok:
+            raise CeilvoError("the picture could not be encoded")
+        return np.asarray(data, np.uint8).tobytes()
+
+    def event(self, name: str, text: str, level: int = logging.INFO) -> None:
+        """Something that happened once: in the log, on the screen and on Zenoh."""
+        log.log(level, "%s", text)
+        self.events.append(text)
+        if self._tape is not None:
+            self._tape.event(level, name, text)
+        if self._bus is not None:
+            stamp = wire.Stamp(self._clock(), time.time_ns())
+            severity = logging.getLevelName(level).lower()
+            self._bus.put(Topic.EVENT, wire.encode_event(self._robot, stamp, name, severity, text))
+
+    def health(self, state: State, uptime_s: float, counters: Mapping[str, object]) -> None:
+        stamp = wire.Stamp(self._clock(), time.time_ns())
+        payload = wire.encode_health(self._robot, stamp, uptime_s, state, counters)
+        if self._bus is not None:
+            self._bus.put(Topic.HEALTH, payload)
+        if self._tape is not None:
+            self._tape.health(payload, counters)

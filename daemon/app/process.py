@@ -1,0 +1,355 @@
+"""The process: stages joined to drivers, threads, signals, and the way it ends.
+
+    capture thread -> estimator thread -> base (its own thread), Zenoh (does not block)
+    main thread: screen, health, saving, systemd, end
+
+A thread that dies takes the process down with its cause; systemd starts it again.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ceilvo.calibration import Calibration
+from ceilvo.calibration_check import check_fits
+from ceilvo.config import Config
+from ceilvo.daemon.app.estimator import Estimator, no_tap, no_wheels
+from ceilvo.daemon.app.outputs import Outputs
+from ceilvo.daemon.app.requests import handlers
+from ceilvo.daemon.app.screen import Screen
+from ceilvo.daemon.app.telemetry import Report, Truth
+from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.recording import TapedBase, tape_of
+from ceilvo.daemon.replay.summary import format_summary
+from ceilvo.drivers.base.link import BaseLink
+from ceilvo.drivers.base.modbus import ModbusBase
+from ceilvo.drivers.bus.zenoh_bus import ZenohBus
+from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
+from ceilvo.drivers.camera.paced import PacedCamera
+from ceilvo.drivers.camera.selection import make_camera
+from ceilvo.drivers.host.machine import give_back_memory
+from ceilvo.drivers.host.systemd_notify import Notifier
+from ceilvo.drivers.ports import Base, Camera
+from ceilvo.errors import CeilvoError
+from ceilvo.files import write_atomic
+from ceilvo.types import State
+
+log = logging.getLogger("ceilvo")
+
+_TICK_S = 0.05
+_SILENT_FRAMES = 3.0
+_COAST_PERIOD_S = 0.1
+_STOP_S = 1.0
+_TRIM_NS = 60 * 10**9
+_SILENT = "the camera gives no frames"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to run.
+
+    Attributes:
+        camera: not opened.
+        truth: map_from_base (3,) at a stamp, where a simulator knows it.
+        room_m: x_min, y_min, x_max, y_max for the screen's plot.
+        seconds: end this long after the first frame; None = run until told to stop.
+        summary_file: where to write the run's figures as JSON.
+        screen: draw the live screen.
+        record: write a recording to this file.
+    """
+
+    config: Config
+    calibration: Calibration
+    camera: Camera
+    truth: Truth | None = None
+    room_m: tuple[float, float, float, float] | None = None
+    seconds: float | None = None
+    summary_file: Path | None = None
+    screen: bool = False
+    record: Path | None = None
+
+
+class Daemon:
+    """One robot's localisation, wired and running."""
+
+    def __init__(self, plan: Plan, notifier: Notifier, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        config = plan.config
+        self._plan, self._config, self._notifier, self._clock = plan, config, notifier, clock
+        self._stop = threading.Event()
+        self._crashes: queue.SimpleQueue[BaseException] = queue.SimpleQueue()
+        self._first_frame_ns: int | None = None
+        self._camera_reason = "camera not opened yet"
+        self._store = Store.choose(config.service.state_dir)
+        self._tape = tape_of(config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop)
+        self._base = BaseLink(config.base, self._port(), clock, self._crash) if config.base.enabled else None
+        self._estimator = Estimator(
+            Pipeline(plan.calibration, config, np.random.default_rng(config.service.seed)),
+            clock,
+            self._base.wheels.between if self._base is not None and config.base.use_wheels else no_wheels,
+            no_tap if self._tape is None else self._tape.input,
+        )
+        answers = handlers(config, plan.calibration, self._estimator, self._store, self._save)
+        self._bus = ZenohBus(config.zenoh, config.robot.name, answers) if config.zenoh.enabled else None
+        self._outputs = Outputs(
+            config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock, self._tape
+        )
+        self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
+        self._report = Report(
+            self._estimator,
+            self._capture,
+            self._base,
+            self._bus,
+            plan.truth,
+            clock,
+            config.service.seed,
+            plan.calibration.driving_nis,
+            self._store,
+        )
+        self._thread = threading.Thread(target=self._estimate, name="estimator", daemon=True)
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """The latest ones, newest last."""
+        return tuple(self._outputs.events)
+
+    def run(self) -> dict[str, Any]:
+        """Run until stopped, the recording ends or `seconds` are over; returns the summary.
+
+        Raises:
+            Exception: what took the process down; a CeilvoError carries the exit code.
+        """
+        stored = self._store.load()
+        if stored is not None:
+            self._estimator.start_from(*stored)
+            self._outputs.event("map", "stored map loaded; its last pose is a hypothesis until landmarks confirm it")
+        with ExitStack() as ending:
+            ending.enter_context(stop_on_signals(self._stop))
+            ending.enter_context(hear_of_dead_threads(self._crash))
+            if self._tape is not None:
+                ending.callback(lambda tape: tape.stop(crashed=not self._crashes.empty()), self._tape)
+                self._tape.start()
+            if self._bus is not None:
+                ending.callback(self._bus.close)
+                self._bus.open()
+            ending.callback(self._end)
+            self._capture.start()
+            if self._base is not None:
+                self._base.start()
+            self._thread.start()
+            self._notifier.ready("waiting for the camera")
+            with Screen() if self._plan.screen else nullcontext() as screen:
+                self._supervise(screen)
+            summary = self._report.summary()
+        summary |= self._recorder_counters()
+        if not self._crashes.empty():
+            raise self._crashes.get()
+        return summary
+
+    def stop(self) -> None:
+        """Ask for an orderly end; from any thread."""
+        self._stop.set()
+
+    # -- main thread
+
+    def _supervise(self, screen: Screen | None) -> None:
+        """Everything slow and periodic, until somebody says stop."""
+        health = save = self._clock()
+        trim = health + _TRIM_NS
+        told: State | None = None
+        while not self._stop.wait(_TICK_S):
+            now, last = self._clock(), self._estimator.last
+            if not self._crashes.empty() or self._is_over(now):
+                break
+            if last is not None and last.state is not told:
+                told = last.state
+                self._tell_status(told)
+            if now >= health:
+                health = now + int(1e9 * self._config.zenoh.health_period_s)
+                self._tell_health()
+            if now >= save:
+                save = now + int(1e9 * self._config.service.state_period_s)
+                self._save()
+            if now >= trim:
+                trim = now + _TRIM_NS
+                give_back_memory()
+            if screen is not None:
+                title = f"ceilvo {self._config.robot.name}"
+                events, room = self.events, self._plan.room_m
+                screen.update(lambda: self._report.snapshot(title, self._camera_reason, room, events))  # noqa: B023
+
+    def _is_over(self, now_ns: int) -> bool:
+        if self._capture.finished and not self._thread.is_alive():
+            return True
+        seconds, first = self._plan.seconds, self._first_frame_ns
+        return seconds is not None and first is not None and now_ns - first >= int(1e9 * seconds)
+
+    def _end(self) -> None:
+        """Stop, flush, persist; the base hears of it in a last telegram."""
+        self._notifier.stopping("stopping")
+        self._stop.set()
+        self._capture.stop(_STOP_S)
+        if self._thread.ident is not None:
+            self._thread.join(_STOP_S)
+        self._save()
+        self._tell_health(State.STOPPED)
+        if self._base is not None:
+            self._base.stop()
+
+    def _save(self) -> bool:
+        last = self._estimator.last
+        return last is not None and self._store.save(*self._estimator.map(), last)
+
+    def _tell_health(self, state: State | None = None) -> None:
+        if state is None:
+            last = self._estimator.last
+            state = State.INIT if last is None else last.state
+        self._tell_status(state)
+        self._outputs.health(state, self._report.uptime_s, {**self._report.counters(), **self._recorder_counters()})
+
+    def _tell_status(self, state: State) -> None:
+        self._notifier.status(self._report.status_line(state, self._camera_reason))
+
+    def _recorder_counters(self) -> dict[str, object]:
+        return {} if self._tape is None else {"recorder": asdict(self._tape.counters())}
+
+    def _port(self) -> Base:
+        port = ModbusBase(self._config.base)
+        return port if self._tape is None else TapedBase(port, self._tape)
+
+    # -- other threads
+
+    def _crash(self, error: BaseException) -> None:
+        self._crashes.put(error)
+
+    def _on_recorder_stop(self, why: str) -> None:
+        """Called in the recorder's thread."""
+        self._outputs.event("recorder", f"recording stopped: {why}; localisation goes on", logging.WARNING)
+
+    def _on_capture(self, event: CaptureEvent) -> None:
+        """Called in the capture thread; a calibration that does not fit the opened camera ends the process."""
+        info = self._capture.info
+        if event.kind == "opened" and info is not None:
+            check_fits(self._plan.calibration, info.name, info.camera_id, info.width_px, info.height_px)
+        if event.kind in ("lost", "bad_frame"):
+            self._camera_reason = event.text
+        elif event.kind == "opened":
+            self._camera_reason = _SILENT
+        level = logging.WARNING if event.kind == "lost" else logging.INFO
+        self._outputs.event(f"camera_{event.kind}", f"camera {event.kind}: {event.text}", level)
+
+    def _estimate(self) -> None:
+        try:
+            while not self._stop.is_set() and self._one():
+                self._notifier.watchdog()
+        except Exception as e:
+            self._crash(e)
+
+    def _one(self) -> bool:
+        """One frame, or one look at a camera that is silent; False at the end of a recording."""
+        frame = self._capture.take(self._patience_s())
+        if frame is None:
+            if self._capture.finished:
+                return False
+            info = self._capture.info
+            estimate = self._estimator.silence(self._camera_reason) if info is None or info.live else None
+            if estimate is not None:
+                self._outputs.publish(estimate)
+            return True
+        if self._first_frame_ns is None:
+            self._first_frame_ns = self._clock()
+        if self._capture.counters().connected:
+            self._camera_reason = _SILENT
+        estimate = self._estimator.frame(frame)
+        if estimate is not None:
+            self._outputs.publish(estimate)
+            self._report.count(estimate)
+        return True
+
+    def _patience_s(self) -> float:
+        """How long a frame may be late before that is news; once it is, the news is repeated often."""
+        last, info = self._estimator.last, self._capture.info
+        if last is not None and last.motion.failure == self._camera_reason:
+            return _COAST_PERIOD_S
+        rate_hz = info.rate_hz if info is not None and info.rate_hz > 0 else self._config.camera.rate_hz
+        return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES / rate_hz)
+
+
+def plan_real(
+    config: Config, calibration: Calibration, seconds: float | None, summary_file: Path | None, record: Path | None
+) -> Plan:
+    """A plan for the configured camera; a recording in its place keeps its own pace."""
+    camera = make_camera(config.camera)
+    if config.camera.source != "v4l2":
+        camera = PacedCamera(camera)
+    return Plan(config, calibration, camera, seconds=seconds, summary_file=summary_file, record=record)
+
+
+def run(plan: Plan) -> int:
+    """Run a plan to its end; returns the exit code. Errors are one line in the log."""
+    cv2.setNumThreads(plan.config.service.opencv_threads)
+    with Notifier() as notifier:
+        try:
+            summary = Daemon(plan, notifier).run()
+        except CeilvoError as e:
+            log.error("%s", e)
+            notifier.status(str(e))
+            return e.exit_code
+        except Exception:
+            log.exception("a thread died")
+            return 1
+    if plan.summary_file is not None:
+        plan.summary_file.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(plan.summary_file, json.dumps(summary, indent=2) + "\n")
+    if plan.seconds is not None or plan.summary_file is not None or plan.record is not None:
+        sys.stdout.write(format_summary(summary))
+    return 0
+
+
+@contextmanager
+def hear_of_dead_threads(crash: Callable[[BaseException], None]) -> Iterator[None]:
+    """Whatever thread dies of an exception, a library's too, is a crash of the process."""
+    before = threading.excepthook
+
+    def tell(args: threading.ExceptHookArgs) -> None:
+        if args.exc_value is not None:
+            crash(args.exc_value)
+
+    threading.excepthook = tell
+    try:
+        yield
+    finally:
+        threading.excepthook = before
+
+
+@contextmanager
+def stop_on_signals(stop: threading.Event) -> Iterator[None]:
+    """SIGTERM and SIGINT set the event; only in the main thread, where Python allows it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        stop.set()
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,55 @@
+"""The daemon's side of what applications ask for on the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Config
+from ceilvo.daemon.app.estimator import Estimator
+from ceilvo.daemon.map.store import Store
+from ceilvo.drivers.bus import commands
+from ceilvo.drivers.bus.requests import Handlers, Result
+from ceilvo.errors import CeilvoError
+
+
+def handlers(
+    config: Config, calibration: Calibration, estimator: Estimator, store: Store, save: Callable[[], bool]
+) -> Handlers:
+    """Handlers that are safe to call from any thread; `save` writes map and pose."""
+
+    def initial_pose(c: commands.InitialPose) -> Result:
+        sigma = np.array([c.sigma_m, c.sigma_m, c.sigma_theta_rad])
+        estimator.assume(np.array([c.x_m, c.y_m, c.theta_rad]), sigma, "initial pose given")
+        return {"did": "pose taken as a hypothesis; TRACKING once landmarks confirm it"}
+
+    def relocalise(c: commands.Relocalise) -> Result:
+        if not len(estimator.map()[0]):
+            raise CeilvoError("no map to find the pose in: drive first, or restore map.json and restart")
+        sigma = estimator.search()
+        reach = f"{sigma[0]:.1f} m and {np.degrees(sigma[2]):.0f} deg (1 sigma)"
+        return {"did": f"searching within {reach} of the last pose"}
+
+    def save_map(c: commands.SaveMap) -> Result:
+        if store.folder is None:
+            raise CeilvoError("no state directory: set service.state_dir or run under systemd")
+        if not save():
+            raise CeilvoError("nothing saved: no landmarks yet, or the disk refused; see the log")
+        return {"did": "saved", "folder": str(store.folder), "landmarks": len(estimator.map()[0])}
+
+    def reset(c: commands.Reset) -> Result:
+        estimator.reset(keep_map=c.keep_map)
+        kept = f"{len(estimator.map()[0])} landmarks kept" if c.keep_map else "map forgotten"
+        return {"did": f"started again at the configured initial pose, {kept}"}
+
+    return Handlers(
+        map=lambda: estimator.map()[0],
+        calibration=lambda: calibration,
+        config=lambda: config,
+        initial_pose=initial_pose,
+        relocalise=relocalise,
+        save_map=save_map,
+        reset=reset,
+    )

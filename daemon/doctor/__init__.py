@@ -1,0 +1,1 @@
+"""`ceilvod doctor`: what can be looked at without driving."""

@@ -1,0 +1,147 @@
+"""The doctor's checks of the computer itself: service, clock, disk, limits."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+
+from ceilvo.config import Config
+from ceilvo.daemon.doctor.findings import Finding, fine, note, wrong
+from ceilvo.daemon.map.map_file import load_map, load_state
+from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME
+from ceilvo.drivers.host.machine import Machine
+from ceilvo.errors import FileFormatError
+
+UNIT, INSTALLED = "ceilvod.service", "/etc/systemd/system/ceilvod.service"
+PACKAGED = "/opt/ceilvo/share/ceilvo/ceilvod.service"
+MEMORY_BYTES = 400_000_000
+STATE_BYTES = 20_000_000
+OPEN_FILES = 256
+
+
+def daemon_state(machine: Machine) -> tuple[list[Finding], str]:
+    """How the service does, and its process id as text, "" when it does not run."""
+    shown = machine.run("systemctl", "show", UNIT, "-p", "LoadState,ActiveState,MainPID,StatusText,ExecMainStatus")
+    if shown is None or shown.code:
+        return [note("service", "no systemd here that can be asked")], ""
+    have = dict(line.partition("=")[::2] for line in shown.text.splitlines())
+    state, pid, said = have.get("ActiveState", ""), have.get("MainPID", "0"), have.get("StatusText", "")
+    if have.get("LoadState") != "loaded":
+        return [note("service", "ceilvod is not installed as a service; sudo systemd/install.sh")], ""
+    if state in ("active", "activating", "reloading") and pid != "0":
+        return [fine("service", f"ceilvod runs (pid {pid}): {said or state}")], pid
+    if state == "failed":
+        code = have.get("ExecMainStatus", "")
+        hint = "configuration or calibration is wrong: see below" if code == "78" else "journalctl -u ceilvod says why"
+        return [wrong("service", f"ceilvod failed with exit code {code}; {hint}")], ""
+    return [note("service", f"ceilvod is {state or 'not there'}; sudo systemctl start ceilvod")], ""
+
+
+def unit_file(machine: Machine) -> Iterator[Finding]:
+    """Installed, the one of this package, accepted by systemd, and loaded."""
+    installed = machine.text(INSTALLED)
+    if installed is None:
+        return  # the service check has said so
+    packaged = machine.text(PACKAGED)
+    good = True
+    if packaged is not None and packaged != installed:
+        good = False
+        yield wrong(
+            "unit",
+            f"{INSTALLED} differs from the package's; run {Path(PACKAGED).parent}/install.sh again and put your own "
+            "settings in a drop-in (systemctl edit ceilvod)",
+        )
+    verified = machine.run("systemd-analyze", "verify", str(machine.path(INSTALLED)))
+    if verified is not None and verified.code:
+        good = False
+        yield wrong("unit", f"systemd-analyze verify: {_first_line(verified.text)}; install again")
+    shown = machine.run("systemctl", "show", UNIT, "-p", "NeedDaemonReload,UnitFileState")
+    if shown is not None and "NeedDaemonReload=yes" in shown.text:
+        good = False
+        yield wrong("unit", "systemd has an older version of it loaded; sudo systemctl daemon-reload")
+    if shown is not None and "UnitFileState=disabled" in shown.text:
+        yield note("unit", "it does not start with the computer; sudo systemctl enable ceilvod")
+    if good:
+        yield fine("unit", INSTALLED)
+
+
+def clock(machine: Machine) -> Iterator[Finding]:
+    """Poses carry the time since 1970, which other computers compare with theirs."""
+    shown = machine.run("timedatectl", "show", "-p", "NTPSynchronized", "--value")
+    if shown is None or shown.code:
+        yield note("clock", "nobody here can tell whether it is synchronised (no timedatectl)")
+    elif shown.text.strip() == "yes":
+        yield fine("clock", "synchronised")
+    else:
+        yield note(
+            "clock",
+            "not synchronised, so the poses' stamp_unix_ns means nothing to other computers; timedatectl set-ntp true",
+        )
+
+
+def disk(machine: Machine, state_dir: Path | None, config: Config | None) -> Iterator[Finding]:
+    """The state directory is there and writable, has room, and what is in it can be read."""
+    if state_dir is None:
+        yield note("state", "service.state_dir is empty and there is no service: map, pose and recordings are not kept")
+        return
+    if not state_dir.is_dir():
+        yield wrong("state", f"{state_dir}: no such folder; 'mkdir {state_dir}' and give it to the user of the daemon")
+        return
+    if not machine.may_write(state_dir):
+        who = machine.user or "you"
+        yield wrong("state", f"{state_dir}: {who} may not write there; 'chown -R {who} {state_dir}'")
+        return
+    free, need = machine.free_bytes(state_dir), STATE_BYTES
+    wanted = need
+    if config is not None and config.recorder.enabled:
+        cfg = config.recorder
+        there = sum(f.stat().st_size for f in (state_dir / "recorder").rglob("*.mcap"))
+        wanted = cfg.reserve_bytes + max(0, cfg.ring_bytes + cfg.kept_bytes - there)
+    room = f"{state_dir}: {free / 1e6:.0f} MB free"
+    if free < need:
+        yield wrong(
+            "state", f"{room}, expected {need / 1e6:.0f} at least; map and pose cannot be saved, delete something"
+        )
+    elif free < wanted:
+        yield note("state", f"{room}, recordings may want {wanted / 1e6:.0f}; lower recorder.ring_bytes and kept_bytes")
+    else:
+        yield fine("state", room)
+    try:
+        load_map(state_dir / MAP_NAME)
+        load_state(state_dir / STATE_NAME)
+    except FileFormatError as e:
+        yield wrong("state", f"{e}; the daemon starts without it, move it away")
+
+
+def limits(machine: Machine) -> Iterator[Finding]:
+    """Memory, processors, open files. Real-time rights are not needed."""
+    memory = _available_bytes(machine)
+    cores = len(os.sched_getaffinity(0))
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    good = True
+    if memory is not None and memory < MEMORY_BYTES:
+        good = False
+        yield wrong(
+            "limits",
+            f"{memory / 1e6:.0f} MB of memory to be had, expected {MEMORY_BYTES / 1e6:.0f}; end other programs",
+        )
+    if 0 <= files < OPEN_FILES:
+        good = False
+        yield wrong("limits", f"{files} open files, expected {OPEN_FILES} at least; raise LimitNOFILE or 'ulimit -n'")
+    if cores < 2:
+        yield note("limits", "one processor: at 30 frames per second it has little left for anything else")
+    if good:
+        known = "" if memory is None else f"{memory / 1e6:.0f} MB of memory, "
+        yield fine("limits", f"{known}{cores} processors")
+
+
+def _available_bytes(machine: Machine) -> int | None:
+    match = re.search(r"^MemAvailable:\s+(\d+) kB", machine.text("/proc/meminfo") or "", re.M)
+    return None if match is None else 1024 * int(match[1])
+
+
+def _first_line(text: str) -> str:
+    return text.splitlines()[0] if text else "no reason given"

@@ -1,0 +1,1 @@
+"""How far the pose can be trusted: states, and whether the calibration still holds."""

@@ -1,0 +1,1 @@
+"""The map as a thing that lives: on disk, over restarts."""

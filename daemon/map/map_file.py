@@ -1,0 +1,263 @@
+"""Map and last pose on disk: JSON, versioned, checksummed, replaced in one step (docs/files.md).
+
+What load_state returns is a hypothesis and never the truth: the robot may have been carried while the daemon was not
+running. Start from it with `relocalising` set until landmarks confirm it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.crossing_types import CROSSING_KINDS
+from ceilvo.errors import FileFormatError
+from ceilvo.files import write_atomic
+from ceilvo.types import Landmarks, State, frozen
+
+Array = NDArray[np.float64]
+_T = TypeVar("_T")
+
+VERSION = 1
+MAX_MAP_BYTES = 64 * 2**20
+MAX_STATE_BYTES = 64 * 2**10
+MAX_COORDINATE_M = 1e6
+_MAX_INT = 2**62
+_MAP_FORMAT, _STATE_FORMAT = "ceilvo-map", "ceilvo-state"
+_REMEDY = {
+    _MAP_FORMAT: "move it away to let the daemon build a new map, or restore a backup",
+    _STATE_FORMAT: "remove it to start from the configured initial pose",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StoredMap:
+    """Landmarks, and the direction in map of axis 0 of their kinds (rad)."""
+
+    landmarks: Landmarks
+    map_axis_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class StoredState:
+    """The last pose of an earlier run: map_from_base (3,), cov (3, 3), the state it was in, and its frame's stamp.
+
+    The stamp is CLOCK_MONOTONIC of the boot it was written in: it orders saves, it does not tell the time since.
+    """
+
+    pose: Array
+    cov: Array
+    state: State
+    stamp_ns: int
+
+
+class _Damage(Exception):
+    """What is wrong with a document; becomes a FileFormatError with the file's name and what to do."""
+
+
+def save_map(path: Path, landmarks: Landmarks, map_axis_rad: float) -> None:
+    """Replace the map file.
+
+    Raises:
+        FileFormatError: the values are not a valid map, or the folder cannot be written; the old file is untouched.
+    """
+    cov = np.asarray(landmarks.cov_m2).reshape(-1, 2, 2)
+    content = {
+        "map_axis_rad": float(map_axis_rad),
+        "landmarks": {
+            "id": landmarks.ids.tolist(),
+            "xy_map_m": landmarks.xy_map_m.tolist(),
+            "cov_xx_xy_yy_m2": np.column_stack([cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]]).tolist(),
+            "kind": landmarks.kind.tolist(),
+            "sightings": landmarks.sightings.tolist(),
+        },
+    }
+    _save(path, _MAP_FORMAT, content, _read_map, MAX_MAP_BYTES)
+
+
+def load_map(path: Path) -> StoredMap | None:
+    """The stored map, None when there is no such file.
+
+    Raises:
+        FileFormatError: the file cannot be read, is damaged, or is of a version this ceilvo does not know.
+    """
+    return _load(path, _MAP_FORMAT, _read_map, MAX_MAP_BYTES)
+
+
+def save_state(path: Path, pose: Array, cov: Array, state: State, stamp_ns: int) -> None:
+    """Replace the state file; raises as save_map."""
+    content = {
+        "pose_map_from_base": {"x_m": float(pose[0]), "y_m": float(pose[1]), "theta_rad": float(pose[2])},
+        "cov": np.asarray(cov, np.float64).tolist(),
+        "state": state.name,
+        "stamp_ns": int(stamp_ns),
+    }
+    _save(path, _STATE_FORMAT, content, _read_state, MAX_STATE_BYTES)
+
+
+def load_state(path: Path) -> StoredState | None:
+    """The stored pose as a hypothesis, None when there is no such file; raises as load_map."""
+    return _load(path, _STATE_FORMAT, _read_state, MAX_STATE_BYTES)
+
+
+def _save(path: Path, kind: str, content: dict[str, Any], read: Callable[[Any], Any], limit: int) -> None:
+    try:
+        read(content)
+        document = {"format": kind, "version": VERSION, "sha256": _digest(content), "content": content}
+        text = json.dumps(document, allow_nan=False, sort_keys=False) + "\n"
+        if len(text) > limit:
+            raise _Damage(f"{len(text)} bytes, expected at most {limit}")
+    except _Damage as e:
+        raise FileFormatError(f"{path}: not written, the old file stays: {e}") from e
+    try:
+        write_atomic(path, text)
+    except OSError as e:
+        raise FileFormatError(
+            f"{path}: cannot be written: {e.strerror or e}; expected a folder that the daemon may write to, "
+            "check service.state_dir and its owner (nothing was changed)"
+        ) from e
+
+
+def _load(path: Path, kind: str, read: Callable[[Any], _T], limit: int) -> _T | None:
+    try:
+        with path.open("rb") as f:
+            raw = f.read(limit + 1)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as e:
+        why = (e.strerror or str(e)) if isinstance(e, OSError) else str(e)
+        raise FileFormatError(f"{path}: cannot be read: {why}; check the path and its owner") from e
+    try:
+        return read(_content(raw, kind, limit))
+    except (_Damage, RecursionError) as e:
+        raise FileFormatError(f"{path}: {e}; {_REMEDY[kind]}") from e
+
+
+def _content(raw: bytes, kind: str, limit: int) -> Any:
+    if len(raw) > limit:
+        raise _Damage(f"longer than the largest allowed {limit} bytes")
+    try:
+        document = json.loads(raw.decode("utf-8"), parse_constant=_no_constant)
+    except (ValueError, RecursionError) as e:
+        raise _Damage(f"damaged or cut short: {str(e).splitlines()[0][:120]}") from e
+    if not isinstance(document, dict) or document.get("format") != kind:
+        raise _Damage(f"not a {kind} file")
+    version = document.get("version")
+    if type(version) is not int or version < 1:
+        raise _Damage(f"version is {_shown(version)}, expected a whole number from 1 to {VERSION}")
+    if version > VERSION:
+        raise _Damage(f"version {version} was written by a newer ceilvo, this one reads up to {VERSION}; update it")
+    _keys(document, {"format", "version", "sha256", "content"}, "file")
+    if document["sha256"] != _digest(document["content"]):
+        raise _Damage("checksum does not match, the content was changed or damaged")
+    return document["content"]
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number")
+
+
+def _digest(content: Any) -> str:
+    """SHA-256 of the canonical form; floats survive because Python writes the shortest text that reads back equal."""
+    try:
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+    except (ValueError, RecursionError) as e:
+        raise _Damage(f"values that cannot be stored: {e}") from e
+
+
+def _read_map(content: Any) -> StoredMap:
+    _keys(content, {"map_axis_rad", "landmarks"}, "content")
+    table = content["landmarks"]
+    _keys(table, {"id", "xy_map_m", "cov_xx_xy_yy_m2", "kind", "sightings"}, "landmarks")
+    ids = _ints(table["id"], "landmarks.id", 0, _MAX_INT)
+    n = len(ids)
+    if len(set(ids.tolist())) != n:
+        raise _Damage("landmarks.id has duplicates")
+    packed = _floats(table["cov_xx_xy_yy_m2"], "landmarks.cov_xx_xy_yy_m2", (n, 3), MAX_COORDINATE_M**2)
+    cov = packed[:, [0, 1, 1, 2]].reshape(n, 2, 2)
+    _covariance(cov, "landmarks.cov_xx_xy_yy_m2")
+    landmarks = Landmarks(
+        ids=ids,
+        xy_map_m=_floats(table["xy_map_m"], "landmarks.xy_map_m", (n, 2), MAX_COORDINATE_M),
+        cov_m2=frozen(cov),
+        kind=_ints(table["kind"], "landmarks.kind", 0, CROSSING_KINDS - 1, n),
+        sightings=_ints(table["sightings"], "landmarks.sightings", 0, _MAX_INT, n),
+    )
+    return StoredMap(landmarks, float(_floats(content["map_axis_rad"], "map_axis_rad", (), 10.0)))
+
+
+def _read_state(content: Any) -> StoredState:
+    _keys(content, {"pose_map_from_base", "cov", "state", "stamp_ns"}, "content")
+    pose = content["pose_map_from_base"]
+    _keys(pose, {"x_m", "y_m", "theta_rad"}, "pose_map_from_base")
+    values = _floats([pose["x_m"], pose["y_m"], pose["theta_rad"]], "pose_map_from_base", (3,), MAX_COORDINATE_M)
+    cov = _floats(content["cov"], "cov", (3, 3), MAX_COORDINATE_M**2)
+    _covariance(cov[None], "cov")
+    name = content["state"]
+    if not isinstance(name, str) or name not in State.__members__:
+        raise _Damage(f"state is {_shown(name)}, expected one of {', '.join(State.__members__)}")
+    stamp = _ints([content["stamp_ns"]], "stamp_ns", 0, _MAX_INT)
+    return StoredState(values, cov, State[name], int(stamp[0]))
+
+
+def _keys(value: Any, expected: set[str], where: str) -> None:
+    if not isinstance(value, dict):
+        raise _Damage(f"{where} is {_shown(value)}, expected a mapping")
+    missing, unknown = sorted(expected - value.keys()), sorted(value.keys() - expected)
+    if missing or unknown:
+        raise _Damage(
+            f"{where}: missing keys {missing or 'none'}, unknown keys {_shown(unknown) if unknown else 'none'}"
+        )
+
+
+def _ints(value: Any, where: str, low: int, high: int, n: int | None = None) -> NDArray[np.int64]:
+    if not isinstance(value, list) or any(type(v) is not int or not low <= v <= high for v in value):
+        raise _Damage(f"{where} is not a list of whole numbers from {low} to {high}")
+    if n is not None and len(value) != n:
+        raise _Damage(f"{where} has {len(value)} values, expected {n}")
+    out = np.array(value, np.int64)
+    out.setflags(write=False)
+    return out
+
+
+def _floats(value: Any, where: str, shape: tuple[int, ...], limit: float) -> Array:
+    """An array of that shape, finite and within the limit; numbers only, so that no text or bool slips in."""
+    if not _has_shape(value, shape):
+        raise _Damage(f"{where} is not an array of numbers of shape {shape}")
+    try:
+        out = np.array(value, np.float64).reshape(shape)
+    except OverflowError as e:
+        raise _Damage(f"{where} has a number that is too large") from e
+    if not np.all(np.abs(out) <= limit):
+        raise _Damage(f"{where} has a value that is not finite or beyond {limit:g}")
+    return frozen(out)
+
+
+def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
+    if not shape:
+        return type(value) in (int, float)
+    return isinstance(value, list) and len(value) == shape[0] and all(_has_shape(v, shape[1:]) for v in value)
+
+
+def _covariance(cov: Array, where: str) -> None:
+    """(K, n, n) symmetric and positive semi-definite to rounding."""
+    if not len(cov):
+        return
+    scale = np.abs(cov).max(axis=(1, 2), keepdims=True)
+    if np.any(np.abs(cov - np.swapaxes(cov, 1, 2)) > 1e-9 * scale):
+        raise _Damage(f"{where} is not symmetric")
+    lowest = np.linalg.eigvalsh(cov)[:, 0]
+    if np.any(lowest < -1e-9 * scale[:, 0, 0]):
+        raise _Damage(f"{where} is not a covariance: an eigenvalue is negative ({lowest.min():.3g})")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

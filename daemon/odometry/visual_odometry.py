@@ -1,0 +1,219 @@
+"""Stage 4: the robot's motion from frame to frame (section 2.1 of the paper).
+
+Features are predicted from the last motion (or the wheels), matched to the last good frame, cleaned by a homography
+and by the residuals of the rigid fit. After a failure the last good frame stays the reference and the prediction
+grows with the gap, so one bad frame costs nothing but covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.crossing_types import quarter_turns, turn_kind
+from ceilvo.daemon.odometry.heading_fusion import HeadingLock
+from ceilvo.daemon.odometry.homography import consistent
+from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.rigid import RigidFit, robust_rigid_motion, shift_at, turned_by
+from ceilvo.daemon.vision.kernel.reference import median
+from ceilvo.types import Crossings, Ints, Motion, WheelMotion
+
+Array = NDArray[np.float64]
+
+_MAX_MISSES = 8
+_TWIST_FADES_S = 1.0
+_JERK_SIGMAS = 5.0
+_FEWEST_SHARE = 1.0 / 3.0  # on lap after lap 0.6 at least, 0.37 on bare plaster with a few lamps
+_FRESH = 0.6  # of the error of a direction or tilt; the rest is the same lines' in the next frame and cancels
+
+
+class VisualOdometry:
+    """Frame-to-frame motion. It keeps the last good frame, the (dead-reckoned) pose since then and the last twist."""
+
+    def __init__(self, config: Odometry) -> None:
+        self._config = config
+        self._reference: Crossings | None = None
+        self._ref_from_prev = np.zeros(3)
+        self._since_ref_s = 0.0
+        self._misses = 0
+        self._twist = np.zeros(3)
+        self._twist_known = False
+        self._heading = HeadingLock()
+
+    @property
+    def twist(self) -> Array:
+        """(3,) m/s, m/s, rad/s in base, of the last good step."""
+        return self._twist
+
+    def expected(self, dt_s: float, wheels: WheelMotion | None = None) -> Array | None:
+        """(3,) predicted motion since the previous call of step(), None right after a failure or at the start."""
+        if self._reference is None or self._since_ref_s > 0.0:
+            return None
+        return wheels.prev_from_curr if wheels is not None else self._twist * dt_s
+
+    def step(
+        self,
+        crossings: Crossings | None,
+        dt_s: float,
+        wheels: WheelMotion | None = None,
+        missing: str = "no lines found",
+    ) -> Motion:
+        """Motion since the previous call.
+
+        Args:
+            crossings: of the current frame; None when the frame gave none.
+            dt_s: time since the previous call.
+            wheels: what the base says of the same interval, when it does.
+            missing: why there are no crossings, for the failure.
+
+        Returns:
+            A Motion; where it failed, prev_from_curr is the prediction and cov says how little that is worth. A
+            good motion after failures corrects their predictions: its cov is that of the whole gap.
+        """
+        predicted = wheels.prev_from_curr if wheels is not None else self._coasting_twist() * dt_s
+        if crossings is None:
+            return self._coast(predicted, dt_s, wheels, missing)
+        if len(crossings) < self._config.min_inliers:
+            return self._coast(predicted, dt_s, wheels, f"only {len(crossings)} crossings")
+        if self._reference is None:
+            self._refer_to(crossings)
+            return Motion(np.zeros(3), self._floor(), len(crossings), 0.0, "first frame", restarted=True)
+        fit, failure = self._register(crossings, se2.compose(self._ref_from_prev, predicted), dt_s)
+        if fit is None:
+            return self._miss(crossings, self._coast(predicted, dt_s, wheels, failure))
+        motion = se2.between(self._ref_from_prev, fit.b_from_a)
+        cov = fit.cov + self._floor()
+        cov[:2, :2] += _FRESH**2 * (self._reference.common_cov_m2 + crossings.common_cov_m2)
+        self._twist = fit.b_from_a / (self._since_ref_s + dt_s)
+        self._twist_known = True
+        self._refer_to(crossings)
+        return Motion(motion, cov, int(np.count_nonzero(fit.used)), fit.rms_m)
+
+    def _refer_to(self, crossings: Crossings) -> None:
+        self._reference, self._ref_from_prev = crossings, np.zeros(3)
+        self._since_ref_s, self._misses = 0.0, 0
+
+    def _floor(self) -> Array:
+        xy, theta = self._config.noise_xy_m, self._config.noise_theta_rad
+        return np.diag([xy * xy, xy * xy, theta * theta])
+
+    def _register(self, crossings: Crossings, guess: Array, dt_s: float) -> tuple[RigidFit | None, str]:
+        """ref_from_curr by matching near the guess, or why there is none."""
+        ref, cfg = self._reference, self._config
+        if ref is None:
+            return None, "no reference"
+        turn = _direction_change(ref.psi_rad, crossings.psi_rad, float(guess[2]))
+        guess = np.array([guess[0], guess[1], turn])
+        kinds = turn_kind(crossings.kind, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
+        i, j = mutual_nearest(
+            se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.kind, cfg.match_radius_m
+        )
+        if len(i) < cfg.min_inliers:
+            return None, f"{len(i)} of {len(crossings)} crossings matched, {cfg.min_inliers} needed"
+        good = consistent(crossings.uv_px[i], ref.uv_px[j], cfg.ransac_px)
+        i, j = i[good], j[good]
+        if len(i) == 0:
+            return None, "no consistent correspondences"
+        seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
+        fit = robust_rigid_motion(
+            seen,
+            before,
+            cfg.residual_sigmas,
+            cfg.residual_max_m,
+            cfg.min_inliers,
+            [shift_at(seen, before, turn, ref.psi_rad)],
+            _own_sigma_m(crossings, i) + _own_sigma_m(ref, j),
+        )
+        if fit is None:
+            return None, "too few consistent correspondences"
+        failure = (
+            self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)
+            or self._jerk(fit, dt_s)
+            or _minority(fit, crossings, ref)
+        )
+        if failure:
+            return None, failure
+        sigma_rad = _FRESH * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
+        best = self._heading.choose(turn, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
+        if best.of_points:
+            return fit.facing(best.theta_rad, best.sigma_rad), ""
+        return turned_by(fit, seen, before, best.theta_rad, best.sigma_rad), ""
+
+    def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
+        cfg = self._config
+        off = abs(se2.wrap(float(ref_from_curr[2]) - turn))
+        travel = float(np.hypot(ref_from_curr[0], ref_from_curr[1]))
+        if off > cfg.heading_gate_rad:
+            return f"rotation of points and of lines differ by {off:.3f} rad"
+        if travel > cfg.max_speed_mps * elapsed_s:
+            return f"moved {travel:.3f} m in {elapsed_s:.3f} s"
+        if abs(ref_from_curr[2]) > cfg.max_turn_radps * elapsed_s:
+            return f"turned {abs(ref_from_curr[2]):.3f} rad in {elapsed_s:.3f} s"
+        return ""
+
+    def _miss(self, crossings: Crossings, motion: Motion) -> Motion:
+        """After several frames that do not fit the reference, go on from here; covariance tells what that costs."""
+        self._misses += 1
+        if self._misses < _MAX_MISSES:
+            return motion
+        self._refer_to(crossings)
+        self._twist_known = False
+        self._heading.forget()
+        return replace(motion, restarted=True)
+
+    def _jerk(self, fit: RigidFit, dt_s: float) -> str:
+        """Neighbouring lines that change places: a jump that is consistent in itself, but that no robot makes."""
+        if not self._twist_known:
+            return ""
+        elapsed_s = self._since_ref_s + dt_s
+        off = fit.b_from_a - self._twist * elapsed_s
+        off_m, off_rad = float(np.hypot(off[0], off[1])), abs(se2.wrap(float(off[2])))
+        noise_m = _JERK_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
+        noise_rad = _JERK_SIGMAS * math.sqrt(fit.cov[2, 2])
+        if off_m > self._config.max_accel_mps2 * elapsed_s**2 + noise_m:
+            return f"jumped {off_m:.3f} m off its course within {elapsed_s:.3f} s"
+        if off_rad > self._config.max_turn_accel_radps2 * elapsed_s**2 + noise_rad:
+            return f"turned {off_rad:.3f} rad off its course within {elapsed_s:.3f} s"
+        return ""
+
+    def _coasting_twist(self) -> Array:
+        """The last twist, fading with the gap: a robot that is told its pose is bad will stop."""
+        return np.asarray(self._twist * np.exp(-self._since_ref_s / _TWIST_FADES_S))
+
+    def _coast(self, predicted: Array, dt_s: float, wheels: WheelMotion | None, reason: str) -> Motion:
+        start_s = self._since_ref_s
+        self._since_ref_s += dt_s
+        self._ref_from_prev = se2.compose(self._ref_from_prev, predicted)
+        if wheels is not None:
+            return Motion(predicted, wheels.cov, 0, 0.0, reason)
+        # an unknown constant acceleration displaces by a t^2 / 2; its variance, split over the steps of the gap
+        share = 0.25 * (self._since_ref_s**4 - start_s**4)
+        xy, theta = self._config.coast_accel_mps2**2 * share, self._config.coast_turn_radps2**2 * share
+        return Motion(np.asarray(predicted, np.float64), np.diag([xy, xy, theta]) + self._floor(), 0, 0.0, reason)
+
+
+def _minority(fit: RigidFit, crossings: Crossings, ref: Crossings) -> str:
+    """A motion that few of the crossings share which both frames must show: a part that fits by chance."""
+    view_m = 2.0 * float(np.median(np.hypot(*(ref.xy_base_m - ref.xy_base_m.mean(axis=0)).T)))
+    overlap = max(1.0 - float(np.hypot(*fit.b_from_a[:2])) / max(view_m, 1e-9), 0.0)
+    most, used = min(len(crossings), len(ref)), int(np.count_nonzero(fit.used))
+    return f"{used} of {most} crossings moved alike" if used < _FEWEST_SHARE * overlap * most else ""
+
+
+def _own_sigma_m(crossings: Crossings, which: Ints) -> float:
+    """Median standard deviation of some crossings, without the part that all of a frame share."""
+    cov, common = crossings.cov_base_m2, crossings.common_cov_m2
+    own = cov[which, 0, 0] + cov[which, 1, 1] - (common[0, 0] + common[1, 1])
+    return math.sqrt(max(0.5 * median(own), 0.0))
+
+
+def _direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
+    """ref_from_curr rotation from the change of dominant direction: the branch modulo 90 deg nearest the prediction."""
+    change = psi_ref - psi_curr
+    branch = np.round((predicted - change) / (0.5 * np.pi))
+    return float(change + branch * 0.5 * np.pi)

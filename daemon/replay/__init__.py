@@ -1,0 +1,1 @@
+"""What went into a pipeline and what came of it: recorded, read back, drawn and compared."""

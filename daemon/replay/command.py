@@ -1,0 +1,87 @@
+"""`ceilvod replay`: a recording from disk through the pipeline, and its distance from a reference."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Config
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.inputs import FrameInput
+from ceilvo.daemon.replay.replay import Outputs, format_replay, replay
+from ceilvo.daemon.replay.summary import RunStatistics
+from ceilvo.daemon.replay.trajectory import (
+    Alignment,
+    TrajectoryError,
+    format_error,
+    match_stamps,
+    read_tum,
+    trajectory_error,
+)
+from ceilvo.drivers.camera.selection import source_camera
+from ceilvo.drivers.ports import Camera
+from ceilvo.errors import FileFormatError
+from ceilvo.types import Estimate
+
+_REFERENCE_TOLERANCE_S = 0.01
+_PROGRESS_EVERY = 10
+
+
+def replay_recording(
+    source: Path, config: Config, calibration: Calibration, outputs: Outputs, reference: Path | None, align: Alignment
+) -> int:
+    """Run a recording through the pipeline and print what came out; returns the exit code."""
+    cv2.setNumThreads(config.service.opencv_threads)
+    lens = calibration.camera
+    camera = source_camera(source, lens.width_px, lens.height_px, config.camera.rate_hz)
+    pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
+    camera.open()
+    try:
+        estimates = replay(_frames(camera), pipeline, calibration, outputs, progress())
+    finally:
+        camera.close()
+    report(estimates, config.service.seed, source, reference, align)
+    return 0
+
+
+def report(estimates: list[Estimate], seed: int, source: Path, reference: Path | None, align: Alignment) -> None:
+    """Print what came out, and its distance from a reference if there is one."""
+    statistics = RunStatistics(seed)
+    for estimate in estimates:
+        statistics.add(estimate)
+    sys.stdout.write(format_replay(estimates, statistics.summary()))
+    if reference is not None:
+        sys.stdout.write(format_error(distance(estimates, reference, align), (str(source), str(reference))))
+
+
+def distance(estimates: list[Estimate], reference: Path, align: Alignment) -> TrajectoryError:
+    """Distance from a TUM trajectory that shares the frames' clock."""
+    ref = read_tum(reference)
+    stamps = np.array([e.stamp_ns for e in estimates], np.int64)
+    i, j = match_stamps(stamps, ref.stamp_ns, round(1e9 * _REFERENCE_TOLERANCE_S))
+    if not len(i):
+        raise FileFormatError(
+            f"{reference}: no stamp within {_REFERENCE_TOLERANCE_S:g} s of a frame's; the two must share a clock"
+        )
+    return trajectory_error(np.array([e.pose for e in estimates])[i], ref.poses[j], align)
+
+
+def _frames(camera: Camera) -> Iterator[FrameInput]:
+    while (frame := camera.read()) is not None:
+        yield FrameInput(frame)
+
+
+def progress() -> Callable[[int], None]:
+    if not sys.stderr.isatty():
+        return lambda done: None
+
+    def show(done: int) -> None:
+        if done % _PROGRESS_EVERY == 0:
+            print(f"\r{done} frames ", end="", file=sys.stderr, flush=True)
+
+    return show

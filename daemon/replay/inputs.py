@@ -1,0 +1,215 @@
+"""Everything that changes what a pipeline will say, as data: what is recorded, and what a replay does again.
+
+A pipeline is a function of its configuration, its calibration and the inputs in their order, so inputs that are read
+back equal give estimates that are equal to the last bit. The JSON here keeps every float64 (shortest text that reads
+back equal); frames travel beside it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ceilvo.daemon.pipeline import Lap, Pipeline, no_lap
+from ceilvo.daemon.replay.snapshot import restore
+from ceilvo.errors import FileFormatError
+from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, WheelMotion
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInput:
+    """A frame, with what the wheels did since the step before."""
+
+    frame: Frame
+    wheels: WheelMotion | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """No frame came until stamp_ns."""
+
+    stamp_ns: int
+    reason: str
+    wheels: WheelMotion | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class KnownMap:
+    """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at."""
+
+    landmarks: Landmarks
+    map_axis_rad: float
+    pose: Array
+    cov: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Assumption:
+    """A pose (3,) with cov (3, 3) that somebody says."""
+
+    pose: Array
+    cov: Array
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    keep_map: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """What vision had found in a frame, where the frame itself is not at hand."""
+
+    stamp_ns: int
+    crossings: Crossings | None
+    wheels: WheelMotion | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Continuation:
+    """The state of another pipeline (snapshot.snapshot_json), from which to go on."""
+
+    state: Any
+
+
+Input = FrameInput | Sighting | Silence | KnownMap | Assumption | Reset | Continuation
+
+
+def apply(pipeline: Pipeline, given: Input, lap: Lap = no_lap) -> Estimate | None:
+    """Do what an input says; an estimate from frames, sightings and silences, None from the others."""
+    if isinstance(given, FrameInput):
+        return pipeline.step(given.frame, given.wheels, lap)
+    if isinstance(given, Sighting):
+        return pipeline.follow(given.stamp_ns, given.crossings, given.wheels)
+    if isinstance(given, Silence):
+        return pipeline.coast(given.stamp_ns, given.reason, given.wheels)
+    if isinstance(given, KnownMap):
+        pipeline.know_map(given.landmarks, given.map_axis_rad, given.pose, given.cov)
+    elif isinstance(given, Assumption):
+        pipeline.assume(given.pose, given.cov, given.why)
+    elif isinstance(given, Continuation):
+        restore(pipeline, given.state)
+    else:
+        pipeline.reset(given.keep_map)
+    return None
+
+
+# -- as JSON
+
+
+def input_json(given: Input, number: int) -> bytes:
+    """One object on one line; `number` counts the inputs of a run, so that a missing one is noticed."""
+    body: dict[str, Any]
+    if isinstance(given, FrameInput):
+        frame = given.frame
+        body = {"input": "frame", "seq": frame.seq, "stamp_ns": frame.stamp_ns, "wheels": _wheels(given.wheels)}
+    elif isinstance(given, Silence):
+        body = {
+            "input": "silence",
+            "stamp_ns": given.stamp_ns,
+            "reason": given.reason,
+            "wheels": _wheels(given.wheels),
+        }
+    elif isinstance(given, KnownMap):
+        body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
+        body["landmarks"] = {k: getattr(given.landmarks, k).tolist() for k in _LANDMARKS}
+    elif isinstance(given, Assumption):
+        body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
+    elif isinstance(given, Continuation):
+        body = {"input": "continuation", "state": given.state}
+    elif isinstance(given, Sighting):
+        raise TypeError("a sighting is recorded as its frame, with value_json(crossings) beside it")
+    else:
+        body = {"input": "reset", "keep_map": given.keep_map}
+    return json.dumps({"number": number, **body}, separators=(",", ":"), allow_nan=False).encode("ascii")
+
+
+def read_input(data: bytes, frame_of: Callable[[int, int], Frame]) -> tuple[int, Input]:
+    """The number and the input in a line of input_json(); frame_of(seq, stamp_ns) fetches a frame's pixels.
+
+    Raises:
+        FileFormatError: it is anything else.
+    """
+    try:
+        body = json.loads(data)
+        return int(body["number"]), _READERS[body["input"]](body, frame_of)
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as e:
+        raise FileFormatError(f"input {data[:60]!r}: {type(e).__name__} {e}; the recording is damaged") from e
+
+
+_LANDMARKS: Mapping[str, tuple[type, tuple[int, ...]]] = {
+    "ids": (np.int64, (-1,)),
+    "xy_map_m": (np.float64, (-1, 2)),
+    "cov_m2": (np.float64, (-1, 2, 2)),
+    "kind": (np.int64, (-1,)),
+    "sightings": (np.int64, (-1,)),
+}
+
+FrameOf = Callable[[int, int], Frame]
+
+
+def _read_frame(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return FrameInput(frame_of(int(body["seq"]), int(body["stamp_ns"])), _read_wheels(body["wheels"]))
+
+
+def _read_silence(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return Silence(int(body["stamp_ns"]), str(body["reason"]), _read_wheels(body["wheels"]))
+
+
+def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    m = body["landmarks"]
+    columns: dict[str, Any] = {k: np.array(m[k], dtype).reshape(shape) for k, (dtype, shape) in _LANDMARKS.items()}
+    if len({len(c) for c in columns.values()}) != 1:
+        raise ValueError("columns of the map differ in length")
+    return KnownMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body))
+
+
+def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return Assumption(*_read_belief(body), str(body["why"]))
+
+
+def _read_reset(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return Reset(bool(body["keep_map"]))
+
+
+def _read_continuation(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return Continuation(body["state"])
+
+
+_READERS: Mapping[str, Callable[[Mapping[str, Any], FrameOf], Input]] = {
+    "frame": _read_frame,
+    "silence": _read_silence,
+    "known_map": _read_map,
+    "assumption": _read_assumption,
+    "reset": _read_reset,
+    "continuation": _read_continuation,
+}
+
+
+def _wheels(wheels: WheelMotion | None) -> dict[str, Any] | None:
+    if wheels is None:
+        return None
+    return {"prev_from_curr": wheels.prev_from_curr.tolist(), "cov": wheels.cov.tolist()}
+
+
+def _read_wheels(body: Mapping[str, Any] | None) -> WheelMotion | None:
+    if body is None:
+        return None
+    return WheelMotion(_array(body["prev_from_curr"], (3,)), _array(body["cov"], (3, 3)))
+
+
+def _belief(pose: Array, cov: Array) -> dict[str, Any]:
+    return {"pose": pose.tolist(), "cov": cov.tolist()}
+
+
+def _read_belief(body: Mapping[str, Any]) -> tuple[Array, Array]:
+    return _array(body["pose"], (3,)), _array(body["cov"], (3, 3))
+
+
+def _array(values: Any, shape: tuple[int, ...]) -> Array:
+    return np.array(values, np.float64).reshape(shape)

@@ -1,0 +1,175 @@
+"""`ceilvod replay FILE.mcap`: recorded inputs through the same pipeline, compared with what came of them then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.calibration_file import parse_calibration
+from ceilvo.config import Config
+from ceilvo.config.reader import parse_config
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.command import progress, report
+from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, Sighting, Silence, read_input
+from ceilvo.daemon.replay.recording import versions
+from ceilvo.daemon.replay.replay import Outputs, replay
+from ceilvo.daemon.replay.snapshot import read_value
+from ceilvo.daemon.replay.trajectory import Alignment, estimate_json
+from ceilvo.drivers.recording import foxglove, mcap_file
+from ceilvo.drivers.recording.mcap_reader import Recorded, Recording, open_recording
+from ceilvo.errors import FileFormatError
+from ceilvo.types import Crossings, Estimate, Frame
+
+_SUFFIX = ".mcap"
+_BLANK = np.zeros((0, 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """What to replay. None and () take what was recorded."""
+
+    source: Path
+    config: Config | None = None
+    overrides: tuple[str, ...] = ()
+    calibration: Calibration | None = None
+
+
+@dataclass
+class _Tally:
+    """What was read on the way.
+
+    Attributes:
+        recorded: hash of the recorded estimate by number of its input.
+        numbers: of the inputs that give an estimate, in order.
+        missing: inputs that the recorder had dropped.
+        why_not: why this cannot give the recorded estimates; empty when it should.
+    """
+
+    recorded: dict[int, int] = field(default_factory=dict)
+    numbers: list[int] = field(default_factory=list)
+    missing: int = 0
+    why_not: str = ""
+
+
+def is_recording(source: Path) -> bool:
+    """An MCAP file, or a folder with some."""
+    return source.suffix == _SUFFIX if not source.is_dir() else any(source.glob(f"*{_SUFFIX}"))
+
+
+def replay_run(run: Rerun, outputs: Outputs, reference: Path | None, align: Alignment) -> int:
+    """Returns the exit code: 1 when the estimates should be the recorded ones and are not."""
+    recordings = _opened(run.source)
+    first = recordings[0]
+    config = run.config
+    if config is None:
+        config = parse_config(first.text(mcap_file.CONFIG), f"{first.path}:config.yaml", run.overrides)
+    calibration = run.calibration
+    if calibration is None:
+        calibration = parse_calibration(first.text(mcap_file.CALIBRATION), f"{first.path}:calibration.yaml")
+    cv2.setNumThreads(config.service.opencv_threads)
+    pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
+    tally = _Tally()
+    estimates = replay(_inputs(recordings, tally), pipeline, calibration, outputs, progress())
+    report(estimates, config.service.seed, run.source, reference, align)
+    for recording in recordings:
+        if recording.problem:
+            print(f"{recording.path}: {recording.problem}; all up to there was read")
+    text, same = _verdict(run, first, tally, estimates)
+    print(f"recorded   {text}")
+    return 0 if same else 1
+
+
+def _opened(source: Path) -> list[Recording]:
+    """The file, or those of a folder in the order of their names, which must be of one run."""
+    files = sorted(source.glob(f"*{_SUFFIX}")) if source.is_dir() else [source]
+    recordings = [open_recording(f) for f in files]
+    for r in recordings[1:]:
+        if r.metadata.get("start") == "fresh" or r.attachments != recordings[0].attachments:
+            raise FileFormatError(f"{r.path}: begins another run than {files[0].name}; replay it by itself")
+    return recordings
+
+
+def _inputs(recordings: Sequence[Recording], tally: _Tally) -> Iterator[Input]:
+    """Every input, with the frame if it was kept, else what vision had found in it, else whatever picture there is."""
+    pixels, features, picture = _Kept(), _Kept(), _Kept()
+    kept = {mcap_file.FRAMES.topic: pixels, mcap_file.FEATURES.topic: features, mcap_file.PICTURES.topic: picture}
+    expected = 0
+    for message in (m for r in recordings for m in r.messages()):
+        if message.topic in kept:
+            kept[message.topic].put(message)
+        elif message.topic == mcap_file.ESTIMATE.topic:
+            tally.recorded[message.number] = hash(message.data)
+        elif message.topic == mcap_file.INPUT.topic:
+            number, given = read_input(message.data, lambda seq, stamp_ns: Frame(seq, stamp_ns, _BLANK))
+            if not (number == 0 or expected or isinstance(given, Continuation)):
+                tally.why_not = "it begins in the middle of a run, without the state that there was"
+            tally.missing += number - expected if expected else 0
+            expected = number + 1
+            found: Input | None = given
+            if isinstance(given, FrameInput):
+                found = _whole(given, pixels.take(number), features.take(number))
+                if found is None:
+                    found = _seen(given, picture.take(number))
+                    tally.why_not = "it has JPEG pictures at most, not of every frame, and recorder.features was off"
+            if isinstance(found, FrameInput | Sighting | Silence):
+                tally.numbers.append(number)
+            if found is not None:
+                yield found
+
+
+class _Kept:
+    """The newest message of a topic, for the input of the same number."""
+
+    def __init__(self) -> None:
+        self._last: Recorded | None = None
+
+    def put(self, message: Recorded) -> None:
+        self._last = message
+
+    def take(self, number: int) -> bytes | None:
+        last = self._last
+        return last.data if last is not None and last.number == number & 0xFFFFFFFF else None
+
+
+def _whole(given: FrameInput, pixels: bytes | None, features: bytes | None) -> FrameInput | Sighting | None:
+    frame = given.frame
+    if pixels is not None:
+        return FrameInput(Frame(frame.seq, frame.stamp_ns, foxglove.read_raw_image(pixels)), given.wheels)
+    if features is not None:
+        return Sighting(frame.stamp_ns, read_value(features, Crossings), given.wheels)
+    return None
+
+
+def _seen(given: FrameInput, picture: bytes | None) -> FrameInput | None:
+    """A picture instead of the frame: something like it, and not of every frame, so without wheels."""
+    if picture is None:
+        return None
+    gray: NDArray[np.uint8] = foxglove.read_compressed_image(picture)
+    return FrameInput(Frame(given.frame.seq, given.frame.stamp_ns, gray))
+
+
+def _verdict(run: Rerun, first: Recording, tally: _Tally, estimates: list[Estimate]) -> tuple[str, bool]:
+    """One line, and False when there is a difference that should not be."""
+    if run.config is not None or run.overrides or run.calibration is not None:
+        return "not compared: another configuration or calibration was asked for", True
+    if tally.missing:
+        return f"not compared: {tally.missing} inputs are missing, the disk was too slow for them", True
+    if tally.why_not:
+        return f"not compared: {tally.why_not}", True
+    pairs = zip(tally.numbers, estimates, strict=True)
+    same = [tally.recorded.get(n) == hash(estimate_json(e).encode()) for n, e in pairs if n in tally.recorded]
+    if all(same):
+        return f"{len(same)} of {len(same)} estimates are the same to the last bit", True
+    then, now = first.metadata, versions()
+    differs = ", ".join(f"{k} was {then.get(k)}, is {v}" for k, v in now.items() if then.get(k) != v)
+    why = differs or "the versions are the same: was the program changed?"
+    return (
+        f"{sum(same)} of {len(same)} estimates are the same, the first other one is {same.index(False)}; {why}",
+        False,
+    )

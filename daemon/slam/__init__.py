@@ -1,0 +1,1 @@
+"""From motion and crossings to a belief about pose and map."""

@@ -1,0 +1,89 @@
+"""From crossings to observations of the map: noise of eqs. 26-27, kinds in the map's quadrant, association."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ceilvo.calibration import NoiseCurves
+from ceilvo.config import Filter
+from ceilvo.crossing_types import quarter_turns, turn_kind
+from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.se2 import transform, wrap
+from ceilvo.types import Array, Crossings, Ints, Landmarks, Observations, frozen
+
+SIGMA_FLOOR_M = 1e-4
+"""No curve is trusted below this."""
+_GRID = 257
+
+
+def sigma(curves: NoiseCurves, r_m: Array) -> tuple[Array, Array]:
+    """sigma_x, sigma_y [m] at distances r_m (any shape) from the point below the camera (eqs. 26-27).
+
+    Inside [r_min, r_max] the running maximum of the polynomials, so that a dip of the fit never makes a farther
+    feature more certain; held below r_min, growing in proportion to r above r_max.
+    """
+    grid, table_x, table_y = _tables(curves)
+    r = np.asarray(r_m, np.float64)
+    beyond = np.maximum(r / grid[-1], 1.0) if grid[-1] > 0 else np.ones_like(r)
+    return np.interp(r, grid, table_x) * beyond, np.interp(r, grid, table_y) * beyond
+
+
+@lru_cache(maxsize=8)
+def _tables(curves: NoiseCurves) -> tuple[Array, Array, Array]:
+    grid = np.linspace(max(curves.r_min_m, 0.0), max(curves.r_max_m, curves.r_min_m, 0.0), _GRID)
+    x, y = (np.polynomial.polynomial.polyval(grid, np.asarray(c)) for c in (curves.sigma_x_m, curves.sigma_y_m))
+    return (
+        frozen(grid),
+        frozen(np.maximum.accumulate(np.maximum(x, SIGMA_FLOOR_M))),
+        frozen(np.maximum.accumulate(np.maximum(y, SIGMA_FLOOR_M))),
+    )
+
+
+def observe(
+    crossings: Crossings,
+    curves: NoiseCurves,
+    mount_xy_m: Array,
+    pose: Array,
+    landmarks: Landmarks,
+    settings: Filter,
+    map_axis_rad: float,
+) -> Observations:
+    """Observations of one frame, labelled with the landmarks (their index) that explain them, else -1.
+
+    Args:
+        crossings: features of the frame, in base.
+        curves: noise of commissioning; the crossings' own covariance is added to it.
+        mount_xy_m: (2,) camera in base, where r is counted from.
+        pose: (3,) predicted map_from_base.
+        landmarks: the map as estimated.
+        settings: association_gate_m is used.
+        map_axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
+    """
+    turns = quarter_turns(crossings.psi_rad + float(pose[2]), map_axis_rad)
+    kind = turn_kind(crossings.kind, turns)
+    sigma_x, sigma_y = sigma(curves, np.hypot(*(crossings.xy_base_m - mount_xy_m).T))
+    variance = np.column_stack([sigma_x**2, sigma_y**2])  # R11, R22 of eq. 27, as variances
+    variance += np.diagonal(crossings.cov_base_m2, axis1=1, axis2=2)
+    seen_at = transform(pose, crossings.xy_base_m)
+    return Observations(
+        xy_base_m=crossings.xy_base_m,
+        var_m2=frozen(variance),
+        kind=kind,
+        label=_associate(seen_at, kind, pose[:2], landmarks, settings.association_gate_m),
+        heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
+        heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
+        common_var_m2=0.5 * float(np.trace(crossings.common_cov_m2)),
+    )
+
+
+def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmarks, gate_m: float) -> Ints:
+    label = np.full(len(kind), -1, np.int64)
+    if not len(kind) or not len(landmarks):
+        return label
+    reach = np.max(np.hypot(*(xy_map_m - centre_m).T)) + gate_m
+    near = np.flatnonzero(np.hypot(*(landmarks.xy_map_m - centre_m).T) <= reach)
+    seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.kind[near], gate_m)
+    label[seen] = near[which]
+    return label

@@ -1,0 +1,156 @@
+"""What a view says of a pose: the likelihood of its features given the pose, the map being uncertain and shared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ceilvo.daemon.slam.joint_filter import View, noise_in_map
+from ceilvo.daemon.slam.joint_map import JITTER
+from ceilvo.se2 import rotation, wrap_array
+from ceilvo.types import Array
+
+
+class Conditional:
+    """p(features | pose) of one hypothesis: the landmarks given the pose are N(m + B (x - mu), C).
+
+    Innovations are linear in (x - mu, cos theta, sin theta, 1), so those of all particles, whitened, are one product.
+    """
+
+    def __init__(self, view: View, mu: Array, cov: Array) -> None:
+        self.view, self.mu = view, mu
+        cross = view.joint[3:, :3]
+        follow = np.linalg.solve(cov, cross.T).T
+        self.total: Array = view.joint[3:, 3:] - follow @ cross.T
+        add_blocks(self.total, noise_in_map(float(mu[2]), view.var * view.inflation))
+        self.lower = np.linalg.cholesky(self.total) if len(view) else np.zeros((0, 0))
+        self._inverse = np.linalg.inv(self.lower) if len(view) else self.lower
+        x, y = view.xy[:, 0], view.xy[:, 1]
+        linear = np.empty((6, 2 * len(view)))
+        linear[:3] = -follow.T
+        linear[0, 0::2] += 1.0
+        linear[1, 1::2] += 1.0
+        linear[3, 0::2], linear[3, 1::2] = x, y
+        linear[4, 0::2], linear[4, 1::2] = -y, x
+        linear[5] = (mu[:2] - view.landmark).ravel()
+        self._linear = linear
+        self._white = linear @ self._inverse.T
+
+    def _terms(self, off: Array) -> Array:
+        """(N, 6) what innovations are linear in, for poses mu + off (N, 3)."""
+        out = np.empty((len(off), 6))
+        out[:, :3] = off
+        theta = self.mu[2] + off[:, 2]
+        np.cos(theta, out=out[:, 3])
+        np.sin(theta, out=out[:, 4])
+        out[:, 5] = 1.0
+        return out
+
+    def distances(self, off: Array, gate: float) -> Array:
+        """(N, K) squared normalised innovations at mu + off, each given the earlier ones that are within the gate."""
+        terms = self._terms(off)
+        white = terms @ self._white
+        squares = white * white
+        out: Array = squares[:, 0::2] + squares[:, 1::2]
+        beyond = out > gate
+        rows = np.flatnonzero(beyond.any(axis=1))
+        if len(rows):
+            first = int(np.argmax(beyond.any(axis=0)))
+            out[rows] = self._eliminated(terms[rows] @ self._linear, white[rows], out[rows], gate, first)
+        return out
+
+    def _eliminated(self, nu: Array, white: Array, out: Array, gate: float, first: int) -> Array:
+        """One feature after the other, from the first that matters; those beyond the gate do not condition others."""
+        for k in range(first, out.shape[1]):
+            at = slice(2 * k, 2 * k + 2)
+            e = (nu[:, at] - white[:, : 2 * k] @ self.lower[at, : 2 * k].T) @ self._inverse[at, at].T
+            out[:, k] = e[:, 0] ** 2 + e[:, 1] ** 2
+            white[:, at] = e * (out[:, k] <= gate)[:, None]
+        return out
+
+    def log_likelihood(self, off: Array, gate: float) -> Array:
+        """(N,) at mu + off, with every term saturated at the gate."""
+        floor = np.exp(-0.5 * gate)
+        total = np.sum(np.log(np.exp(-0.5 * self.distances(off, gate)) + floor), axis=1)
+        if np.isfinite(self.view.heading_var):
+            total += np.log(np.exp(-0.5 * self.heading_distance(off)) + floor)
+        return np.asarray(total, np.float64)
+
+    def heading_distance(self, off: Array) -> Array:
+        """(N,) squared normalised innovation of the heading, 0 where none was measured."""
+        if not np.isfinite(self.view.heading_var):
+            return np.zeros(len(off))
+        return np.asarray(wrap_array(off[:, 2] + (self.mu[2] - self.view.heading)) ** 2 / self.view.heading_var)
+
+
+class Predicted:
+    """Innovations (K, 2) in map at a predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
+
+    def __init__(self, view: View, pose: Array, cov: Array) -> None:
+        arm = view.xy @ rotation(float(pose[2])).T
+        self.h = jacobian(arm)
+        cross = self.h @ view.joint[:3, 3:]
+        self.total: Array = self.h @ cov @ self.h.T - cross - cross.T + view.joint[3:, 3:]
+        add_blocks(self.total, noise_in_map(float(pose[2]), view.var * view.inflation))
+        self.nu: Array = pose[:2] + arm - view.landmark
+
+    def chi2(self) -> Array:
+        """(K,) squared normalised innovation of every feature by itself."""
+        k = np.arange(len(self.nu))
+        return chi2_of(self.nu, self.total.reshape(len(k), 2, len(k), 2)[k, :, k])
+
+
+def surprise_of(view: View, pose: Array, cov: Array, inflation: float) -> Array:
+    """(K,) squared normalised innovation of every feature by itself, at cost K."""
+    arm = view.xy @ rotation(float(pose[2])).T
+    h = jacobian(arm).reshape(-1, 2, 3)
+    own = h @ cov @ h.transpose(0, 2, 1)
+    cross = h @ view.joint[:3, 3:].reshape(3, -1, 2).transpose(1, 0, 2)
+    own -= cross + cross.transpose(0, 2, 1)
+    own += noise_in_map(float(pose[2]), view.var * inflation)
+    k = np.arange(len(view))
+    own += view.joint[3:, 3:].reshape(len(k), 2, len(k), 2)[k, :, k]
+    return chi2_of(pose[:2] + arm - view.landmark, own)
+
+
+def given_pose_chi2(view: View, pose: Array, mu: Array, cov: Array) -> Array:
+    """(K,) squared normalised innovation of every feature by itself, the pose being given."""
+    follow = np.linalg.solve(cov, view.joint[:3, 3:])
+    off = pose - mu
+    off[2] = wrap_array(off[2:])[0]
+    cross = view.joint[:3, 3:].reshape(3, -1, 2).transpose(1, 0, 2)
+    own = noise_in_map(float(pose[2]), view.var * view.inflation)
+    own -= follow.reshape(3, -1, 2).transpose(1, 2, 0) @ cross
+    k = np.arange(len(view))
+    own += view.joint[3:, 3:].reshape(len(k), 2, len(k), 2)[k, :, k]
+    nu = pose[:2] + view.xy @ rotation(float(pose[2])).T - view.landmark
+    return chi2_of(nu - (off @ follow).reshape(-1, 2), own)
+
+
+def chi2_of(nu: Array, own: Array) -> Array:
+    """(K,) of innovations (K, 2) with covariances (K, 2, 2)."""
+    det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
+    x, y = nu[:, 0], nu[:, 1]
+    return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
+
+
+def root_of(cov: Array) -> Array:
+    """A root of a covariance, also of one that rounding has made slightly indefinite."""
+    try:
+        return np.asarray(np.linalg.cholesky(cov), np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(cov)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, JITTER[0])), np.float64)
+
+
+def jacobian(arm: Array) -> Array:
+    """(2 K, 3) of features in map by the pose; arm (K, 2) is from the robot to them."""
+    h = np.zeros((2 * len(arm), 3))
+    h[0::2, 0] = h[1::2, 1] = 1.0
+    h[0::2, 2], h[1::2, 2] = -arm[:, 1], arm[:, 0]
+    return h
+
+
+def add_blocks(square: Array, blocks: Array) -> None:
+    """Add (K, 2, 2) to the diagonal of (2 K, 2 K), in place."""
+    k = np.arange(len(blocks))
+    square.reshape(len(blocks), 2, len(blocks), 2)[k, :, k] += blocks

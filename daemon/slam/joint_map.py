@@ -1,0 +1,234 @@
+"""Pose and landmarks as one Gaussian: a window of landmarks with all their correlations, and the rest without."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.slam.paper.particle_maps import unpacked
+from ceilvo.se2 import compose, rotation, wrap
+from ceilvo.types import Array, Ints, Landmarks, Motion, frozen
+
+WINDOW = 160
+"""Landmarks whose correlations are kept; beyond, those seen least recently keep their own covariance only."""
+JITTER = np.array([1e-12, 1e-12, 1e-12])
+_POSE = np.arange(3)
+
+
+class JointMap:
+    """Mean (3 + 2 W,) and covariance of the pose and the W landmarks in the window, and a table of all landmarks.
+
+    Labels are rows of the table. A row in the window has a slot; its other columns are then out of date until it
+    leaves.
+    """
+
+    def __init__(self, pose: Array, cov: Array) -> None:
+        self.mean: Array = np.array(pose, np.float64)
+        self.mean[2] = wrap(float(self.mean[2]))
+        self.cov: Array = np.array(cov, np.float64) + np.diag(JITTER)
+        self.label_of: Ints = np.empty(0, np.int64)
+        self.ids: Ints = np.empty(0, np.int64)
+        self.kind: Ints = np.empty(0, np.int64)
+        self.sightings: Ints = np.empty(0, np.int64)
+        self.seen_at: Ints = np.empty(0, np.int64)
+        self.confirmed: NDArray[np.bool_] = np.empty(0, bool)
+        self.slot: Ints = np.empty(0, np.int64)
+        self._xy: Array = np.empty((0, 2))
+        self._packed: Array = np.empty((0, 3))
+        self._next_id = 0
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    # -- the pose
+
+    @property
+    def pose(self) -> Array:
+        return self.mean[:3]
+
+    @property
+    def pose_cov(self) -> Array:
+        return self.cov[:3, :3]
+
+    def move(self, motion: Motion) -> None:
+        """Compose the pose with a motion; the landmarks stay (eq. 17)."""
+        x, y, theta = self.mean[0], self.mean[1], float(self.mean[2])
+        self.mean[:3] = compose(self.mean[:3], motion.prev_from_curr)
+        f, g = np.eye(3), np.eye(3)
+        f[0, 2], f[1, 2] = y - self.mean[1], self.mean[0] - x
+        g[:2, :2] = rotation(theta)
+        self.cov[:3] = f @ self.cov[:3]
+        self.cov[3:, :3] = self.cov[:3, 3:].T
+        own = self.cov[:3, :3] @ f.T + g @ motion.cov @ g.T
+        self.cov[:3, :3] = 0.5 * (own + own.T)
+
+    def put_pose(self, pose: Array, cov: Array) -> None:
+        """A new pose that knows nothing of the map."""
+        self.mean[:3] = pose
+        self.cov[:3, :], self.cov[:, :3] = 0.0, 0.0
+        self.cov[:3, :3] = cov + np.diag(JITTER)
+
+    # -- the landmarks
+
+    def rows(self, labels: Ints) -> Ints:
+        """(2 K,) rows of mean and cov of landmarks in the window."""
+        first = 3 + 2 * self.slot[labels]
+        return np.column_stack([first, first + 1]).ravel()
+
+    def xy(self, labels: Ints) -> Array:
+        """(K, 2) means."""
+        out, inside = self._xy[labels], self.slot[labels] >= 0
+        out[inside] = self.mean[self.rows(labels[inside])].reshape(-1, 2)
+        return out
+
+    def packed(self, labels: Ints) -> Array:
+        """(K, 3) covariances xx, xy, yy."""
+        out, inside = self._packed[labels], self.slot[labels] >= 0
+        a = 3 + 2 * self.slot[labels[inside]]
+        out[inside] = np.column_stack([self.cov[a, a], self.cov[a, a + 1], self.cov[a + 1, a + 1]])
+        return out
+
+    def load(self, landmarks: Landmarks) -> None:
+        """Append a map; its landmarks enter the window when they are seen."""
+        self._append(landmarks.kind, landmarks.sightings, landmarks.ids, confirmed=True)
+        n = len(landmarks)
+        self._xy[-n:], self._packed[-n:] = landmarks.xy_map_m, landmarks.cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
+
+    def _append(self, kind: Ints, sightings: Ints, ids: Ints | None, confirmed: bool) -> Ints:
+        n, old = len(kind), len(self)
+        ids = self._next_id + np.arange(n) if ids is None else ids
+        self._next_id = max(self._next_id, int(np.max(ids, initial=-1)) + 1)
+        self.ids, self.kind = np.concatenate([self.ids, ids]), np.concatenate([self.kind, kind])
+        self.sightings = np.concatenate([self.sightings, sightings])
+        self.seen_at = np.concatenate([self.seen_at, np.zeros(n, np.int64)])
+        self.confirmed = np.concatenate([self.confirmed, np.full(n, confirmed)])
+        self.slot = np.concatenate([self.slot, np.full(n, -1)])
+        self._xy = np.concatenate([self._xy, np.zeros((n, 2))])
+        self._packed = np.concatenate([self._packed, np.zeros((n, 3))])
+        return np.arange(old, old + n)
+
+    def _widen(self, labels: Ints, xy: Array, cross: Array, own: Array) -> None:
+        """Into the window: means (K, 2), their covariance with the state (2 K, S) and with each other (2 K, 2 K)."""
+        size = len(self.mean)
+        self.slot[labels] = (size - 3) // 2 + np.arange(len(labels))
+        self.label_of = np.concatenate([self.label_of, labels])
+        self.mean = np.concatenate([self.mean, xy.ravel()])
+        wider = np.empty((len(self.mean), len(self.mean)))
+        wider[:size, :size], wider[size:, :size], wider[:size, size:], wider[size:, size:] = (
+            self.cov,
+            cross,
+            cross.T,
+            own,
+        )
+        self.cov = wider
+
+    def bring_in(self, labels: Ints) -> None:
+        """Landmarks in the table only enter the window with their own covariance."""
+        labels = labels[self.slot[labels] < 0]
+        if not len(labels):
+            return
+        own = np.zeros((2 * len(labels), 2 * len(labels)))
+        for i, block in enumerate(unpacked(self._packed[labels])):
+            own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block
+        self._widen(labels, self._xy[labels], np.zeros((2 * len(labels), len(self.mean))), own)
+
+    def give_birth(self, xy_base: Array, var: Array, kind: Ints, now: int) -> Ints:
+        """Unconfirmed landmarks where the pose sees them: xy_base (K, 2), var (K, 2) along base x and y."""
+        r = rotation(float(self.mean[2]))
+        arm = xy_base @ r.T
+        h = np.zeros((2 * len(kind), 3))
+        h[0::2, 0] = h[1::2, 1] = 1.0
+        h[0::2, 2], h[1::2, 2] = -arm[:, 1], arm[:, 0]
+        cross = h @ self.cov[:3]
+        own = cross[:, :3] @ h.T
+        for i, v in enumerate(var):
+            own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += (r * v) @ r.T
+        labels = self._append(kind, np.ones(len(kind), np.int64), None, confirmed=False)
+        self.seen_at[labels] = now
+        self._widen(labels, self.mean[:2] + arm, cross, own)
+        return labels
+
+    def merge(self, keep: int, drop: int, gate_chi2: float) -> bool:
+        """Make one of two landmarks by observing that their difference is zero, where that is plausible."""
+        self.bring_in(np.array([keep, drop]))
+        rows = self.rows(np.array([keep, drop]))
+        cross = self.cov[:, rows[:2]] - self.cov[:, rows[2:]]
+        off = self.mean[rows[:2]] - self.mean[rows[2:]]
+        total = cross[rows[:2]] - cross[rows[2:]] + JITTER[0] * np.eye(2)
+        if float(off @ np.linalg.solve(total, off)) > gate_chi2:
+            return False
+        gain = np.linalg.solve(total, cross.T).T
+        step = along_the_turn(-gain @ off)
+        self.mean = self.mean + step
+        self.mean[2] = wrap(float(self.mean[2]))
+        cov = self.cov - gain @ cross.T
+        self.cov = 0.5 * (cov + cov.T)
+        turn_about(self.cov, step)
+        self.sightings[keep] += self.sightings[drop]
+        self.confirmed[keep] |= self.confirmed[drop]
+        self.forget(np.array([drop]))
+        return True
+
+    def forget(self, labels: Ints) -> None:
+        """Drop landmarks; labels above them move down."""
+        if not len(labels):
+            return
+        self._narrow(labels[self.slot[labels] >= 0])
+        keep = np.ones(len(self), bool)
+        keep[labels] = False
+        moved = np.cumsum(keep) - 1
+        self.label_of = moved[self.label_of]
+        self.ids, self.kind, self.sightings = self.ids[keep], self.kind[keep], self.sightings[keep]
+        self.seen_at, self.confirmed, self.slot = self.seen_at[keep], self.confirmed[keep], self.slot[keep]
+        self._xy, self._packed = self._xy[keep], self._packed[keep]
+
+    def _narrow(self, labels: Ints) -> None:
+        """Out of the window, keeping their own covariance in the table."""
+        if not len(labels):
+            return
+        self._xy[labels], self._packed[labels] = self.xy(labels), self.packed(labels)
+        keep = np.ones(len(self.mean), bool)
+        keep[self.rows(labels)] = False
+        self.mean, self.cov = self.mean[keep], self.cov[np.ix_(keep, keep)]
+        self.label_of = self.label_of[keep[3::2]]
+        self.slot[labels] = -1
+        self.slot[self.label_of] = np.arange(len(self.label_of))
+
+    def bound(self, window: int = WINDOW) -> None:
+        """Let the landmarks that were seen least recently leave the window; an eighth at a time, for moving costs."""
+        if len(self.label_of) > window:
+            order = np.argsort(self.seen_at[self.label_of], kind="stable")
+            self._narrow(self.label_of[order[: len(order) - window + window // 8]])
+
+    def summary(self, labels: Ints) -> Landmarks:
+        return Landmarks(
+            ids=self.ids[labels],
+            xy_map_m=frozen(self.xy(labels)),
+            cov_m2=frozen(unpacked(self.packed(labels))),
+            kind=self.kind[labels],
+            sightings=self.sightings[labels],
+        )
+
+
+def along_the_turn(step: Array) -> Array:
+    """A correction (3 + 2 W,) of pose and landmarks, its displacements along the arcs of its change of heading."""
+    half = 0.5 * step[2]
+    c, s = np.cos(half) * np.sinc(half / np.pi), np.sin(half) * np.sinc(half / np.pi)
+    out: Array = step.copy()
+    out[0], out[1] = c * step[0] - s * step[1], s * step[0] + c * step[1]
+    out[3::2], out[4::2] = c * step[3::2] - s * step[4::2], s * step[3::2] + c * step[4::2]
+    return out
+
+
+def turn_about(cov: Array, step: Array) -> None:
+    """Let the error of heading turn the estimate where it is now, not where it was before a step (3 + 2 W,); in place.
+
+    Else a filter learns its heading from its own corrections: pose and map together may turn freely (the invariant
+    error of Barrau and Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015).
+    """
+    lever = np.zeros(len(step))
+    lever[0], lever[1] = -step[1], step[0]
+    lever[3::2], lever[4::2] = -step[4::2], step[3::2]
+    half = cov[2] + (0.5 * cov[2, 2]) * lever
+    change = np.outer(lever, half)
+    cov += change + change.T

@@ -1,0 +1,1 @@
+"""The rivals, and the paper to the letter."""

@@ -1,0 +1,91 @@
+"""Stage 3: crossings of perpendicular lines, placed on the ceiling (eqs. 5-7)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.crossing_types import crossing_kind
+from ceilvo.daemon.vision import kernel
+from ceilvo.types import Crossings, Lines
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_COVERAGE_BIN_PX = 2.0
+_EVEN_BIN_SPACINGS = 1.5  # no bin of a line that is there stays empty
+_CORNER_PX = 2.0
+_ARM_SHARE = 0.6
+_FEWEST_HITS = 2.0
+_REACH_POINTS = 2.5
+
+
+def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings:
+    """Crossings where both lines have edge points nearby; the others are crossings of mere extensions."""
+    first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
+    reach = max(config.crossing_reach_px, _REACH_POINTS / lines.share)
+    there = _covered(lines, first, 1, lines.offset_px[second], reach) & (
+        _covered(lines, second, 0, lines.offset_px[first], reach).T
+    )
+    i, j = np.nonzero(there)
+    a, b = first[i], second[j]
+    normals = _normals(lines.psi_rad)
+    uv_rel = lines.offset_px[a, None] * normals[0] + lines.offset_px[b, None] * normals[1]
+    view = calibration.level_view
+    uv = uv_rel + np.array([view.camera.cx_px, view.camera.cy_px])
+    metres_per_px = calibration.ceiling_height_m / view.focal_px
+    var = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2
+    roll, pitch = calibration.ceiling_height_m * lines.tilt_sigma_rad
+    common = np.diag([pitch**2, roll**2])
+    cov = np.einsum("mk,ki,kj->mij", var, normals, normals) + common
+    return Crossings(
+        uv_px=uv,
+        xy_base_m=to_ceiling(calibration.ceiling_from_level, uv),
+        cov_base_m2=cov,
+        kind=crossing_kind(lines.kind[a], lines.kind[b]),
+        psi_rad=lines.psi_rad,
+        psi_sigma_rad=lines.psi_sigma_rad,
+        tilt_rad=lines.tilt_rad,
+        tilt_sigma_rad=lines.tilt_sigma_rad,
+        common_cov_m2=common,
+    )
+
+
+def to_ceiling(ceiling_from_level: Array, uv_px: Array) -> Array:
+    """(M, 2) metres on the ceiling in base for (M, 2) level pixels."""
+    s = np.column_stack([uv_px, np.ones(len(uv_px))]) @ ceiling_from_level.T  # eq. 7
+    return np.asarray(s[:, :2] / s[:, 2:], np.float64)
+
+
+def _normals(psi: float) -> Array:
+    c, s = np.cos(psi), np.sin(psi)
+    return np.array([[c, s], [-s, c]])
+
+
+def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: float) -> NDArray[np.bool_]:
+    """(len(ids), len(at)): does the line have edge points along most of an arm that begins at a position?
+
+    One arm is enough: at the corner of a lamp both lines have but one.
+    """
+    if len(ids) == 0 or len(at) == 0:
+        return np.zeros((len(ids), len(at)), bool)
+    row = np.full(len(lines.axis), -1, np.int32)
+    row[ids] = np.arange(len(ids), dtype=np.int32)
+    bin_px = _EVEN_BIN_SPACINGS / lines.share if lines.evenly else _COVERAGE_BIN_PX
+    margin = reach_px + 2.0 * bin_px
+    low = float(at.min()) - margin
+    bins = int((float(at.max()) - low + margin) / bin_px) + 2
+    normal = _normals(lines.psi_rad)[along_axis]
+    hit = kernel.hits(
+        np.asarray(lines.points, np.float32), row[lines.point_line], normal, low, bin_px, (len(ids), bins)
+    )
+    total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
+    cells = [((at + d - low) / bin_px).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)]
+    before = total[:, cells[2] + 1] - total[:, cells[0]]
+    after = total[:, cells[3] + 1] - total[:, cells[1]]
+    # of the bins along a line that is there
+    filled = 1.0 if lines.evenly else 1.0 - (1.0 - lines.share) ** bin_px
+    need = _ARM_SHARE * filled * reach_px / bin_px
+    return np.asarray(np.maximum(before, after) >= max(need, _FEWEST_HITS))

@@ -1,0 +1,209 @@
+"""Stages 1 and 2 when the last frame tells where to look: edges only near predicted ones.
+
+A sparse look along every predicted edge tells by how much the whole picture is off: the scene is rigid, so two shifts,
+a turn and a tilt do for all edges. A close look there finds the same edge points that a full detection would, and they
+go into the same joint least squares. When too few of the predicted edges are there, or they fit worse than lately, the
+answer is None and the caller looks at the whole frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.edges import gradient
+from ceilvo.daemon.vision.kernel.reference import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
+from ceilvo.daemon.vision.line_detection import AS_CLEAN, LastFit
+from ceilvo.daemon.vision.line_fit import JointFit, Points
+from ceilvo.daemon.vision.line_pairing import EdgeSet, join_grooves
+from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.se2 import rotation
+from ceilvo.types import Array, Ints, Lines
+
+_CELL_PX = 4.0
+_SPARSE_PX, _FAR_PX = 12.0, 10.0
+_CLOSE_PX, _NEAR_PX = 2.0, 2.0
+_GROW_PX = 15.0
+_SHIFT_GATES_PX = (4.0, 2.5, 1.5)
+_SHIFTS_PX = np.arange(-_FAR_PX - 2.0, _FAR_PX + 3.0)
+_LIKELY = np.exp(-0.5 * (_SHIFTS_PX / 5.0) ** 2)
+_BENT_RAD, _HELD_RAD = 0.02, 1e-9
+_FEWEST_POINTS = 40
+_FEWEST_CLOSE = 600  # with less to see a whole look costs little, and sees what a band misses
+_SEEN_SHARE, _FOUND_SHARE = 0.4, 0.7
+_FEWEST_LOOKS, _FEWEST_LINES = 4, 4
+
+
+def predicted(edges: EdgeSet, prev_from_curr: Array, calibration: Calibration) -> EdgeSet:
+    """The edges where a robot that moved by prev_from_curr (3,) should see them."""
+    px_per_m = calibration.level_view.focal_px / calibration.ceiling_height_m
+    turn = rotation(float(prev_from_curr[2]))
+    mount = calibration.mount_xy_m
+    shift = px_per_m * (turn @ mount + prev_from_curr[:2] - mount)
+    angle = edges.psi_rad + 0.5 * np.pi * edges.axis
+    across = np.cos(angle) * shift[0] + np.sin(angle) * shift[1]
+    along = -np.sin(angle) * shift[0] + np.cos(angle) * shift[1]
+    return replace(
+        edges,
+        psi_rad=edges.psi_rad - float(prev_from_curr[2]),
+        offset_px=edges.offset_px - across,
+        start_px=edges.start_px - along - _GROW_PX,
+        end_px=edges.end_px - along + _GROW_PX,
+    )
+
+
+class BandDetector:
+    """Looks for predicted edges in raw frames of one camera."""
+
+    def __init__(self, calibration: Calibration, config: Features) -> None:
+        self._config = config
+        self._focal = calibration.level_view.focal_px
+        self._grids = look_ups(calibration, config.max_view_deg)
+        self._gate = float(np.cos(np.radians(config.direction_gate_deg)))
+        self._bent_rad = _BENT_RAD if config.estimate_tilt else _HELD_RAD
+
+    def __call__(
+        self, gray: NDArray[np.uint8], expected: EdgeSet, last: LastFit, prior: TiltPrior
+    ) -> tuple[Lines, EdgeSet] | None:
+        """Lines at the expected places, or None when too few are there.
+
+        Args:
+            last: of the frames before; the tilt is where the search begins.
+            prior: for the final estimate of the tilt.
+        """
+        dx, dy, floor, _ = gradient(gray, self._config)
+        edges = _by_group(expected)
+
+        def look(edges: EdgeSet, tilt_rad: Array, look: Look) -> tuple[Points, Int32s, Ints]:
+            x, y, line, looked = kernel.follow(dx, dy, self._grids, _oriented(edges), tilt_rad, self._focal, look)
+            return Points(x, y, _ends(line, edges), np.inf), line, looked
+
+        sparse = look(edges, last.tilt_rad, Look(_SPARSE_PX, _FAR_PX, floor, self._gate, True))
+        if len(sparse[1]) < _FEWEST_POINTS:
+            return None
+        edges, tilt_rad = _aligned(edges, sparse[0], sparse[1], last.tilt_rad, self._focal, self._bent_rad)
+        points, line, looked = look(edges, tilt_rad, Look(_CLOSE_PX, _NEAR_PX, floor, self._gate, False))
+        if len(line) < _FEWEST_CLOSE or not _enough(np.bincount(line, minlength=len(looked)), looked * edges.filled):
+            return None
+        return self._fit(points, line, edges, tilt_rad, last, prior)
+
+    def _fit(
+        self, points: Points, line: Int32s, edges: EdgeSet, tilt_rad: Array, last: LastFit, prior: TiltPrior
+    ) -> tuple[Lines, EdgeSet] | None:
+        share = 1.0 / _CLOSE_PX
+        starts = [edges.offset_px[_group(edges) == g] for g in range(4)]
+        fit = JointFit(points, edges.psi_rad, starts, self._focal, self._config, share, tilt_rad)
+        fit.start(line, edges.offset_px)
+        fit.solve()
+        free = fit.finish()
+        if fit.noise_px > AS_CLEAN * last.noise_px:
+            return None
+        if self._config.estimate_tilt:
+            fit.lean_on(prior)
+        return join_grooves(fit, self._config, share, free, evenly=True)
+
+
+def look_ups(calibration: Calibration, max_view_deg: float) -> Grids:
+    """Look-ups to the level view and back, where the lens can be inverted."""
+    view = calibration.level_view
+    lookup = view.lookup(max_view_deg, LOOKUP_STEP_PX)
+    low = np.floor((np.nanmin(lookup, axis=(0, 1)) - SEGMENT_PX) / _CELL_PX) * _CELL_PX
+    high = np.nanmax(lookup, axis=(0, 1)) + SEGMENT_PX
+    x, y = (np.arange(a, b + _CELL_PX, _CELL_PX) for a, b in zip(low, high, strict=True))
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    centre = np.array([view.camera.cx_px, view.camera.cy_px])
+    raw = view.to_raw(grid + centre)
+    back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre  # a lens folds over beyond its edge: not invertible
+    raw[~(np.hypot(*(back - grid).T) < 0.5)] = np.nan
+    table = np.ascontiguousarray(raw.reshape(len(y), len(x), 2), np.float32)
+    return Grids(lookup, table, (float(low[0]), float(low[1])), _CELL_PX)
+
+
+def _group(edges: EdgeSet) -> Ints:
+    return np.asarray(2 * edges.axis + edges.rising, np.int64)
+
+
+def _by_group(edges: EdgeSet) -> EdgeSet:
+    """Edges in the order in which points stand: group after group."""
+    order = np.argsort(_group(edges), kind="stable")
+    fields = {k: getattr(edges, k)[order] for k in ("axis", "rising", "offset_px", "start_px", "end_px", "filled")}
+    return replace(edges, **fields)
+
+
+def _ends(line: Int32s, edges: EdgeSet) -> Ends:
+    count = np.bincount(_group(edges)[line], minlength=4)
+    a, b, c, d, e = np.cumsum([0, *count]).tolist()
+    return a, b, c, d, e
+
+
+def _oriented(edges: EdgeSet) -> Array:
+    """(E, 5) rows of kernel.follow: cos and sin of the way brightness rises, offset, start, end."""
+    sign = np.where(edges.rising, 1.0, -1.0)
+    angle = edges.psi_rad + 0.5 * np.pi * edges.axis
+    start, end = (
+        np.where(edges.rising, a, -b) for a, b in ((edges.start_px, edges.end_px), (edges.end_px, edges.start_px))
+    )
+    return np.column_stack([sign * np.cos(angle), sign * np.sin(angle), sign * edges.offset_px, start, end])
+
+
+def _aligned(
+    edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, focal_px: float, bent_rad: float
+) -> tuple[EdgeSet, Array]:
+    """The edges and the tilt, moved by the shift, turn and tilt (of about bent_rad) that most points share."""
+    half = points.ends[2]
+    rho, tangent = (v.astype(np.float64) for v in kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad))
+    off_px = rho * focal_px - edges.offset_px[line]
+    fitted, found = np.empty(len(line)), np.zeros(5)
+    model = np.zeros((len(line), 5))
+    for axis, part in enumerate((slice(0, half), slice(half, None))):
+        fitted[part] = _mode(off_px[part])
+        model[part, axis] = 1.0
+        model[part, 2:] = _bends(edges.psi_rad + 0.5 * np.pi * axis, rho[part], tangent[part])
+    model[:, 2:] *= -focal_px
+    weak = np.diag([1e-6, 1e-6, _BENT_RAD**-2, bent_rad**-2, bent_rad**-2])
+    for gate in _SHIFT_GATES_PX:
+        use = np.abs(off_px - fitted) < gate
+        m = model[use]
+        found = np.linalg.solve(m.T @ m + weak, m.T @ off_px[use])
+        fitted = model @ found
+    shift = np.where(edges.axis == 0, found[0], found[1])
+    moved = replace(edges, psi_rad=edges.psi_rad + float(found[2]), offset_px=edges.offset_px + shift)
+    return moved, tilt_rad + found[3:]
+
+
+def _bends(angle_rad: float, rho: Array, tangent: Array) -> Array:
+    """(K, 3) how rho of a ray as a level robot sees it grows with the direction and with the tilt taken off it.
+
+    Args:
+        angle_rad: of the normal that rho is counted along.
+    """
+    nx, ny = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = rho * nx - tangent * ny, rho * ny + tangent * nx
+    about_x = -nx * x * y - ny * (1.0 + y * y)
+    about_y = nx * (1.0 + x * x) + ny * x * y
+    return np.column_stack([tangent, about_x, about_y])
+
+
+def _mode(off_px: Array) -> float:
+    """The shift that most points share; small ones are likelier beforehand."""
+    if len(off_px) == 0:
+        return 0.0
+    reach = len(_SHIFTS_PX) // 2
+    cell = np.clip(np.rint(off_px).astype(np.int64) + reach, 0, 2 * reach)
+    votes = np.bincount(cell, minlength=len(_SHIFTS_PX))
+    three = votes.copy()
+    three[1:] += votes[:-1]
+    three[:-1] += votes[1:]
+    return float(_SHIFTS_PX[np.argmax(three * _LIKELY)])
+
+
+def _enough(found: Ints, hoped: Array) -> bool:
+    """Whether most of the predicted edges that are in view were seen along a good part of what was seen of them."""
+    in_view = hoped >= _FEWEST_LOOKS
+    seen = np.count_nonzero(in_view & (found >= _SEEN_SHARE * hoped))
+    return bool(seen >= max(_FOUND_SHARE * np.count_nonzero(in_view), _FEWEST_LINES))

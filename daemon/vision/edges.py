@@ -1,0 +1,81 @@
+"""Stage 1: edge points, to sub-pixel, in the level view (noise-adaptive Canny; points are undistorted, not images)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.kernel import reference as kernel_numpy
+from ceilvo.daemon.vision.kernel.reference import Int16s
+
+Array32 = NDArray[np.float32]
+
+_MEDIAN_TO_SIGMA = 1.4826
+_NOISE_STRIDE = 11
+_LEVELS = (1 << 16) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Edges:
+    """Edge points.
+
+    Attributes:
+        uv_px: (P, 2) in the level view, relative to its principal point.
+        phi_deg: (P,) direction of the gradient, along which brightness rises, in [0, 360).
+        share: how many of the edge points these are; a frame with very many is sampled evenly.
+    """
+
+    uv_px: Array32
+    phi_deg: Array32
+    share: float = 1.0
+
+
+class EdgeDetector:
+    """Finds edge points in raw frames of one camera; the look-up to the level view is made once."""
+
+    def __init__(self, calibration: Calibration, config: Features) -> None:
+        self._config = config
+        self._lookup = calibration.level_view.lookup(config.max_view_deg, kernel_numpy.LOOKUP_STEP_PX)
+        shape = calibration.camera.height_px, calibration.camera.width_px
+        usable = _interpolated(np.isfinite(self._lookup[..., 0]), shape)
+        usable[[0, -1], :] = False
+        usable[:, [0, -1]] = False
+        self._usable = usable.astype(np.uint8) * 255
+        # a fixed, patternless order of the pixels: a regular one would favour lines at some angle
+        rank = np.random.default_rng(0).permutation(usable.size) * _LEVELS // usable.size
+        self._rank = rank.astype(np.uint16)
+
+    def __call__(self, gray: NDArray[np.uint8]) -> Edges:
+        """Edge points of a (H, W) frame of the calibrated size."""
+        dx, dy, low, high = gradient(gray, self._config)
+        mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
+        edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
+        limit, share = self._limit(cv2.countNonZero(edges))
+        uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit)
+        return Edges(uv, phi, share)
+
+    def _limit(self, found: int) -> tuple[int, float]:
+        share = self._config.max_edge_share * self._usable.size / max(found, 1)
+        return (_LEVELS, 1.0) if share >= 1.0 else (int(share * _LEVELS), share)
+
+
+def gradient(gray: NDArray[np.uint8], config: Features) -> tuple[Int16s, Int16s, float, float]:
+    """(H, W) gradient along x and y of the smoothed frame, and the lower and upper threshold its noise asks for."""
+    smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
+    dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(smooth))
+    noise = _MEDIAN_TO_SIGMA * kernel_numpy.median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE]).reshape(-1))
+    high = max(config.canny_sigmas * noise, config.canny_floor)
+    return dx, dy, config.canny_low_ratio * high, high
+
+
+def _interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """(H, W) pixels all four corners of whose cell of the look-up are known."""
+    cell = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    step = kernel_numpy.LOOKUP_STEP_PX
+    return np.asarray(cell.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])

@@ -1,0 +1,211 @@
+"""Stage 2: straight lines that are all parallel or perpendicular, with the robot's tilt, in one least squares.
+
+Canny's points vote in a Hough transform restricted to the dominant direction; the peaks start a joint least squares
+whose unknowns are the common direction, the tilt (roll, pitch) and one offset a line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.config import Features
+from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.edges import Edges
+from ceilvo.daemon.vision.line_fit import JointFit, Points
+from ceilvo.daemon.vision.line_pairing import EdgeSet, fold, join_grooves
+from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.types import Array, Lines
+
+Array32 = NDArray[np.float32]
+
+_GATES_PX = (6.0, 3.0)
+_FINE_BIN_PX = 1.0
+_FINE_GATE_PX = 2.0
+_NO_WORSE = 0.95
+_VAGUE_RAD = np.radians(0.1)
+_STEADY_RAD = np.radians(0.1)
+_DIRECTION_REACH_DEG = 4.0
+_FEWEST_VOTES = 8.0
+_TILT_GROWS = 1.2
+_ENOUGH_TO_START = 4000
+_LEVEL = np.zeros(2)
+AS_CLEAN = 1.15
+
+
+def dominant_direction(phi_deg: Array32) -> float | None:
+    """Direction in [-pi/4, pi/4) that most gradients share modulo 90 deg, or None without points."""
+    if len(phi_deg) == 0:
+        return None
+    folded = _modulo_90(phi_deg[:: 1 + len(phi_deg) // _ENOUGH_TO_START])
+    votes = np.bincount(np.clip(folded.astype(np.int32), 0, 89), minlength=90)  # rounding may reach 90, or fall below 0
+    peak = float(np.argmax(votes + np.roll(votes, 1) + np.roll(votes, -1))) + 0.5
+    off = _modulo_90(folded - np.float32(peak - 45.0)) - np.float32(45.0)
+    near = off[np.abs(off) < _DIRECTION_REACH_DEG]
+    return fold(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))
+
+
+def _modulo_90(degrees: Array32) -> Array32:
+    return np.asarray(degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0)), np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class LastFit:
+    """What the frames before say of the next: (2,) tilt of the last, and how well lines have fitted lately, px."""
+
+    tilt_rad: Array
+    noise_px: float
+
+
+_NOTHING = LastFit(_LEVEL, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Points of one frame and where their lines begin."""
+
+    points: Points
+    psi: float
+    starts: list[Array]
+    config: Features
+    focal_px: float
+    share: float
+
+    def begun(self, tilt_rad: Array, tilt: bool = True) -> JointFit:
+        """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: sharper ones."""
+        points, config, share = self.points, self.config, self.share
+        stride = points.stride_to(_ENOUGH_TO_START)
+        few = points.thinned(stride)
+        coarse = JointFit(few, self.psi, self.starts, self.focal_px, config, share / stride, tilt_rad)
+        for gate_px in _GATES_PX:
+            coarse.assign(gate_px)
+            coarse.solve(tilt)
+        need = max(config.min_line_points * share, _FEWEST_VOTES)
+        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, share, coarse.tilt)
+        again = Points(fine.rho, fine.tangent, points.ends, _TILT_GROWS * points.reach)
+        fine.restart(_peaks(_votes(again, (0.0, 0.0), self.focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
+        fine.assign(_FINE_GATE_PX)
+        fine.solve(tilt)
+        return fine
+
+    def solved(self, tilt_rad: Array) -> _Found:
+        """The fit that begins at a tilt, and the tilt that it says."""
+        fit = self.begun(tilt_rad)
+        return fit, fit.finish()
+
+
+_Found = tuple[JointFit, TiltPrior]
+
+
+def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None) -> Lines | None:
+    """Lines of one frame, or None when too few edge points agree on a direction.
+
+    Args:
+        focal_px: of the level view.
+        prior: how this robot has tilted lately; used unless this frame contradicts it.
+    """
+    found = detect(edges, config, focal_px, prior)
+    return None if found is None else found[0]
+
+
+def detect(
+    edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None, last: LastFit = _NOTHING
+) -> tuple[Lines, EdgeSet] | None:
+    """As find_lines, with the edges under the lines.
+
+    Args:
+        last: of the frames before; where to begin for a robot that rocks.
+    """
+    psi = dominant_direction(edges.phi_deg)
+    if psi is None:
+        return None
+    x, y, ends = kernel.split(
+        edges.uv_px, edges.phi_deg, float(np.degrees(psi)), config.direction_gate_deg, 1.0 / focal_px
+    )
+    points = Points(x, y, ends, _reach(x, y))
+    psi, starts = _hough(points, psi, config, edges.share, focal_px)
+    if sum(len(s) for s in starts) < 2:
+        return None
+    problem = _Problem(points, psi, starts, config, focal_px, edges.share)
+    if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
+        fit, free = _of_steady(problem, prior)
+    else:
+        fit, free = _of_rocking(problem, last)
+    if prior is not None and config.estimate_tilt:
+        fit.lean_on(prior)
+    return join_grooves(fit, config, edges.share, free)
+
+
+def _of_steady(problem: _Problem, prior: TiltPrior | None) -> _Found:
+    """A robot that has not tilted lately, or of which nothing is known yet."""
+    fit, free = problem.solved(_LEVEL)
+    expected = _LEVEL if prior is None else prior.mean_rad
+    if not problem.config.estimate_tilt:
+        return fit, free
+    vague = prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD
+    if not vague and not fit.doubts(expected, prior):
+        return fit, free
+    level = problem.begun(expected, tilt=False)
+    if vague:  # so few lines that any tilt fits: then none is read from them
+        level.hold()
+        return level, free
+    held = level, level.finish()
+    # a fit that began with another tilt must convince clearly more points than one that began where expected
+    return held if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
+
+
+def _of_rocking(problem: _Problem, last: LastFit) -> _Found:
+    """Begin where the last frame was; where that fits worse than lately, false optima are likely: look for a better."""
+    best = problem.solved(last.tilt_rad)
+    if best[0].noise_px < AS_CLEAN * last.noise_px:
+        return best
+    for tilt_rad in (_LEVEL, None):
+        other = problem.solved(best[0].tilt if tilt_rad is None else tilt_rad)
+        best = min(best, other, key=lambda found: found[0].cost(len(problem.points.x)))
+    return best
+
+
+def _reach(x: Array32, y: Array32) -> float:
+    """No point is further from the centre."""
+    return float(np.hypot(*(max(v.max(initial=0.0), -v.min(initial=0.0)) for v in (x, y))))
+
+
+def _hough(points: Points, psi: float, config: Features, share: float, focal_px: float) -> tuple[float, list[Array]]:
+    """The direction with the sharpest votes and, for each group, line offsets."""
+    reach, bin_px = np.radians(config.hough_angle_deg), config.hough_bin_px
+    angles = (psi + np.linspace(-reach, reach, 5)).tolist()
+    stride = points.stride_to(_ENOUGH_TO_START)
+    few = (_votes(points, (a, a + 0.5 * np.pi), focal_px, bin_px, stride) for a in angles)
+    best = angles[int(np.argmax([np.vdot(v, v) for v in few]))]
+    need = max(config.min_line_points * share, _FEWEST_VOTES)
+    votes = _votes(points, (best, best + 0.5 * np.pi), focal_px, bin_px)
+    return best, _peaks(votes, need, config, bin_px)
+
+
+def _votes(
+    points: Points, angles_rad: tuple[float, float], focal_px: float, bin_px: float, stride: int = 1
+) -> NDArray[np.int64]:
+    """(4, B) votes of each group, for bins to either side of offset 0."""
+    half = int(points.reach * focal_px / bin_px) + 3
+    return kernel.vote(points.x, points.y, points.ends, angles_rad, focal_px / bin_px, half, stride)
+
+
+def _peaks(votes: NDArray[np.int64], need: float, config: Features, bin_px: float) -> list[Array]:
+    """For each group, rising offsets of its strongest `max_lines` local maxima of three neighbouring bins."""
+    three = np.zeros_like(votes)
+    three[:, 1:-1] = votes[:, :-2] + votes[:, 1:-1] + votes[:, 2:]
+    inner = three[:, 1:-1]
+    group, at = np.nonzero((inner >= need) & (inner > three[:, :-2]) & (inner >= three[:, 2:]))
+    at = at + 1
+    strength = three[group, at]
+    moment = (votes[group, at + 1] - votes[group, at - 1]) / strength
+    offset = (at - votes.shape[1] // 2 + 0.5 + moment) * bin_px
+    return [_strongest(offset[group == g], strength[group == g], config.max_lines) for g in range(len(votes))]
+
+
+def _strongest(offset: Array, strength: NDArray[np.int64], most: int) -> Array:
+    if len(offset) <= most:
+        return offset
+    return np.asarray(offset[np.sort(np.argsort(-strength, kind="stable")[:most])])

@@ -1,0 +1,1 @@
+"""The base controller: telegrams, Modbus RTU, wheel odometry."""

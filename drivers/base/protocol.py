@@ -1,0 +1,269 @@
+"""Pose telegrams and base status as Modbus registers: pure encoding, no I/O. docs/base-protocol.md is the reference.
+
+Both blocks are big-endian, 32-bit values high word first. Every field saturates; NaN and infinity never reach the wire.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ceilvo import se2
+from ceilvo.config.serial_budget import POSE_REGISTERS, STATUS_REGISTERS
+from ceilvo.errors import BaseLinkError
+from ceilvo.types import Estimate, State
+
+PROTOCOL_VERSION = 1
+
+POSE_ADDRESS = 1000
+"""First holding register of the pose block, zero-based as in the frame."""
+STATUS_ADDRESS = 1100
+"""First register of the status block, both as input register (FC04) and as holding register (FC23, FC03)."""
+
+LENGTH_UNIT_M = 1e-4
+ANGLE_UNIT_RAD = 1e-5
+SPEED_UNIT_MPS = 1e-3
+TURN_UNIT_RADPS = 1e-3
+
+UINT16_MAX = 0xFFFF
+INT16_MAX = 0x7FFF
+INT32_MAX = 0x7FFFFFFF
+
+STATUS_MOTORS_ON = 1 << 0
+STATUS_E_STOP = 1 << 1
+STATUS_FAULT = 1 << 2
+STATUS_HEARTBEAT_LOST = 1 << 3
+
+_POSE = struct.Struct(">HHHIHiiiHHHhhhH")
+_STATUS = struct.Struct(">HHiiiI")
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTelegram:
+    """What the base is told. Pose is map_from_base, sigmas are along the map's axes, twist is in base.
+
+    Attributes:
+        state, quality: how far the pose can be trusted; quality in 0..1.
+        sequence: of the camera frame, modulo 2^32.
+        age_s: from the frame's stamp to the sending of this telegram.
+        heartbeat: changes with every telegram, modulo 2^16.
+        version: protocol version.
+    """
+
+    state: State
+    quality: float
+    sequence: int
+    age_s: float
+    x_m: float
+    y_m: float
+    theta_rad: float
+    sigma_x_m: float
+    sigma_y_m: float
+    sigma_theta_rad: float
+    vx_mps: float
+    vy_mps: float
+    omega_radps: float
+    heartbeat: int
+    version: int = PROTOCOL_VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class BaseStatus:
+    """What the base reports.
+
+    Attributes:
+        motors_on, e_stop, fault: as they are now.
+        heartbeat_lost: the base has stopped itself because the heartbeat stood still.
+        wheel_x_count, wheel_y_count: cumulative wheel odometry, int32 in 0.1 mm, wraps around.
+        wheel_theta_count: cumulative heading, int32 in 10 urad, wraps around (modulo 2 pi is accepted too).
+        clock_ms: time since the base started, uint32, wraps around.
+        version: protocol version.
+    """
+
+    motors_on: bool
+    e_stop: bool
+    fault: bool
+    heartbeat_lost: bool
+    wheel_x_count: int
+    wheel_y_count: int
+    wheel_theta_count: int
+    clock_ms: int
+    version: int = PROTOCOL_VERSION
+
+
+def no_estimate(heartbeat: int) -> PoseTelegram:
+    """The telegram before the first estimate: state INIT, nothing known, age saturated."""
+    inf = math.inf
+    return PoseTelegram(State.INIT, 0.0, 0, inf, 0.0, 0.0, 0.0, inf, inf, inf, 0.0, 0.0, 0.0, heartbeat)
+
+
+def telegram_of(estimate: Estimate, now_ns: int, heartbeat: int) -> PoseTelegram:
+    """The estimate as it is at now_ns (same clock as its stamp); nothing is predicted, only the age grows."""
+    x, y, theta = (float(v) for v in estimate.pose)
+    sx, sy, st = (_sigma(float(estimate.cov[i, i])) for i in range(3))
+    vx, vy, omega = (float(v) for v in estimate.twist)
+    age_s = max(0.0, 1e-9 * (now_ns - estimate.stamp_ns))
+    return PoseTelegram(
+        estimate.state, estimate.quality, estimate.seq, age_s, x, y, theta, sx, sy, st, vx, vy, omega, heartbeat
+    )
+
+
+def encode_pose(telegram: PoseTelegram) -> list[int]:
+    """POSE_REGISTERS register values.
+
+    Sigmas and age saturate at 65535 (infinite sigma included), speeds at +-32767. A pose or twist that is not finite,
+    a sigma that is NaN, or a position outside int32 is sent as state LOST (unless STOPPED) with quality 0 and all
+    sigmas saturated; what is not finite becomes 0.
+    """
+    t = telegram if _sound(telegram) else _unusable(telegram)
+    raw = _POSE.pack(
+        t.version,
+        int(t.state),
+        _saturated(t.quality, 1e-3, 0, 1000),
+        t.sequence & 0xFFFFFFFF,
+        _saturated(t.age_s, 1e-3, 0, UINT16_MAX),
+        _saturated(t.x_m, LENGTH_UNIT_M, -INT32_MAX, INT32_MAX),
+        _saturated(t.y_m, LENGTH_UNIT_M, -INT32_MAX, INT32_MAX),
+        _saturated(se2.wrap(t.theta_rad), ANGLE_UNIT_RAD, -INT32_MAX, INT32_MAX),
+        _rounded_up(t.sigma_x_m, LENGTH_UNIT_M),
+        _rounded_up(t.sigma_y_m, LENGTH_UNIT_M),
+        _rounded_up(t.sigma_theta_rad, ANGLE_UNIT_RAD),
+        _saturated(t.vx_mps, SPEED_UNIT_MPS, -INT16_MAX, INT16_MAX),
+        _saturated(t.vy_mps, SPEED_UNIT_MPS, -INT16_MAX, INT16_MAX),
+        _saturated(t.omega_radps, TURN_UNIT_RADPS, -INT16_MAX, INT16_MAX),
+        t.heartbeat & 0xFFFF,
+    )
+    return _registers(raw)
+
+
+def decode_pose(registers: Sequence[int]) -> PoseTelegram:
+    """The base's side of encode_pose.
+
+    Raises:
+        BaseLinkError: wrong length, another protocol version or an unknown state.
+    """
+    version, state, quality, sequence, age, x, y, theta, sx, sy, st, vx, vy, omega, heartbeat = _POSE.unpack(
+        _bytes(registers, POSE_REGISTERS, "pose block")
+    )
+    _check_version(version, "pose block")
+    if state not in State.__members__.values():
+        raise BaseLinkError(f"pose block: state {state} is not one of 0..{max(State)}")
+    return PoseTelegram(
+        state=State(state),
+        quality=1e-3 * quality,
+        sequence=sequence,
+        age_s=1e-3 * age,
+        x_m=LENGTH_UNIT_M * x,
+        y_m=LENGTH_UNIT_M * y,
+        theta_rad=ANGLE_UNIT_RAD * theta,
+        sigma_x_m=LENGTH_UNIT_M * sx,
+        sigma_y_m=LENGTH_UNIT_M * sy,
+        sigma_theta_rad=ANGLE_UNIT_RAD * st,
+        vx_mps=SPEED_UNIT_MPS * vx,
+        vy_mps=SPEED_UNIT_MPS * vy,
+        omega_radps=TURN_UNIT_RADPS * omega,
+        heartbeat=heartbeat,
+        version=version,
+    )
+
+
+def encode_status(status: BaseStatus) -> list[int]:
+    """STATUS_REGISTERS register values; counts and clock wrap around."""
+    flags = (
+        (STATUS_MOTORS_ON, status.motors_on),
+        (STATUS_E_STOP, status.e_stop),
+        (STATUS_FAULT, status.fault),
+        (STATUS_HEARTBEAT_LOST, status.heartbeat_lost),
+    )
+    raw = _STATUS.pack(
+        status.version,
+        sum(bit for bit, on in flags if on),
+        wrap_int32(status.wheel_x_count),
+        wrap_int32(status.wheel_y_count),
+        wrap_int32(status.wheel_theta_count),
+        status.clock_ms & 0xFFFFFFFF,
+    )
+    return _registers(raw)
+
+
+def decode_status(registers: Sequence[int]) -> BaseStatus:
+    """Raises BaseLinkError for a wrong length or another protocol version; unknown status bits are ignored."""
+    version, bits, x, y, theta, clock_ms = _STATUS.unpack(_bytes(registers, STATUS_REGISTERS, "status block"))
+    _check_version(version, "status block")
+    return BaseStatus(
+        motors_on=bool(bits & STATUS_MOTORS_ON),
+        e_stop=bool(bits & STATUS_E_STOP),
+        fault=bool(bits & STATUS_FAULT),
+        heartbeat_lost=bool(bits & STATUS_HEARTBEAT_LOST),
+        wheel_x_count=x,
+        wheel_y_count=y,
+        wheel_theta_count=theta,
+        clock_ms=clock_ms,
+        version=version,
+    )
+
+
+def wrap_int32(count: int) -> int:
+    """count modulo 2^32, in [-2^31, 2^31)."""
+    return (count + 0x80000000) % 0x100000000 - 0x80000000
+
+
+def _sound(t: PoseTelegram) -> bool:
+    finite = all(map(math.isfinite, (t.x_m, t.y_m, t.theta_rad, t.vx_mps, t.vy_mps, t.omega_radps)))
+    known = not any(map(math.isnan, (t.quality, t.age_s, t.sigma_x_m, t.sigma_y_m, t.sigma_theta_rad)))
+    return finite and known and max(abs(t.x_m), abs(t.y_m)) <= INT32_MAX * LENGTH_UNIT_M
+
+
+def _unusable(t: PoseTelegram) -> PoseTelegram:
+    return replace(
+        t,
+        state=t.state if t.state is State.STOPPED else State.LOST,
+        quality=0.0,
+        age_s=math.inf if math.isnan(t.age_s) else t.age_s,
+        x_m=_finite(t.x_m),
+        y_m=_finite(t.y_m),
+        theta_rad=_finite(t.theta_rad),
+        sigma_x_m=math.inf,
+        sigma_y_m=math.inf,
+        sigma_theta_rad=math.inf,
+        vx_mps=_finite(t.vx_mps),
+        vy_mps=_finite(t.vy_mps),
+        omega_radps=_finite(t.omega_radps),
+    )
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def _sigma(variance: float) -> float:
+    return math.sqrt(variance) if variance >= 0.0 else math.nan
+
+
+def _saturated(value: float, unit: float, low: int, high: int) -> int:
+    return round(min(max(value / unit, low), high))
+
+
+def _rounded_up(sigma: float, unit: float) -> int:
+    """Up, so that a sigma is never understated; the 1e-9 forgives the last bit of the division."""
+    return math.ceil(min(max(sigma / unit - 1e-9, 0.0), UINT16_MAX))
+
+
+def _registers(raw: bytes) -> list[int]:
+    return list(struct.unpack(f">{len(raw) // 2}H", raw))
+
+
+def _bytes(registers: Sequence[int], count: int, what: str) -> bytes:
+    if len(registers) != count:
+        raise BaseLinkError(f"{what}: {len(registers)} registers, expected {count}; compare with docs/base-protocol.md")
+    return struct.pack(f">{count}H", *registers)
+
+
+def _check_version(version: int, what: str) -> None:
+    if version != PROTOCOL_VERSION:
+        raise BaseLinkError(
+            f"{what}: protocol version {version}, expected {PROTOCOL_VERSION};"
+            f" update the base's firmware or ceilvo, or check the register addresses"
+        )

@@ -1,0 +1,1 @@
+"""Zenoh: messages, requests, sessions."""

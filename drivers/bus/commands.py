@@ -1,0 +1,108 @@
+"""Requests that reach the daemon as Zenoh queries: strict parsers from payload bytes to frozen dataclasses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ceilvo.drivers.bus import messages as wire
+from ceilvo.errors import BusError
+from ceilvo.se2 import wrap
+
+MAX_COMMAND_BYTES = 4096
+COMMANDS = ("initial_pose", "relocalise", "save_map", "reset")
+
+
+@dataclass(frozen=True, slots=True)
+class InitialPose:
+    """Where somebody says the robot is, map_from_base, with standard deviations."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+    sigma_m: float = 0.25
+    sigma_theta_rad: float = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Relocalise:
+    """Look for the pose anywhere in the map."""
+
+
+@dataclass(frozen=True, slots=True)
+class SaveMap:
+    """Write map and pose to disk now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    """Start again at the configured initial pose; the landmarks are forgotten too unless keep_map."""
+
+    keep_map: bool = True
+
+
+Command = InitialPose | Relocalise | SaveMap | Reset
+
+_POSE_RANGES: Mapping[str, tuple[float, float]] = {
+    "x_m": (-1e5, 1e5),
+    "y_m": (-1e5, 1e5),
+    "theta_rad": (-1e3, 1e3),
+    "sigma_m": (1e-4, 100.0),
+    "sigma_theta_rad": (1e-4, math.pi),
+}
+
+
+def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Command:
+    """The request in a command's payload; an empty payload is an empty object.
+
+    Args:
+        exact: whether the request named this one key, without wildcards.
+
+    Raises:
+        BusError: asked of many keys at once, unknown command, too large, not JSON, unknown or missing field, wrong
+            type, out of range, not finite.
+    """
+    where = f"command {command}"
+    if command not in COMMANDS:
+        raise BusError(f"command {wire.short(command)} is unknown, expected one of {', '.join(COMMANDS)}")
+    if not exact:
+        raise BusError(f"{where}: asked with a wildcard, expected the robot's full key; commands go to one robot")
+    if len(payload) > MAX_COMMAND_BYTES:
+        raise BusError(f"{where}: payload too large, expected at most {MAX_COMMAND_BYTES} bytes; send less")
+    fields = wire.load_object(payload, where) if payload.strip() else {}
+    if command == "initial_pose":
+        return _parse_initial_pose(where, fields)
+    if command == "reset":
+        _check_names(where, fields, ("keep_map",))
+        keep = fields.get("keep_map", True)
+        if not isinstance(keep, bool):
+            raise BusError(f"{where}: keep_map is {wire.short(keep)}, expected true or false")
+        return Reset(keep)
+    _check_names(where, fields, ())
+    return Relocalise() if command == "relocalise" else SaveMap()
+
+
+def _parse_initial_pose(where: str, fields: Mapping[str, Any]) -> InitialPose:
+    _check_names(where, fields, tuple(_POSE_RANGES))
+    missing = [n for n in ("x_m", "y_m", "theta_rad") if n not in fields]
+    if missing:
+        raise BusError(f"{where}: {missing[0]} is missing, expected x_m, y_m and theta_rad")
+    values = {n: _number(where, n, v) for n, v in fields.items()}
+    values["theta_rad"] = wrap(values["theta_rad"])
+    return InitialPose(**values)
+
+
+def _check_names(where: str, fields: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    unknown = [n for n in fields if n not in known]
+    if unknown:
+        expected = f"only {', '.join(known)}" if known else "no fields"
+        raise BusError(f"{where}: field {wire.short(unknown[0])} is unknown, expected {expected}")
+
+
+def _number(where: str, name: str, value: Any) -> float:
+    low, high = _POSE_RANGES[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise BusError(f"{where}: {name} is {wire.short(value)}, expected a number in [{low:g}, {high:g}]")
+    return float(value)

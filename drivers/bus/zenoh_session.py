@@ -1,0 +1,280 @@
+"""Zenoh sessions as config.yaml asks for them, opened without ever holding up the caller."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from ceilvo.config import Zenoh
+from ceilvo.drivers.bus.messages import short
+from ceilvo.errors import BusError
+
+log = logging.getLogger(__name__)
+
+OPEN_WAIT_S = 3.0
+"""Longest that open() waits; an absent router takes the rest of its time in the background."""
+CLOSE_WAIT_S = 1.0
+_RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 1.0
+_RECEIVED: dict[str, Any] = {
+    "transport/link/rx/max_message_size": 1 << 20,
+    "low_pass_filter": [
+        {
+            "id": "requests",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": ["**"],
+            "size_limit": 1 << 16,
+        }
+    ],
+}
+"""The daemon is sent requests only, of at most 4 KiB: what is far larger is dropped before it is put together."""
+_IP_PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws")
+_STREAMS = ("tcp", "tls", "ws")
+_OTHER_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
+_ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<address>[^?#\s]+)(?P<rest>[?#]\S*)?")
+_LOOPBACK = re.compile(r"[a-z]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):")
+_HOST_PORT = re.compile(r"(?P<host>\[[0-9a-fA-F:.%\w]+\]|[^:\s]+):(?P<port>\d{1,5})")
+
+
+def session_config(config: Zenoh) -> zenoh.Config:
+    """What the daemon opens: config_file whole when it is given, else our keys.
+
+    Raises:
+        BusError: an endpoint or the file cannot be used; names the key.
+    """
+    if config.config_file:
+        return _from_file(config.config_file)
+    listen, connect = checked_endpoints(config)
+    return _from_settings(_settings(config, listen, connect) | _RECEIVED)
+
+
+def watcher_config(config: Zenoh) -> zenoh.Config:
+    """For a second process beside the daemon: the same, but it listens on a free loopback port instead of the daemon's,
+    and connects to the ports that the daemon listens on.
+
+    Raises:
+        BusError: as session_config().
+    """
+    if config.config_file:
+        out: zenoh.Config = _from_file(config.config_file)
+        daemon, connect = _listed(out, "listen"), _listed(out, "connect")
+        out.insert_json5("listen/endpoints", json.dumps(["tcp/127.0.0.1:0"]))
+        out.insert_json5("connect/endpoints", json.dumps([*connect, *_reachable(daemon)]))
+        return out
+    listen, connect = checked_endpoints(config)
+    return _from_settings(_settings(config, ["tcp/127.0.0.1:0"], [*connect, *_reachable(listen)]))
+
+
+def checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
+    """zenoh.listen and zenoh.connect; Zenoh itself would accept an impossible connect endpoint and stay silent.
+
+    Raises:
+        BusError: an endpoint is not protocol/address, or its port is impossible.
+    """
+    for key, ends, first_port in (("zenoh.listen", config.listen, 0), ("zenoh.connect", config.connect, 1)):
+        for end in ends:
+            problem = _endpoint_problem(end, first_port)
+            if problem:
+                raise BusError(f"{key}: found {short(end)}, expected {problem}; for example tcp/192.168.0.2:7447")
+    if config.mode == "client" and not (config.connect or config.multicast):
+        raise BusError("zenoh.connect: found nothing, expected a router for zenoh.mode client; name its endpoint")
+    return list(config.listen), list(config.connect)
+
+
+def endpoint_address(end: str) -> tuple[str, int] | None:
+    """Host and port of an endpoint that a TCP connection reaches, None for the others."""
+    match = _ENDPOINT.fullmatch(end)
+    address = _HOST_PORT.fullmatch(match["address"]) if match and match["protocol"] in _STREAMS else None
+    return None if address is None else (address["host"].strip("[]"), int(address["port"]))
+
+
+def _endpoint_problem(end: str, first_port: int) -> str | None:
+    match = _ENDPOINT.fullmatch(end)
+    if not match:
+        return "protocol/address"
+    if match["protocol"] in _OTHER_PROTOCOLS:
+        return None
+    if match["protocol"] not in _IP_PROTOCOLS:
+        return f"one of the protocols {', '.join(_IP_PROTOCOLS + _OTHER_PROTOCOLS)}"
+    address = _HOST_PORT.fullmatch(match["address"])
+    if not address or not first_port <= int(address["port"]) <= 65535:
+        return f"host:port with a port from {first_port} to 65535"
+    return None
+
+
+def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str, Any]:
+    client = config.mode == "client"
+    return {
+        "mode": config.mode,
+        "listen/endpoints": [] if client else listen,
+        "connect/endpoints": connect,
+        # A peer retries in the background for ever. A client's open fails at once and is retried by Connection.
+        "connect/timeout_ms": 0 if client else -1,
+        "connect/exit_on_failure": client,
+        "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
+        "open/return_conditions/connect_scouted": client,
+        # What the queue to a subscriber cannot take within this is dropped for that subscriber. With 0 a put would not
+        # wait at all, but healthy subscribers lose images.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 1000,
+        "scouting/multicast/enabled": config.multicast,
+        "scouting/multicast/interface": "lo",
+        # A stranger found by multicast may be on the network, and gossip would make us connect to its peers there.
+        "scouting/gossip/enabled": not (config.multicast and _loopback_only([*listen, *connect])),
+    }
+
+
+def _loopback_only(ends: list[str]) -> bool:
+    return all(_LOOPBACK.match(e) or e.startswith(("unixsock-stream/", "unixpipe/")) for e in ends)
+
+
+def _from_settings(settings: dict[str, Any]) -> zenoh.Config:
+    out: zenoh.Config = zenoh.Config()
+    for key, value in settings.items():
+        out.insert_json5(key, json.dumps(value))
+    return out
+
+
+def _from_file(path: str) -> zenoh.Config:
+    if not Path(path).is_file():
+        raise BusError(f"zenoh.config_file: found {short(path)}, expected a Zenoh configuration file; no such file")
+    try:
+        out: zenoh.Config = zenoh.Config.from_file(path)
+    except (zenoh.ZError, OSError, ValueError) as e:
+        raise BusError(f"zenoh.config_file: {path} cannot be used: {zenoh_reason(e)}; correct the file") from e
+    return out
+
+
+def _listed(config: zenoh.Config, key: str) -> list[str]:
+    """Endpoints of a configuration, whether given plainly or by mode."""
+    value = json.loads(config.get_json(f"{key}/endpoints"))
+    if isinstance(value, dict):
+        value = value.get(session_mode(config), [])
+    return [e for e in value or [] if isinstance(e, str)]
+
+
+def _reachable(listen: list[str]) -> list[str]:
+    """Where to connect to reach a process of this computer that listens there: fixed ports only."""
+    ends = [e.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/127.0.0.1:") for e in listen]
+    return [e for e in ends if not re.search(r":0([?#]|$)", e)]
+
+
+def session_mode(config: zenoh.Config) -> str:
+    """peer, client or router."""
+    return str(json.loads(config.get_json("mode")) or "peer")
+
+
+def zenoh_reason(e: Exception) -> str:
+    """What a Zenoh error says, on one line and without its source positions."""
+    text = " ".join(str(e).split())
+    return re.sub(r" at /\S+\.rs:\d+\.?", "", text)[:200]
+
+
+class Connection:
+    """A session that is opened in a thread of its own, because Zenoh's open may block for as long as a router is away.
+
+    `on_open` declares what the session is for; it runs once, in that thread, before `session` is set.
+    """
+
+    def __init__(self, config: zenoh.Config, key: str, on_open: Callable[[zenoh.Session], None]) -> None:
+        """`key` names the configuration in errors."""
+        self._config = config
+        self._key = key
+        self._on_open = on_open
+        self._retry = session_mode(config) == "client"
+        self._stop = threading.Event()
+        self._first_try = threading.Event()
+        self._error: Exception | None = None
+        self._lock = threading.Lock()
+        self._session: zenoh.Session | None = None
+        self._thread = threading.Thread(target=self._run, name="zenoh-open", daemon=True)
+
+    @property
+    def session(self) -> zenoh.Session | None:
+        """None until it is open and after close()."""
+        return self._session
+
+    def open(self) -> None:
+        """Return when the session is open, or a client's router does not answer yet, or after OPEN_WAIT_S.
+
+        Raises:
+            BusError: the session cannot be opened as configured.
+        """
+        self._thread.start()
+        if not self._first_try.wait(OPEN_WAIT_S):
+            log.warning("%s: Zenoh is not open yet, going on without it until it is", self._key)
+        elif self._error is not None:
+            raise BusError(f"{self._key}: Zenoh cannot open: {zenoh_reason(self._error)}") from self._error
+
+    def links(self) -> tuple[int, int]:
+        """Routers and peers connected now."""
+        session = self._session
+        if session is None:
+            return 0, 0
+        return len(session.info.routers_zid()), len(session.info.peers_zid())
+
+    def close(self) -> None:
+        """Idempotent; waits at most CLOSE_WAIT_S."""
+        self._stop.set()
+        with self._lock:
+            session, self._session = self._session, None
+        if session is None:
+            return
+        closer = threading.Thread(target=_close_quietly, args=(session,), name="zenoh-close", daemon=True)
+        closer.start()
+        closer.join(CLOSE_WAIT_S)
+        if closer.is_alive():
+            log.warning("Zenoh did not close within %.1f s", CLOSE_WAIT_S)
+
+    def _run(self) -> None:
+        try:
+            self._open_session()
+        except Exception as e:
+            # Reported by open(); a later failure can only be logged.
+            self._error = e
+            if self._first_try.is_set():
+                log.error("%s: Zenoh cannot open: %s", self._key, zenoh_reason(e))
+        finally:
+            self._first_try.set()
+
+    def _open_session(self) -> None:
+        wait_s = _RETRY_FIRST_S
+        while not self._stop.is_set():
+            try:
+                session = zenoh.open(self._config)
+            except zenoh.ZError as e:
+                if not self._retry:
+                    raise
+                if not self._first_try.is_set():
+                    log.warning("%s: %s; retrying", self._key, zenoh_reason(e))
+                self._first_try.set()
+                self._stop.wait(wait_s)
+                wait_s = min(2 * wait_s, _RETRY_MAX_S)
+            else:
+                self._adopt(session)
+                return
+
+    def _adopt(self, session: zenoh.Session) -> None:
+        try:
+            self._on_open(session)
+        except Exception:
+            _close_quietly(session)
+            raise
+        with self._lock:
+            if not self._stop.is_set():
+                self._session = session
+                return
+        _close_quietly(session)
+
+
+def _close_quietly(session: zenoh.Session) -> None:
+    try:
+        session.close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError as e:
+        log.debug("closing Zenoh: %s", e)

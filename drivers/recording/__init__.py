@@ -1,0 +1,1 @@
+"""MCAP files: written by the flight recorder, read by a replay."""

@@ -1,0 +1,251 @@
+"""The wired process on a simulated robot: real pseudo-terminal, real Zenoh, and what happens when parts fail."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+
+from ceilvo.calibration import Calibration
+from ceilvo.camera import CameraModel
+from ceilvo.config import Base, Config, Filter, Service, Zenoh
+from ceilvo.daemon.app.process import Daemon, Plan, run
+from ceilvo.drivers.bus.messages import Pose, decode_pose
+from ceilvo.drivers.camera.mock_camera import Crash, Good, MockCamera
+from ceilvo.drivers.host.systemd_notify import Notifier
+from ceilvo.drivers.ports import CameraInfo
+from ceilvo.errors import EXIT_CONFIG, CameraError
+from ceilvo.sim.base import SimBase
+from ceilvo.sim.camera import SimCamera
+from ceilvo.sim.world import World, WorldSpec
+from ceilvo.types import Frame, State
+
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(WorldSpec(seed=SEED))
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def config_of(world: World, base_port: str, zenoh_port: int, state_dir: Path | None = None) -> Config:
+    x, y, theta = (float(v) for v in world.initial_pose)
+    return Config(
+        filter=Filter(initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta))),
+        base=Base(port=base_port, rate_hz=50.0, timeout_s=0.3),
+        zenoh=Zenoh(listen=(f"tcp/127.0.0.1:{zenoh_port}",), multicast=False),
+        service=Service(state_dir=str(state_dir or "")),
+    )
+
+
+class Subscriber:
+    """Collects poses and events as any application would."""
+
+    def __init__(self, port: int) -> None:
+        conf = zenoh.Config()
+        conf.insert_json5("scouting/multicast/enabled", "false")
+        conf.insert_json5("listen/endpoints", "[]")
+        conf.insert_json5("connect/endpoints", json.dumps([f"tcp/127.0.0.1:{port}"]))
+        conf.insert_json5("connect/timeout_ms", "10000")
+        conf.insert_json5("connect/exit_on_failure", "false")
+        self.poses: list[Pose] = []
+        self.got = threading.Event()
+        self.session = zenoh.open(conf)
+        self._sub = self.session.declare_subscriber("ceilvo/robot1/pose", self._take)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        self.poses.append(decode_pose(sample.payload.to_bytes()))
+        self.got.set()
+
+    def ask(self, key: str, payload: str = "") -> dict[str, object]:
+        for reply in self.session.get(f"ceilvo/robot1/{key}", payload=payload, timeout=10.0):
+            answer = reply.ok if reply.ok is not None else reply.err
+            assert answer is not None
+            parsed = json.loads(answer.payload.to_bytes())
+            assert isinstance(parsed, dict)
+            return parsed
+        raise AssertionError(f"no reply from {key}")
+
+    def close(self) -> None:
+        self.session.close()
+
+
+@pytest.fixture
+def base() -> Iterator[SimBase]:
+    with SimBase(baud=115200) as simulated:
+        yield simulated
+
+
+def start(daemon: Daemon, result: list[object]) -> threading.Thread:
+    def body() -> None:
+        try:
+            result.append(daemon.run())
+        except Exception as e:
+            result.append(e)
+
+    thread = threading.Thread(target=body)
+    thread.start()
+    return thread
+
+
+def test_poses_reach_zenoh_and_base_and_the_end_is_orderly(world: World, base: SimBase, tmp_path: Path) -> None:
+    port = free_port()
+    config = config_of(world, base.port, port, tmp_path)
+    camera = SimCamera(World(WorldSpec(seed=SEED)), 30.0)
+    truth_of = camera._world
+    daemon = Daemon(
+        Plan(config, world.calibration, camera, truth=lambda ns: truth_of.truth_at(truth_of.seconds(ns))), Notifier({})
+    )
+    result: list[object] = []
+    thread = start(daemon, result)
+    subscriber = Subscriber(port)
+    try:
+        assert subscriber.got.wait(20.0)
+        while len(subscriber.poses) < 60:
+            subscriber.got.clear()
+            assert subscriber.got.wait(20.0)
+        assert subscriber.ask("map")["schema"] == "ceilvo.map.1"
+        saved = subscriber.ask("cmd/save_map")
+        assert "error" not in saved, saved
+        taken = subscriber.ask("cmd/initial_pose", json.dumps({"x_m": 1.0, "y_m": 1.0, "theta_rad": 0.0}))
+        assert "error" not in taken, taken
+    finally:
+        daemon.stop()
+        thread.join(20.0)
+        subscriber.close()
+    assert not thread.is_alive()
+    summary = result[0]
+    assert isinstance(summary, dict), summary
+    assert summary["frames"] >= 60 and summary["zenoh_samples"] >= 120
+    published = {p.seq: p for p in subscriber.poses}
+    received = [r.telegram for r in base.telegrams]
+    assert received[-1].state is State.STOPPED
+    common = [t for t in received if t.sequence in published and t.state is State.TRACKING]
+    assert len(common) > 10
+    for t in common:
+        assert abs(t.x_m - published[t.sequence].x_m) <= 1e-4
+        assert abs(t.y_m - published[t.sequence].y_m) <= 1e-4
+    assert (tmp_path / "map.json").exists() and (tmp_path / "state.json").exists()
+    assert [p.seq for p in subscriber.poses] == sorted(published)
+
+
+def test_second_start_uses_the_stored_map(world: World, base: SimBase, tmp_path: Path) -> None:
+    for attempt in range(2):
+        config = config_of(world, base.port, free_port(), tmp_path)
+        camera = SimCamera(World(WorldSpec(seed=SEED)), 15.0, realtime=False, duration_s=2.0)
+        daemon = Daemon(Plan(config, world.calibration, camera), Notifier({}))
+        summary = daemon.run()
+        assert summary["frames"] == 30
+        loaded = any("stored map" in e for e in daemon.events)
+        assert loaded == (attempt == 1)
+
+
+def small_world_camera(script: list[object]) -> tuple[MockCamera, Calibration]:
+    from ceilvo.sim.rig import simulated_calibration
+
+    camera = MockCamera(script)  # type: ignore[arg-type]
+    info = camera.open()
+    camera.close()
+    model = CameraModel("pinhole", info.width_px, info.height_px, 60.0, 60.0, info.width_px / 2, info.height_px / 2)
+    return camera, replace(simulated_calibration(model), camera_id="")
+
+
+class Unplugged(SimCamera):
+    """The simulated camera, gone for good after some frames."""
+
+    left = 40
+
+    def open(self) -> CameraInfo:
+        if self.left <= 0:
+            raise CameraError("camera: unplugged")
+        return super().open()
+
+    def read(self) -> Frame | None:
+        self.left -= 1
+        if self.left < 0:
+            raise CameraError("camera: unplugged")
+        return super().read()
+
+
+def test_a_lost_camera_is_told_at_once(world: World, base: SimBase) -> None:
+    port = free_port()
+    config = config_of(world, base.port, port)
+    daemon = Daemon(Plan(config, world.calibration, Unplugged(World(WorldSpec(seed=SEED)), 30.0)), Notifier({}))
+    result: list[object] = []
+    subscriber = None
+    thread = start(daemon, result)
+    try:
+        subscriber = Subscriber(port)
+        for _ in range(300):
+            assert subscriber.got.wait(20.0)
+            subscriber.got.clear()
+            if subscriber.poses[-1].state in (State.DEAD_RECKONING, State.LOST):
+                break
+        last = subscriber.poses[-1]
+        assert last.state in (State.DEAD_RECKONING, State.LOST)
+        assert "unplugged" in last.reason
+        assert any("lost" in e for e in daemon.events)
+        told = {State.DEAD_RECKONING, State.LOST}
+        for _ in range(300):
+            if told & {r.telegram.state for r in base.telegrams}:
+                break
+            assert subscriber.got.wait(20.0)
+            subscriber.got.clear()
+        assert told & {r.telegram.state for r in base.telegrams}
+    finally:
+        daemon.stop()
+        thread.join(20.0)
+        if subscriber is not None:
+            subscriber.close()
+    assert isinstance(result[0], dict)
+
+
+def test_a_thread_that_raises_takes_the_process_down(base: SimBase, caplog: pytest.LogCaptureFixture) -> None:
+    camera, calibration = small_world_camera([Good(2), Crash(RuntimeError("a fault in the driver"))])
+    config = config_of(World(WorldSpec(seed=SEED)), base.port, free_port())
+    assert run(Plan(config, calibration, camera)) == 1
+    assert "a thread died" in caplog.text
+
+
+def test_a_calibration_of_another_camera_is_refused(base: SimBase, caplog: pytest.LogCaptureFixture) -> None:
+    camera, calibration = small_world_camera([Good(100)])
+    other = replace(calibration, camera=replace(calibration.camera, width_px=999))
+    config = config_of(World(WorldSpec(seed=SEED)), base.port, free_port())
+    assert run(Plan(config, other, camera)) == EXIT_CONFIG
+    assert "999" in caplog.text
+
+
+def test_memory_of_a_bad_minute_is_given_back() -> None:
+    """With the allocator's settings of the service, which keep it otherwise."""
+    code = """
+import numpy as np
+from ceilvo.drivers.machine import give_back_memory
+def resident_mb():
+    with open("/proc/self/statm") as f:
+        return int(f.read().split()[1]) * 4096 / 1e6
+frames = [np.ones((480, 640), np.uint8) for _ in range(300)]
+last = frames[-1]
+del frames
+before = resident_mb()
+give_back_memory()
+print(before - resident_mb())
+"""
+    settings = {"MALLOC_MMAP_THRESHOLD_": "33554432", "MALLOC_TRIM_THRESHOLD_": "268435456"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120, env=os.environ | settings
+    )
+    assert float(done.stdout) > 60.0

@@ -1,0 +1,318 @@
+"""States: a table of stories, then properties that must hold for any evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo.config import States
+from ceilvo.daemon.integrity.states import Evidence, StateMachine, Verdict
+from ceilvo.types import State
+
+PERIOD_NS = 33_000_000
+CONFIG = States()
+GOOD = Evidence(
+    stamp_ns=0,
+    motion_ok=True,
+    failure="",
+    inliers=25,
+    crossings=30,
+    position_sigma_m=0.01,
+    heading_sigma_rad=0.002,
+    nis=1.0,
+    nis_dof=40,
+    ess_ratio=0.6,
+    landmarks_matched=20,
+)
+BLIND = replace(GOOD, motion_ok=False, failure="2 crossings", inliers=0, crossings=2, nis_dof=0, landmarks_matched=0)
+FEW = replace(GOOD, inliers=4)
+WIDE = replace(GOOD, position_sigma_m=0.2)
+TURNED = replace(GOOD, heading_sigma_rad=0.2)
+STALE = replace(GOOD, nis=5.0)
+WRONG = replace(GOOD, nis=40.0)
+GONE = replace(GOOD, position_sigma_m=0.8)
+SEARCH = replace(GOOD, relocalising=True)
+UNSEEN = replace(GOOD, landmarks_matched=0, nis_dof=0)
+
+
+def run(evidence: Sequence[Evidence], config: States = CONFIG) -> list[Verdict]:
+    machine = StateMachine(config)
+    return [machine.step(replace(e, stamp_ns=k * PERIOD_NS)) for k, e in enumerate(evidence)]
+
+
+def path(verdicts: Sequence[Verdict]) -> list[str]:
+    """States in the order they were entered."""
+    return ["INIT", *(v.state.name for v in verdicts if v.changed)]
+
+
+STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
+    "starts": ([GOOD] * 5, ["INIT", "TRACKING"], "5 good frames in a row"),
+    "one frame short": ([GOOD] * 4, ["INIT"], "starting"),
+    "the count starts again after a bad frame": ([GOOD] * 4 + [FEW] + [GOOD] * 4, ["INIT"], "starting"),
+    "one frame missed": ([GOOD] * 5 + [BLIND], ["INIT", "TRACKING", "DEGRADED"], "no motion from this frame: 2 crossi"),
+    "one frame missed, back": ([GOOD] * 5 + [BLIND] + [GOOD] * 5, ["INIT", "TRACKING", "DEGRADED", "TRACKING"], "5 go"),
+    "few inliers": ([GOOD] * 5 + [FEW], ["INIT", "TRACKING", "DEGRADED"], "4 inliers of 30 crossings, fewer than 6"),
+    "position unsure": ([GOOD] * 5 + [WIDE], ["INIT", "TRACKING", "DEGRADED"], "position sigma 0.200 m, above 0.1 m"),
+    "heading unsure": ([GOOD] * 5 + [TURNED], ["INIT", "TRACKING", "DEGRADED"], "heading sigma 11.46 deg, above 3 deg"),
+    "nine high NIS are luck": ([GOOD] * 5 + [STALE] * 9, ["INIT", "TRACKING"], "5 good"),
+    "ten are not": (
+        [GOOD] * 5 + [STALE] * 10,
+        ["INIT", "TRACKING", "DEGRADED"],
+        "NIS per degree of freedom 5.0, above 3",
+    ),
+    "blind": (
+        [GOOD] * 5 + [BLIND] * 5,
+        ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING"],
+        "no vision for 0.17 s: 2 cr",
+    ),
+    "blind from the start": ([BLIND] * 50, ["INIT"], "starting"),
+    "sees again": (
+        [GOOD] * 5 + [BLIND] * 9 + [GOOD] * 5,
+        ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING", "TRACKING"],
+        "5 good frames",
+    ),
+    "sees again, but little": (
+        [GOOD] * 5 + [BLIND] * 9 + [FEW] * 5,
+        ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING", "DEGRADED"],
+        "4 inliers",
+    ),
+    "lost by covariance": ([GOOD] * 5 + [GONE], ["INIT", "TRACKING", "LOST"], "position sigma 0.800 m, above 0.5 m"),
+    "blind until lost": (
+        [GOOD] * 5 + [BLIND] * 9 + [replace(BLIND, position_sigma_m=0.51)],
+        ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING", "LOST"],
+        "position sigma 0.510 m",
+    ),
+    "lost by NIS": (
+        [GOOD] * 5 + [WRONG] * 10,
+        ["INIT", "TRACKING", "LOST"],
+        "NIS per degree of freedom 40.0, above 12",
+    ),
+    "a wrong start": ([WRONG] * 10, ["INIT", "LOST"], "NIS per degree of freedom 40.0, above 12"),
+    "lost without landmarks stays lost": (
+        [GOOD] * 5 + [WRONG] * 10 + [UNSEEN] * 99,
+        ["INIT", "TRACKING", "LOST"],
+        "NIS",
+    ),
+    "landmarks agree again": ([WRONG] * 10 + [GOOD] * 10, ["INIT", "LOST", "DEGRADED"], "recovering"),
+    "landmarks agree again, for good": ([WRONG] * 10 + [GOOD] * 15, ["INIT", "LOST", "DEGRADED", "TRACKING"], "5 good"),
+    "searching": ([WRONG] * 10 + [SEARCH], ["INIT", "LOST", "RELOCALISING"], "searching"),
+    "the search forgets old innovations": (
+        [WRONG] * 10 + [SEARCH] + [replace(WRONG, relocalising=True)] * 50 + [GOOD] * 5,
+        ["INIT", "LOST", "RELOCALISING", "TRACKING"],
+        "5 good",
+    ),
+    "no landmark confirms": ([SEARCH] * 3 + [UNSEEN] * 99, ["INIT", "RELOCALISING"], "searching"),
+    "a landmark confirms": ([SEARCH] * 3 + [UNSEEN] * 9 + [GOOD], ["INIT", "RELOCALISING", "TRACKING"], "5 good"),
+    "an old confirmation does not count": (
+        [GOOD] * 9 + [SEARCH] + [UNSEEN] * 99,
+        ["INIT", "TRACKING", "RELOCALISING"],
+        "",
+    ),
+    "the search ended wrong": ([SEARCH] * 3 + [GONE], ["INIT", "RELOCALISING", "LOST"], "position sigma"),
+    "sigma that is not a number": (
+        [GOOD] * 5 + [replace(GOOD, position_sigma_m=float("nan"))],
+        ["INIT", "TRACKING", "LOST"],
+        "position sigma nan m",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_story(name: str) -> None:
+    evidence, states, reason = STORIES[name]
+    verdicts = run(evidence)
+    assert path(verdicts) == states
+    assert verdicts[-1].reason.startswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("better", "worse"),
+    [
+        (GOOD, replace(GOOD, inliers=6)),
+        (GOOD, replace(GOOD, position_sigma_m=0.09)),
+        (GOOD, replace(GOOD, heading_sigma_rad=0.05)),
+        (GOOD, replace(GOOD, nis=2.0)),
+        (GOOD, replace(GOOD, ess_ratio=0.02)),
+    ],
+    ids=["inliers", "position", "heading", "nis", "ess"],
+)
+def test_hovering_at_a_threshold_does_not_flap(better: Evidence, worse: Evidence) -> None:
+    """Alternating between good and just-good-enough evidence leaves TRACKING alone and shows in the quality."""
+    verdicts = run([better] * 5 + [worse, better] * 50 + [worse] * 30)
+    assert path(verdicts) == ["INIT", "TRACKING"]
+    assert verdicts[-1].quality < 0.95 * verdicts[4].quality
+
+
+@pytest.mark.parametrize(
+    ("bad", "between"),
+    [
+        (replace(GOOD, inliers=5), replace(GOOD, inliers=7)),
+        (replace(GOOD, position_sigma_m=0.101), replace(GOOD, position_sigma_m=0.09)),
+        (replace(GOOD, heading_sigma_rad=0.053), replace(GOOD, heading_sigma_rad=0.050)),
+    ],
+    ids=["inliers", "position", "heading"],
+)
+def test_a_condition_is_left_well_within_its_threshold(bad: Evidence, between: Evidence) -> None:
+    assert path(run([GOOD] * 5 + [bad, between] * 50)) == ["INIT", "TRACKING", "DEGRADED"]
+    assert path(run([GOOD] * 5 + [between] * 50)) == ["INIT", "TRACKING"]
+
+
+def test_dead_reckoning_starts_after_its_time_not_after_a_count() -> None:
+    slow = [replace(GOOD, stamp_ns=k * 100_000_000) for k in range(5)]
+    machine = StateMachine(CONFIG)
+    for e in slow:
+        machine.step(e)
+    last_ns = slow[-1].stamp_ns
+    assert machine.step(replace(BLIND, stamp_ns=last_ns + 150_000_000)).state is State.DEGRADED
+    assert machine.step(replace(BLIND, stamp_ns=last_ns + 150_000_001)).state is State.DEAD_RECKONING
+
+
+def test_reason_stays_while_its_cause_does() -> None:
+    counts = [5, 4, 3, 2, 3]
+    verdicts = run([GOOD] * 5 + [replace(GOOD, inliers=n) for n in counts])
+    assert {v.reason for v in verdicts[5:]} == {"5 inliers of 30 crossings, fewer than 6"}
+    assert [v.changed for v in verdicts[5:]] == [True, False, False, False, False]
+
+
+def test_reason_follows_a_new_cause_without_a_change_of_state() -> None:
+    verdicts = run([GOOD] * 5 + [FEW, replace(FEW, position_sigma_m=0.2)])
+    assert verdicts[-1].reason.startswith("position sigma")
+    assert not verdicts[-1].changed
+
+
+def test_reset_is_reported_once_with_its_reason() -> None:
+    machine = StateMachine(CONFIG)
+    for k in range(5):
+        machine.step(replace(GOOD, stamp_ns=k * PERIOD_NS))
+    machine.reset("initial pose set by command")
+    verdicts = [machine.step(replace(GOOD, stamp_ns=(5 + k) * PERIOD_NS)) for k in range(5)]
+    assert path(verdicts) == ["INIT", "INIT", "TRACKING"]
+    assert verdicts[0].reason == "initial pose set by command"
+    assert verdicts[0].quality == 0.0
+
+
+def test_a_search_after_a_reset_says_why() -> None:
+    machine = StateMachine(CONFIG)
+    machine.reset("stored pose")
+    verdict = machine.step(SEARCH)
+    assert (verdict.state, verdict.changed) == (State.RELOCALISING, True)
+    assert verdict.reason == "stored pose: a hypothesis until landmarks confirm it"
+
+
+def test_quality_is_half_at_each_threshold_alone() -> None:
+    """The documented formula, worked by hand for a frame with every other score known."""
+    config = States(dead_reckoning_s=0.0)
+    sure = replace(GOOD, inliers=10**6, position_sigma_m=0.0, heading_sigma_rad=0.0, ess_ratio=1.0, nis_dof=0)
+    nis_score = 1.0 / (1.0 + (1.0 / config.nis_high) ** 2)
+
+    def quality(e: Evidence) -> float:
+        return run([sure] * 5 + [e], config)[-1].quality / nis_score
+
+    assert quality(sure) == pytest.approx(1.0, abs=1e-9)
+    assert quality(replace(sure, position_sigma_m=config.degraded_sigma_m)) == pytest.approx(0.5)
+    assert quality(replace(sure, heading_sigma_rad=0.0523598775598)) == pytest.approx(0.5)
+    assert quality(replace(sure, inliers=config.degraded_inliers)) == pytest.approx(0.5)
+    assert quality(replace(sure, ess_ratio=0.0)) == pytest.approx(0.8)
+    assert quality(replace(sure, motion_ok=False, inliers=0)) == 0.0
+
+
+def test_one_missed_frame_costs_little_quality_and_blindness_all_of_it() -> None:
+    verdicts = run([GOOD] * 5 + [BLIND] * 60)
+    before, missed, blind = verdicts[4].quality, verdicts[5].quality, verdicts[-1].quality
+    assert 0.7 * before < missed < before
+    assert 0.0 <= blind < 1e-3
+
+
+def test_good_evidence_has_high_quality() -> None:
+    assert run([GOOD] * 30)[-1].quality > 0.75
+
+
+anything: st.SearchStrategy[Evidence] = st.builds(
+    Evidence,
+    stamp_ns=st.just(0),
+    motion_ok=st.booleans(),
+    failure=st.just("why"),
+    inliers=st.integers(0, 40),
+    crossings=st.integers(0, 60),
+    position_sigma_m=st.one_of(st.floats(0, 1), st.sampled_from([0.08, 0.1, 0.4, 0.5, float("nan"), float("inf")])),
+    heading_sigma_rad=st.one_of(st.floats(0, 0.2), st.just(float("nan"))),
+    nis=st.one_of(st.floats(0, 50), st.sampled_from([2.4, 3.0, 9.6, 12.0, float("nan"), float("inf")])),
+    nis_dof=st.sampled_from([0, 2, 40]),
+    ess_ratio=st.floats(0, 1),
+    landmarks_matched=st.integers(0, 20),
+    relocalising=st.sampled_from([False, False, False, True]),
+)
+configs: st.SearchStrategy[States] = st.builds(
+    States,
+    dead_reckoning_s=st.sampled_from([0.0, 0.15, 1.0]),
+    tracking_frames=st.integers(1, 8),
+    nis_frames=st.integers(1, 12),
+)
+runs = st.lists(st.tuples(anything, st.integers(1, 12)), min_size=1, max_size=12)
+
+
+def spread(parts: list[tuple[Evidence, int]]) -> list[Evidence]:
+    return [e for e, n in parts for _ in range(n)]
+
+
+@settings(max_examples=150, deadline=None)
+@given(configs, anything)
+def test_constant_evidence_changes_the_state_once_at_most(config: States, e: Evidence) -> None:
+    assert sum(v.changed for v in run([e] * 60, config)) <= 1
+
+
+@settings(max_examples=150, deadline=None)
+@given(configs, runs, anything)
+def test_constant_evidence_never_returns_to_a_state_it_left(config: States, before: Any, e: Evidence) -> None:
+    """From wherever any history led, constant evidence settles without flapping."""
+    history = spread(before)
+    entered = [v.state for v in run([*history, *[e] * 80], config)[len(history) :] if v.changed]
+    assert len(entered) == len(set(entered)) <= 3
+
+
+@settings(max_examples=200, deadline=None)
+@given(configs, runs)
+def test_what_always_holds(config: States, parts: Any) -> None:
+    evidence = spread(parts)
+    verdicts = run(evidence, config)
+    state, reason = State.INIT, "starting"
+    for e, v in zip(evidence, verdicts, strict=True):
+        assert 0.0 <= v.quality <= 1.0
+        assert v.changed == (v.state is not state)
+        assert v.reason
+        assert "\n" not in v.reason
+        assert v.state is not State.TRACKING or (e.motion_ok and not e.relocalising)
+        assert v.state is State.RELOCALISING or not e.relocalising
+        assert v.quality == 0.0 or v.state not in (State.INIT, State.LOST, State.RELOCALISING)
+        if e.position_sigma_m > config.lost_sigma_m:
+            assert v.state not in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
+        if not v.changed and v.state is not State.DEGRADED and v.state is not State.LOST:
+            assert v.reason == reason  # one reason a change
+        state, reason = v.state, v.reason
+    assert run(evidence, config) == verdicts
+
+
+def worsened(e: Evidence, by: float) -> Evidence:
+    return replace(
+        e,
+        motion_ok=e.motion_ok and by < 0.7,
+        inliers=int(e.inliers * (1 - by)),
+        position_sigma_m=e.position_sigma_m * (1 + by),
+        heading_sigma_rad=e.heading_sigma_rad * (1 + by),
+        nis=e.nis * (1 + by),
+        ess_ratio=e.ess_ratio * (1 - by),
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(configs, runs, anything, st.floats(0, 1))
+def test_bad_evidence_never_raises_quality(config: States, before: Any, e: Evidence, by: float) -> None:
+    history = spread(before)
+    better = run([*history, e], config)[-1].quality
+    worse = run([*history, worsened(e, by)], config)[-1].quality
+    assert worse <= better + 1e-12

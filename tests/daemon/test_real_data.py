@@ -1,0 +1,94 @@
+"""Recordings of real ceilings, which live outside the repository: CEILVO_DATA, else ../shared/data beside it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ceilvo import se2
+from ceilvo.bench.real import __main__ as real
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.drivers.camera.selection import source_camera
+from ceilvo.types import Frame
+
+DATA = Path(os.environ.get("CEILVO_DATA", Path(__file__).parents[3] / "shared" / "data"))
+SHORT = 45
+
+
+def _folder(name: str) -> Path:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"{DATA / name} is absent; set CEILVO_DATA to the folder that holds {name}")
+    return DATA / name
+
+
+def _frames(folder: Path, count: int) -> list[Frame]:
+    camera = source_camera(folder, 640, 480)
+    camera.open()
+    frames = []
+    while len(frames) < count and (frame := camera.read()) is not None:
+        frames.append(frame)
+    camera.close()
+    return frames
+
+
+def test_car_under_lamps_is_where_the_other_tracker_says() -> None:
+    folder = _folder("ceiling_lamps")
+    reference = real.reference_poses(folder / "reference.txt")[:SHORT]
+    config, calibration = real.lamps_config(reference[0]), real.lamps_calibration()
+    pipeline = Pipeline(calibration, config, np.random.default_rng(1))
+    estimates = [pipeline.step(frame) for frame in _frames(folder, SHORT)]
+    assert [e.motion.failure for e in estimates[1:]] == [None] * (SHORT - 1)
+    poses = np.array([e.pose for e in estimates])
+    off_m = np.hypot(*(poses - reference)[:, :2].T)
+    assert np.hypot(*(reference[-1] - reference[0])[:2]) > 2.0, "the car drives"
+    assert np.median(off_m) < 0.15
+    assert off_m.max() < 0.4
+    assert np.degrees(np.abs(se2.wrap_array(poses[:, 2] - reference[:, 2]))).max() < 2.0
+
+
+def _mean_direction_deg(folder: Path) -> float:
+    """Mean direction, weighted by length, of the segments that OpenCV's detector finds along the seams."""
+    gray = cv2.imread(str(folder / "ceiling3-6-02.jpg"), cv2.IMREAD_GRAYSCALE)
+    fx, fy, cx, cy, *lens = (
+        float(w) for w in (folder / "pg_3_6mm.txt").read_text("ascii").split("\n")[0].split() if w[-1].isdigit()
+    )
+    found = cv2.createLineSegmentDetector().detect(gray)[0].reshape(-1, 1, 2).astype(np.float64)
+    camera = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    along = np.diff(cv2.undistortPoints(found, camera, np.array(lens)).reshape(-1, 2, 2), axis=1)[:, 0]
+    length_px = np.hypot(*np.diff(found.reshape(-1, 2, 2), axis=1)[:, 0].T)
+    folded = np.exp(4j * np.arctan2(along[:, 1], along[:, 0]))
+    mean = np.sum((length_px * folded)[length_px > 30])
+    for _ in range(20):
+        near = (length_px > 30) & (np.abs(np.angle(folded / mean)) < 4 * np.radians(7))
+        mean = np.sum((length_px * folded)[near])
+    return float(np.degrees(np.angle(mean)) / 4)
+
+
+def test_photo_of_a_tiled_ceiling_shows_the_tiles_direction(tmp_path: Path) -> None:
+    folder = _folder("ceiling_still")
+    figures = real.still(folder, tmp_path)
+    # beams at several heights and a camera held askew: the seams lean -11 to -17 deg, -14.1 in the mean
+    assert abs(figures["direction_deg"] - _mean_direction_deg(folder)) < 2.0
+    assert figures["lines_axis_0"] > 5
+    assert figures["lines_axis_1"] > 5
+    assert cv2.imread(str(tmp_path / "ceiling_still.png")).shape == (960, 1280, 3)
+
+
+def test_whole_bench_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _folder("ceiling_lamps"), _folder("ceiling_still")
+    assert real.main([str(DATA), "--out", str(tmp_path), "--json", str(tmp_path / "real.json")]) == 0
+    assert "MISS" not in capsys.readouterr().out
+    work = tmp_path / "ceiling_lamps"
+    for name in ("calibration.yaml", "config.yaml", "reference.tum", "estimated.tum", "trajectories.png"):
+        assert (work / name).stat().st_size > 0, name
+
+
+def test_absent_data_is_left_out_with_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert real.main([str(tmp_path), "--out", str(tmp_path / "o"), "--json", str(tmp_path / "j.json")]) == 0
+    said = capsys.readouterr().out
+    assert "ceiling_lamps: left out" in said
+    assert "ceiling_still: left out" in said

@@ -1,0 +1,148 @@
+"""Line fit on synthetic edge points whose lines, direction and tilt are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ceilvo.config import Features
+from ceilvo.daemon.vision.edges import Edges
+from ceilvo.daemon.vision.line_detection import dominant_direction, find_lines
+from ceilvo.daemon.vision.tilt_prior import TiltPrior, TiltTracker
+from ceilvo.types import LineKind, Lines
+
+FOCAL_PX = 410.0
+Segment = tuple[int, float, int, float, float]
+"""axis, offset px, polarity +-1, start and end along the line px."""
+
+
+def edges(
+    segments: list[Segment], psi: float, seed: int, noise_px: float = 0.2, tilt: tuple[float, float] = (0, 0)
+) -> Edges:
+    rng = np.random.default_rng(seed)
+    uv, phi = [], []
+    for axis, offset, polarity, start, end in segments:
+        angle = psi + axis * np.pi / 2
+        n, t = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        s = np.arange(start, end, 1.0)
+        p = offset * n + s[:, None] * t
+        rays = np.column_stack([p / FOCAL_PX, np.ones(len(p))])
+        w = np.array([tilt[0], tilt[1], 0.0])
+        seen = rays - np.cross(w, rays)  # a tilted robot sees the world turned back
+        p = FOCAL_PX * seen[:, :2] / seen[:, 2:]
+        uv.append(p + rng.normal(0, noise_px, len(s))[:, None] * n)
+        phi.append(angle + (0 if polarity > 0 else np.pi) + rng.normal(0, 0.02, len(s)))
+    phi_deg = np.degrees(np.concatenate(phi)) % 360.0
+    return Edges(np.concatenate(uv).astype(np.float32), phi_deg.astype(np.float32))
+
+
+GRID: list[Segment] = [
+    (axis, 110.0 * k + side, int(np.sign(side)), -300.0, 300.0)
+    for axis in (0, 1)
+    for k in (-2, -1, 0, 1, 2)
+    for side in (-1.5, 1.5)
+]
+
+
+def world_offsets(lines: Lines, axis_angle: float) -> np.ndarray:
+    """Offsets of the lines whose normal is along +-axis_angle, measured along it, sorted."""
+    normal = lines.psi_rad + lines.axis * np.pi / 2
+    along = np.cos(normal - axis_angle)
+    return np.sort((lines.offset_px * np.sign(along))[np.abs(along) > 0.9])
+
+
+@given(st.floats(-3.2, 3.2))
+def test_direction_is_found_at_any_angle(psi: float) -> None:
+    found = dominant_direction(edges(GRID, psi, 1).phi_deg)
+    assert found is not None
+    assert abs((found - psi + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.radians(0.3)
+
+
+@given(st.floats(-3.1, 3.1), st.integers(0, 100))
+def test_grid_of_grooves_is_measured_to_hundredths_of_a_pixel(psi: float, seed: int) -> None:
+    lines = find_lines(edges(GRID, psi, seed), Features(), FOCAL_PX)
+    assert lines is not None
+    assert len(lines.axis) == 10 and (lines.kind == LineKind.GROOVE).all()
+    assert abs((lines.psi_rad - psi + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.radians(0.02)
+    for axis in (0, 1):
+        truth = 110.0 * np.arange(-2, 3)
+        assert np.abs(world_offsets(lines, psi + axis * np.pi / 2) - truth).max() < 0.15
+
+
+def test_tilt_is_estimated_and_taken_out() -> None:
+    tilt = np.radians([1.2, -0.8])
+    lines = find_lines(edges(GRID, 0.3, 5, tilt=(tilt[0], tilt[1])), Features(), FOCAL_PX)
+    assert lines is not None
+    print("seed 5: tilt found", np.degrees(lines.tilt_rad), "deg, sigma", np.degrees(lines.tilt_sigma_rad))
+    assert np.abs(lines.tilt_rad - tilt).max() < np.radians(0.06)
+    assert np.abs(world_offsets(lines, 0.3) - 110.0 * np.arange(-2, 3)).max() < 0.3
+
+
+def test_without_tilt_estimation_the_tilt_stays_zero() -> None:
+    lines = find_lines(edges(GRID, 0.3, 5, tilt=(0.01, 0.0)), Features(estimate_tilt=False), FOCAL_PX)
+    assert lines is not None
+    assert np.abs(lines.tilt_rad).max() < 1e-6
+
+
+@pytest.mark.parametrize(("polarity", "kind"), [(1, LineKind.RISING), (-1, LineKind.FALLING)])
+def test_single_edges_keep_their_polarity(polarity: int, kind: LineKind) -> None:
+    lamp: list[Segment] = [(0, 40.0, polarity, -100.0, 100.0), (1, -60.0, 1, -100.0, 100.0)]
+    lines = find_lines(edges(lamp, 0.2, 2), Features(), FOCAL_PX)
+    assert lines is not None
+    assert lines.kind[lines.axis == 0].tolist() == [kind]
+
+
+def test_kinds_turn_with_the_axes() -> None:
+    """The same scene seen a quarter turn further: axis names change, and so does the sign along them."""
+    scene: list[Segment] = [(0, 40.0, 1, -100.0, 100.0), (1, -60.0, 1, -100.0, 100.0)]
+    level = Features(estimate_tilt=False)
+    here, there = (find_lines(edges(scene, psi, 2), level, FOCAL_PX) for psi in (0.1, 0.1 + np.pi / 2))
+    assert here is not None and there is not None
+    assert here.kind[here.axis == 0].tolist() == [LineKind.RISING]
+    assert here.kind[here.axis == 1].tolist() == [LineKind.RISING]
+    # the scene's axis 0 is now along 0.1 + 90 deg = axis 1; its axis 1 is along 0.1 + 180 deg = axis 0 reversed
+    assert there.kind[there.axis == 1].tolist() == [LineKind.RISING]
+    assert there.kind[there.axis == 0].tolist() == [LineKind.FALLING]
+    assert there.offset_px[there.axis == 0][0] == pytest.approx(60.0, abs=0.2)
+
+
+def test_no_points_and_noise_alone_give_no_lines() -> None:
+    rng = np.random.default_rng(1)
+    none = Edges(np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
+    noise = Edges(rng.uniform(-300, 300, (300, 2)).astype(np.float32), rng.uniform(0, 360, 300).astype(np.float32))
+    assert find_lines(none, Features(), FOCAL_PX) is None
+    assert find_lines(noise, Features(), FOCAL_PX) is None
+
+
+def test_a_fitting_prior_quietens_the_tilt() -> None:
+    """Over many noisy views of a level robot, the prior must shrink the spread of the tilt."""
+    prior = TiltPrior(np.zeros(2), np.full(2, 1e-5))
+    free, led = [], []
+    for seed in range(30):
+        seen = edges(GRID, 0.3, seed)
+        for known, out in ((None, free), (prior, led)):
+            lines = find_lines(seen, Features(), FOCAL_PX, known)
+            assert lines is not None
+            out.append(lines.tilt_rad)
+    assert np.std(led) < 0.5 * np.std(free)
+
+
+def test_a_contradicted_prior_gives_way() -> None:
+    tilt = np.radians([1.2, -0.8])
+    seen = edges(GRID, 0.3, 5, tilt=(tilt[0], tilt[1]))
+    without = find_lines(seen, Features(), FOCAL_PX)
+    against = find_lines(seen, Features(), FOCAL_PX, TiltPrior(np.zeros(2), np.full(2, 1e-5)))
+    assert without is not None and against is not None
+    assert np.array_equal(without.tilt_rad, against.tilt_rad)
+
+
+def test_few_lines_do_not_imitate_a_tilt() -> None:
+    """One lamp cannot tell a tilt from noise: none is read from it, and it does not teach the prior."""
+    lamp: list[Segment] = [(a, o, p, -20.0, 20.0) for a in (0, 1) for o, p in ((-20.0, 1), (20.0, -1))]
+    tracker = TiltTracker()
+    for seed in range(60):
+        lines = find_lines(edges(lamp, 0.2, seed, noise_px=0.5), Features(min_line_points=15), FOCAL_PX)
+        assert lines is not None
+        assert np.abs(lines.tilt_rad).max() < 1e-9
+        tracker.note(lines)
+    assert tracker.prior() is None
