@@ -108,7 +108,7 @@ class Drive:
     def _at_truth(self) -> None:
         self._pipeline.reset(keep_map=False)
         following = self._tape.truth[(self._k + 1) % self._tape.frames]  # its first frame is the next one
-        self._pipeline.assume(following, np.diag([1e-6, 1e-6, 1e-6]), "put right")
+        self._pipeline.set_pose(following, np.diag([1e-6, 1e-6, 1e-6]), "put right")
         self._state, self._trouble_ns, self._was_wrong = State.INIT, None, False
         self._wheel_k = self._k
 
@@ -127,13 +127,13 @@ class Drive:
             self.tally.seconds += 1.0 / RATE_HZ
             return
         if self._fault == "silent":
-            estimate = self._pipeline.coast(self._ns, "the camera gives no frames", wheels)
+            estimate = self._pipeline.step_crossings(self._ns, None, wheels, missing="the camera gives no frames")
         else:
             self._finder.show(None if dark else self._seen())
             estimate = self._pipeline.step(Frame(0, self._ns, _EMPTY), wheels)
         self._wheel_k = self._k
         self._count(estimate)
-        if self._ns - self._saved_ns > _SAVED_EVERY_S * 1e9 and len(self._pipeline.landmarks()):
+        if self._ns - self._saved_ns > _SAVED_EVERY_S * 1e9 and len(self._pipeline.filter.landmarks()):
             self._saved, self._saved_ns = (estimate.pose, estimate.cov), self._ns
 
     def _move(self) -> None:
@@ -189,7 +189,7 @@ class Drive:
 
     def _restart(self) -> None:
         """Another process with the stored map and the stored pose, which may be 10 s old."""
-        landmarks, axis = self._pipeline.landmarks(), self._pipeline.map_axis_rad
+        landmarks, axis = self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
         self._pipeline = self._fresh()
         self._wheel_k = self._k
         self._state = State.INIT
@@ -197,7 +197,7 @@ class Drive:
             self._at_truth()
             return
         pose, cov = self._saved
-        self._pipeline.know_map(landmarks, axis, pose, cov + np.diag(_RESTART_SIGMA**2))
+        self._pipeline.load_map(landmarks, axis, pose, cov + np.diag(_RESTART_SIGMA**2))
 
     def _count(self, e: Estimate) -> None:
         t, dt = self.tally, 1.0 / RATE_HZ

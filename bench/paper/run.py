@@ -23,7 +23,7 @@ from ceilvo.bench.paper.world import (
 from ceilvo.config import States
 from ceilvo.daemon.integrity.states import Evidence, StateMachine
 from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter, chi_square_bounds
-from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations, State
+from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations, State
 
 START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 """m, m, rad: the start is known."""
@@ -153,7 +153,7 @@ class Health:
     def __init__(self) -> None:
         self._rows: list[tuple[float, ...]] = []
 
-    def add(self, d: Depletion) -> None:
+    def add(self, d: FilterHealth) -> None:
         low, high = chi_square_bounds(d.nis_dof)
         inside = float(low <= d.nis <= high) if d.nis_dof else float("nan")
         nis = d.nis if d.nis_dof else float("nan")

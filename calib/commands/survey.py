@@ -98,7 +98,7 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
                     continue
                 first_ns, last_ns = first_ns or picture.stamp_ns, picture.stamp_ns
                 estimate = pipeline.step(Frame(len(survey.path), picture.stamp_ns, picture.gray))
-                view = pipeline.view
+                view = pipeline.vision.view
                 ok = estimate.motion.ok or not survey.path
                 survey.add(picture.gray, estimate, view.crossings if view else None, ok)
                 progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")

@@ -10,8 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
-from ceilvo.daemon.pipeline import Lap, Pipeline, View, no_lap
-from ceilvo.daemon.replay.inputs import Assumption, FrameInput, Input, KnownMap, Reset, Silence, apply
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.vision.crossing_finder import OnStageDone, View, ignore
+from ceilvo.daemon.replay.inputs import SetPose, FrameInput, Input, LoadMap, Reset, Silence, apply
 from ceilvo.types import Array, Estimate, Frame, Landmarks, WheelMotion
 
 Clock = Callable[[], int]
@@ -80,7 +81,7 @@ class Estimator:
 
         with self._lock:
             self._lag_ns = min(max(age_ns, round(_LAG_KEPT * self._lag_ns)), _MAX_LAG_NS)
-            before_ns = self._pipeline.stamp_ns
+            before_ns = self._pipeline.dead_reckoning.state.stamp_ns
             if before_ns is not None and frame.stamp_ns <= before_ns:
                 self._late += 1
                 return None
@@ -99,7 +100,7 @@ class Estimator:
         than the interval between two calls would be late.
         """
         with self._lock:
-            before_ns = self._pipeline.stamp_ns
+            before_ns = self._pipeline.dead_reckoning.state.stamp_ns
             if before_ns is None:
                 return None
             now_ns = max(self._clock() - self._lag_ns, before_ns + 1)
@@ -110,18 +111,18 @@ class Estimator:
         """Begin on the map of an earlier run; its last pose is a hypothesis."""
         with self._lock:
             cov = state.cov + np.diag(_RESTART_SIGMA**2)
-            self._do(KnownMap(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov))
+            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov))
 
-    def assume(self, pose: Array, sigma: Array, why: str) -> None:
+    def set_pose(self, pose: Array, sigma: Array, why: str) -> None:
         """Continue from a pose that somebody says, with standard deviations (3,)."""
         with self._lock:
-            self._do(Assumption(pose, np.diag(np.square(sigma)), why))
+            self._do(SetPose(pose, np.diag(np.square(sigma)), why))
 
     def search(self) -> Array:
         """Spread the particles around the last pose and let landmarks confirm it; returns the (3,) sigma used."""
         with self._lock:
             pose = np.zeros(3) if self._last is None else self._last.pose
-            self._do(Assumption(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for"))
+            self._do(SetPose(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for"))
         return _SEARCH_SIGMA
 
     def reset(self, keep_map: bool) -> None:
@@ -129,22 +130,22 @@ class Estimator:
         with self._lock:
             self._do(Reset(keep_map))
 
-    def _do(self, given: Input, lap: Lap = no_lap) -> Estimate | None:
+    def _do(self, given: Input, on_stage_done: OnStageDone = ignore) -> Estimate | None:
         """The one way to change the pipeline, so that a recording has all that a replay needs; under the lock."""
-        estimate = apply(self._pipeline, given, lap)
+        estimate = apply(self._pipeline, given, on_stage_done)
         self._tap(given, estimate, self._pipeline)
         return estimate
 
     def shown(self) -> Shown:
         with self._lock:
-            particles, weights = self._pipeline.particles()
-            return Shown(self._pipeline.view, particles, weights, self._pipeline.landmarks())
+            particles, weights = self._pipeline.filter.particles()
+            return Shown(self._pipeline.vision.view, particles, weights, self._pipeline.filter.landmarks())
 
     def counters(self) -> Mapping[str, int]:
         """Of the filter, see particles.COUNTERS."""
         with self._lock:
-            return self._pipeline.counters()
+            return self._pipeline.filter.counters()
 
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:
-            return self._pipeline.landmarks(), self._pipeline.map_axis_rad
+            return self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad

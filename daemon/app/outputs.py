@@ -12,7 +12,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.pipeline import View
+from ceilvo.daemon.vision.crossing_finder import View
 from ceilvo.daemon.replay.overlay import draw_overlay
 from ceilvo.daemon.replay.recording import Tape
 from ceilvo.drivers.base.link import BaseLink

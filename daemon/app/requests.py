@@ -22,7 +22,7 @@ def handlers(
 
     def initial_pose(c: commands.InitialPose) -> Result:
         sigma = np.array([c.sigma_m, c.sigma_m, c.sigma_theta_rad])
-        estimator.assume(np.array([c.x_m, c.y_m, c.theta_rad]), sigma, "initial pose given")
+        estimator.set_pose(np.array([c.x_m, c.y_m, c.theta_rad]), sigma, "initial pose given")
         return {"did": "pose taken as a hypothesis; TRACKING once landmarks confirm it"}
 
     def relocalise(c: commands.Relocalise) -> Result:

@@ -21,7 +21,7 @@ from ceilvo.daemon.slam.pose_filter import chi_square_bounds
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.camera.capture import CaptureLoop
 from ceilvo.drivers.ports import Publisher
-from ceilvo.types import Array, Depletion, Estimate, State
+from ceilvo.types import Array, FilterHealth, Estimate, State
 
 _PATH_POINTS = 400
 _PATH_STEP_M = 0.05
@@ -73,7 +73,7 @@ class Report:
             if estimate.state in UNUSABLE:
                 self._staleness.reset()
             elif estimate.motion.ok and _moving(estimate):
-                self._staleness.add(estimate.stamp_ns, estimate.depletion.nis, estimate.depletion.nis_dof)
+                self._staleness.add(estimate.stamp_ns, estimate.health.nis, estimate.health.nis_dof)
         if not self._path or np.hypot(*(estimate.pose - self._path[-1])[:2]) > _PATH_STEP_M:
             self._path.append(estimate.pose)
 
@@ -101,7 +101,7 @@ class Report:
             "calibration_mean_nis": stale.mean_nis if np.isfinite(stale.mean_nis) else None,
             "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
         }
-        out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.depletion))
+        out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.health))
         if self._base is not None:
             link = self._base.snapshot()
             out |= {
@@ -154,7 +154,7 @@ class Report:
         return shown if last is None else self._with_estimate(shown, last)
 
     def _with_estimate(self, shown: Snapshot, last: Estimate) -> Snapshot:
-        d = last.depletion
+        d = last.health
         return replace(
             shown,
             state=last.state,
@@ -183,8 +183,8 @@ class Report:
             )
 
 
-def _health(d: Depletion) -> dict[str, float | None]:
-    """Depletion and consistency of the last estimate; NIS is of chance between its bounds."""
+def _health(d: FilterHealth) -> dict[str, float | None]:
+    """FilterHealth and consistency of the last estimate; NIS is of chance between its bounds."""
     low, high = chi_square_bounds(d.nis_dof)
     known = d.nis_dof > 0
     return {

@@ -20,7 +20,7 @@ from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
 from ceilvo.config.reader import render_config
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.inputs import Assumption, Continuation, FrameInput, Input, input_json
+from ceilvo.daemon.replay.inputs import SetPose, Continuation, FrameInput, Input, input_json
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json, half_angle
 from ceilvo.daemon.vision.kernel import COMPILED
@@ -76,7 +76,7 @@ class Tape:
             messages = self._pictures(given.frame, number)
             size = given.frame.gray.nbytes if messages else 0
             if self._features:
-                crossings = None if pipeline.view is None else pipeline.view.crossings
+                crossings = None if pipeline.vision.view is None else pipeline.vision.view.crossings
                 messages.append(Message(mcap_file.FEATURES, stamp_ns, lambda _: value_json(crossings), number))
             given = replace(given, frame=replace(given.frame, gray=given.frame.gray[:0]))
         messages.append(Message(mcap_file.INPUT, stamp_ns, lambda _: input_json(given, number), number))
@@ -233,7 +233,7 @@ def _continuation(frozen: Pipeline, estimate: Estimate, number: int) -> bytes:
         return input_json(Continuation(snapshot_json(frozen)), number)
     except SnapshotError as e:
         log.error("a recording without its state, from which no replay can start: %s", e)
-        return input_json(Assumption(estimate.pose, np.eye(3), "a recording begins"), number)
+        return input_json(SetPose(estimate.pose, np.eye(3), "a recording begins"), number)
 
 
 def _raw(unix_ns: int, frame: Frame) -> bytes:

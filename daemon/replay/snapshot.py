@@ -35,7 +35,7 @@ class SnapshotError(FileFormatError):
 def freeze(pipeline: Pipeline) -> Pipeline:
     """A copy that stays as it is; quick, for it is taken while the pipeline waits. Without the last frame's view."""
     memo: dict[int, Any] = {id(c): c for c in _constants(pipeline).values()}
-    memo[id(pipeline.view)] = None
+    memo[id(pipeline.vision.view)] = None
     memo |= {id(o): o for o in _tables(pipeline)}
     return copy.deepcopy(pipeline, memo)
 

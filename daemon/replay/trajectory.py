@@ -51,7 +51,7 @@ def _seconds(stamp_ns: int) -> str:
 
 def estimate_json(estimate: Estimate) -> str:
     """One line of JSON, keys with units, null for what is not finite; the shortest text that reads back equal."""
-    m, d = estimate.motion, estimate.depletion
+    m, d = estimate.motion, estimate.health
     record = {
         "v": SCHEMA,
         "seq": estimate.seq,

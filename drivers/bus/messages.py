@@ -76,7 +76,7 @@ def robot_key(prefix: str, robot: str) -> str:
 
 def encode_pose(robot: str, estimate: Estimate, stamp_unix_ns: int, sent_ns: int) -> bytes:
     """Pose of base in map, how good it is and why; sent_ns (monotonic) minus the capture time is its age."""
-    e, d = estimate, estimate.depletion
+    e, d = estimate, estimate.health
     sigma = np.sqrt(np.maximum(np.diag(e.cov), 0.0))
     return _message(
         "pose",

@@ -44,7 +44,7 @@ def step(pipeline: Pipeline, frame: Frame) -> str:
     """With wheels, and a frame in which nothing is seen now and then."""
     wheels = WheelMotion(np.array([0.03, 0.0, 0.001]), np.diag([1e-4, 1e-4, 1e-4]))
     if frame.seq % 13 == 12:
-        return estimate_json(pipeline.coast(frame.stamp_ns, "nothing seen", wheels))
+        return estimate_json(pipeline.step_crossings(frame.stamp_ns, None, wheels, missing="nothing seen"))
     return estimate_json(pipeline.step(frame, wheels if frame.seq % 3 else None))
 
 
@@ -85,7 +85,7 @@ def test_sightings_replay_what_frames_gave(world: World, frames: list[Frame]) ->
         estimate = whole.step(frame)
         assert whole.view is not None
         crossings = read_value(value_json(whole.view.crossings), Crossings)
-        assert estimate_json(rest.follow(frame.stamp_ns, crossings)) == estimate_json(estimate)
+        assert estimate_json(rest.step_crossings(frame.stamp_ns, crossings)) == estimate_json(estimate)
 
 
 def test_a_state_of_something_else_is_refused(world: World, frames: list[Frame]) -> None:

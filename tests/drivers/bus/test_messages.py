@@ -20,7 +20,7 @@ from ceilvo.drivers.bus import commands
 from ceilvo.drivers.bus import messages as wire
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES, InitialPose, Relocalise, Reset, SaveMap, parse_command
 from ceilvo.errors import BusError
-from ceilvo.types import Depletion, Estimate, Landmarks, Motion, State
+from ceilvo.types import FilterHealth, Estimate, Landmarks, Motion, State
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 DOCS = Path(__file__).parents[3] / "docs" / "zenoh.md"
@@ -40,7 +40,7 @@ def estimate() -> Estimate:
         quality=0.97,
         reason="",
         motion=motion,
-        depletion=Depletion(100, 71.5, 12, math.nan, 1.1, 18),
+        health=FilterHealth(100, 71.5, 12, math.nan, 1.1, 18),
         crossings=31,
         landmarks=57,
         latency_ms={"capture": 3.5, "features": 6.25, "total": 14.0},

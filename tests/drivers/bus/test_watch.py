@@ -23,7 +23,7 @@ from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.drivers.bus.watch import WatchOptions, pose_line, watch
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.errors import BusError
-from ceilvo.types import Depletion, Estimate, Landmarks, Motion, State
+from ceilvo.types import FilterHealth, Estimate, Landmarks, Motion, State
 
 PATIENCE_S = 20.0
 STAMP = wire.Stamp(1, 2)
@@ -67,7 +67,7 @@ def pose(seq: int, state: State = State.TRACKING, *, robot: str = "robot1", reas
     e = Estimate(
         seq, 0, np.array([1.25, -0.5, math.pi / 2]), np.diag([9e-4, 16e-4, math.radians(0.5) ** 2]), np.zeros(3),
         np.zeros(3), state, 0.9, reason, Motion(np.zeros(3), np.zeros((3, 3)), 9, 0.001),
-        Depletion(100, 50.0, 9, 0.1, 1.0, 8), 20, 30, MappingProxyType({}),
+        FilterHealth(100, 50.0, 9, 0.1, 1.0, 8), 20, 30, MappingProxyType({}),
     )  # fmt: skip
     return wire.encode_pose(robot, e, 0, sent_ns=12_500_000)
 
