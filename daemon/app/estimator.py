@@ -11,8 +11,8 @@ import numpy as np
 
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.crossing_finder import OnStageDone, View, ignore
-from ceilvo.daemon.replay.inputs import SetPose, FrameInput, Input, LoadMap, Reset, Silence, apply
 from ceilvo.types import Array, Estimate, Frame, Landmarks, WheelMotion
 
 Clock = Callable[[], int]

@@ -12,9 +12,9 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.vision.crossing_finder import View
 from ceilvo.daemon.replay.overlay import draw_overlay
 from ceilvo.daemon.replay.recording import Tape
+from ceilvo.daemon.vision.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages as wire
 from ceilvo.drivers.bus.messages import ON_DEMAND, Topic

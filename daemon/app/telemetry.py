@@ -21,7 +21,7 @@ from ceilvo.daemon.slam.pose_filter import chi_square_bounds
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.camera.capture import CaptureLoop
 from ceilvo.drivers.ports import Publisher
-from ceilvo.types import Array, FilterHealth, Estimate, State
+from ceilvo.types import Array, Estimate, FilterHealth, State
 
 _PATH_POINTS = 400
 _PATH_STEP_M = 0.05

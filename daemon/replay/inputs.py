@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
 from ceilvo.daemon.replay.snapshot import restore
+from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError
 from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, WheelMotion
 

@@ -19,8 +19,8 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
 from ceilvo.config.reader import render_config
-from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.inputs import SetPose, Continuation, FrameInput, Input, input_json
+from ceilvo.daemon.pipeline import Pipeline, PipelineState
+from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose, input_json
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json, half_angle
 from ceilvo.daemon.vision.kernel import COMPILED
@@ -138,8 +138,12 @@ class Tape:
     def _state(self, estimate: Estimate, pipeline: Pipeline) -> Message:
         """All that the pipeline knows now, from which a replay of a file that begins here starts."""
         number, self._number = self._number, self._number + 1
-        frozen = freeze(pipeline)
-        return Message(mcap_file.INPUT, estimate.stamp_ns, lambda _: _continuation(frozen, estimate, number), number)
+        frozen, method = freeze(pipeline), pipeline.config.filter.method
+
+        def data(unix_ns: int) -> bytes:
+            return _continuation(frozen, method, estimate, number)
+
+        return Message(mcap_file.INPUT, estimate.stamp_ns, data, number)
 
 
 class TapedBase:
@@ -228,9 +232,9 @@ def _head(config: Config, calibration: Calibration, clock: Clock, kind: str, fra
     return Head(metadata, files, time.time_ns() - clock(), raw_frames=frames == "lossless")
 
 
-def _continuation(frozen: Pipeline, estimate: Estimate, number: int) -> bytes:
+def _continuation(frozen: PipelineState, method: str, estimate: Estimate, number: int) -> bytes:
     try:
-        return input_json(Continuation(snapshot_json(frozen)), number)
+        return input_json(Continuation(snapshot_json(frozen, method)), number)
     except SnapshotError as e:
         log.error("a recording without its state, from which no replay can start: %s", e)
         return input_json(SetPose(estimate.pose, np.eye(3), "a recording begins"), number)
