@@ -18,7 +18,7 @@ from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_stat
 from ceilvo.daemon.map.store import MAP_NAME, REJECTED, STATE_NAME, Store
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import FilterHealth, Estimate, Landmarks, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
 KILLS = int(os.environ.get("KILLS", "20"))
 """`make kill-test` sets 200."""

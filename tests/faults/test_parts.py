@@ -21,7 +21,7 @@ from ceilvo.drivers.camera.mock_camera import MockCamera, moving_square
 from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
 from ceilvo.se2 import inverse, transform
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, FilterHealth, Estimate, Frame, Landmarks, Motion, Observations, State
+from ceilvo.types import Array, Estimate, FilterHealth, Frame, Landmarks, Motion, Observations, State
 
 SEED = 6
 

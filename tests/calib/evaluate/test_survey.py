@@ -9,7 +9,7 @@ import pytest
 
 from ceilvo.calib.evaluate.survey import DARK_LEVEL, Survey, ambiguity, flicker
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Crossings, FilterHealth, Estimate, Motion, State
+from ceilvo.types import Array, Crossings, Estimate, FilterHealth, Motion, State
 
 
 def crossings(xy: Array) -> Crossings:

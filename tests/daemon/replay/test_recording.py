@@ -21,7 +21,7 @@ from ceilvo.config import Recorder as RecorderConfig
 from ceilvo.config.reader import parse_config, render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.app.process import Daemon, Plan
-from ceilvo.daemon.replay.inputs import SetPose, FrameInput, Input, LoadMap, Reset, Silence, input_json, read_input
+from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
 from ceilvo.daemon.replay.recording import faults_in
 from ceilvo.daemon.replay.trajectory import estimate_json, tum_line
 from ceilvo.drivers.host.systemd_notify import Notifier

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from ceilvo import se2
 from ceilvo.daemon.replay.summary import Histogram, RunStatistics, format_summary
-from ceilvo.types import FilterHealth, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 SEED = 5
 KEYS = {

@@ -29,7 +29,7 @@ from ceilvo.daemon.replay.trajectory import (
     tum_line,
 )
 from ceilvo.errors import FileFormatError
-from ceilvo.types import FilterHealth, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 SEED = 11
 

@@ -17,7 +17,7 @@ from ceilvo.drivers.base.mock_base import BaseModel, MockBase
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
 from ceilvo.sim.base import SimBase
-from ceilvo.types import FilterHealth, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 SETTINGS = config.Base(port="mock", rate_hz=200.0, timeout_s=0.01, reconnect_max_s=0.05)
 

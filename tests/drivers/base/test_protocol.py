@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ceilvo.drivers.base import protocol as bp
 from ceilvo.errors import BaseLinkError
-from ceilvo.types import FilterHealth, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 BASIC = bp.PoseTelegram(
     State.TRACKING, 0.9, 7, 0.02, 1.0, -2.0, 0.5, 0.01, 0.02, 0.003, 0.3, 0.0, -0.1, heartbeat=1

@@ -20,7 +20,7 @@ from ceilvo.drivers.bus import commands
 from ceilvo.drivers.bus import messages as wire
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES, InitialPose, Relocalise, Reset, SaveMap, parse_command
 from ceilvo.errors import BusError
-from ceilvo.types import FilterHealth, Estimate, Landmarks, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 DOCS = Path(__file__).parents[3] / "docs" / "zenoh.md"

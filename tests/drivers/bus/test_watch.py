@@ -23,7 +23,7 @@ from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.drivers.bus.watch import WatchOptions, pose_line, watch
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.errors import BusError
-from ceilvo.types import FilterHealth, Estimate, Landmarks, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
 PATIENCE_S = 20.0
 STAMP = wire.Stamp(1, 2)
