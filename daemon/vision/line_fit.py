@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel import reference as kernel_numpy
+from ceilvo.daemon.vision.kernel.arguments import Ends
+from ceilvo.daemon.vision.kernel.reference import median
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Ints
 
@@ -32,12 +33,12 @@ _WEAK_RAD = np.radians(0.014)
 class Points:
     """Edge points as rays (x, y, 1), (P,) each, none further than `reach` from the centre.
 
-    `ends` bounds the four groups (see kernel_numpy).
+    `ends` bounds the four groups (see kernel/reference.py).
     """
 
     x: Array32
     y: Array32
-    ends: kernel_numpy.Ends
+    ends: Ends
     reach: float
 
     def stride_to(self, enough: int) -> int:
@@ -136,7 +137,7 @@ class JointFit:
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
         spread = np.abs(self.rho[::_SPREAD_STRIDE] * self._focal - self.offset[self.line[::_SPREAD_STRIDE]])
-        sigma = 1.4826 * kernel_numpy.median(spread)
+        sigma = 1.4826 * median(spread)
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
     def solve(self, tilt: bool = True) -> None:
