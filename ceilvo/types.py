@@ -7,7 +7,7 @@ Frames of reference (docs/coordinates.md): base (x forward, y left, z up), map (
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
 
@@ -181,6 +181,16 @@ class Observations:
     def __len__(self) -> int:
         return len(self.label)
 
+    def of(self, which: NDArray[np.bool_]) -> Observations:
+        """The features `which` (K,), with the same heading."""
+        return replace(
+            self,
+            xy_base_m=self.xy_base_m[which],
+            var_m2=self.var_m2[which],
+            kind=self.kind[which],
+            label=self.label[which],
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
@@ -197,15 +207,23 @@ class Landmarks:
 
 
 @dataclass(frozen=True, slots=True)
-class Depletion:
-    """Health of the particle set: effective sample size, distinct ancestors since the last estimate, rms residual of
-    the curve fit (nan when no fit was made), the mean normalised innovation squared per degree of freedom (1 is
-    expected; particles.chi_square_bounds tells how far from it is chance) with those degrees of freedom, and the share
-    of the belief that is in the reported mode (less than 1: other poses explain the view too)."""
+class FilterHealth:
+    """How well the filter does.
+
+    Attributes:
+        particles: their number.
+        ess: effective sample size of the weights that the last curve was fitted to, or that were resampled.
+        unique_ancestors: distinct ancestors of the last resampling; None where particles have none, because they are
+            drawn anew from a Gaussian.
+        fit_residual: rms of eq. 22, nan when no curve was fitted.
+        nis, nis_dof: mean normalised innovation squared per degree of freedom (1 is expected;
+            slam.pose_filter.chi_square_bounds tells how far from it is chance), and those degrees of freedom.
+        mode_weight: fraction of the belief that is in the reported mode; less than 1: other poses explain the view too.
+    """
 
     particles: int
     ess: float
-    unique_ancestors: int
+    unique_ancestors: int | None
     fit_residual: float
     nis: float
     nis_dof: int
@@ -226,7 +244,7 @@ class Estimate:
     quality: float
     reason: str
     motion: Motion
-    depletion: Depletion
+    depletion: FilterHealth
     crossings: int
     landmarks: int
     latency_ms: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

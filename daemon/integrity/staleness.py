@@ -9,9 +9,8 @@ window, and must be exceeded for a while. How often that is wrong is measured in
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 WINDOW_S = 60.0
 HOLD_S = 20.0
@@ -51,6 +50,23 @@ def worst_stretch(series: Sequence[tuple[float, float]]) -> float | None:
     return highest
 
 
+@dataclass(slots=True)
+class StalenessState:
+    """Updates of the window and what they say.
+
+    Attributes:
+        updates: stamp (ns) and NIS per degree of freedom, oldest first.
+        total: sum of the latter.
+        above_since_ns: since when the mean has been above the bound.
+        verdict: the last one.
+    """
+
+    updates: list[tuple[int, float]] = field(default_factory=list)
+    total: float = 0.0
+    above_since_ns: int | None = None
+    verdict: Staleness = Staleness(False, "", math.nan)
+
+
 class StalenessMonitor:
     """Feed it every update of the filter, in order of time.
 
@@ -66,54 +82,51 @@ class StalenessMonitor:
     ) -> None:
         self._expected = UNMEASURED_NIS if expected is None else max(expected, _LEAST_NIS)
         self._high, self._window_ns, self._hold_ns = high, round(window_s / _NS), round(hold_s / _NS)
-        self._updates: deque[tuple[int, float]] = deque()
-        self._total = 0.0
-        self._since_ns: int | None = None
-        self._last = Staleness(False, "", math.nan)
+        self.state = StalenessState()
 
     @property
     def last(self) -> Staleness:
-        return self._last
+        """The verdict after the last update."""
+        return self.state.verdict
 
     def reset(self) -> None:
         """After a relocalisation or a new map: what was before says nothing about the calibration."""
-        self._updates.clear()
-        self._total = 0.0
-        self._since_ns = None
-        self._last = Staleness(False, "", math.nan)
+        self.state = StalenessState()
 
     def add(self, stamp_ns: int, nis: float, dof: int) -> Staleness:
         """One update: mean NIS per degree of freedom and its degrees of freedom; dof 0 = none, which is skipped.
 
         One wild update (a wrong association) counts no more than CAP times what is expected.
         """
+        s = self.state
         if dof <= 0:
-            return self._last
+            return s.verdict
         most = CAP * self._expected
         counted = min(nis, most) if math.isfinite(nis) else most
-        self._updates.append((stamp_ns, counted))
-        self._total += counted
-        while stamp_ns - self._updates[0][0] > self._window_ns:
-            self._total -= self._updates.popleft()[1]
-        if len(self._updates) < MIN_UPDATES:
-            self._last = Staleness(self._last.stale, self._last.reason, math.nan)
-            return self._last
-        self._last = self._judge(stamp_ns, self._total / len(self._updates))
-        return self._last
+        s.updates.append((stamp_ns, counted))
+        s.total += counted
+        while stamp_ns - s.updates[0][0] > self._window_ns:
+            s.total -= s.updates.pop(0)[1]
+        if len(s.updates) < MIN_UPDATES:
+            s.verdict = replace(s.verdict, mean_nis=math.nan)
+        else:
+            s.verdict = self._judge(stamp_ns, s.total / len(s.updates))
+        return s.verdict
 
     def _judge(self, stamp_ns: int, mean: float) -> Staleness:
-        bound = self._high * self._expected
-        if self._last.stale:
+        s, bound = self.state, self._high * self._expected
+        if s.verdict.stale:
             stale = mean >= LEAVE_RATIO * bound
-            return Staleness(stale, self._last.reason if stale else "", mean)
+            return Staleness(stale, s.verdict.reason if stale else "", mean)
         if mean <= bound:
-            self._since_ns = None
+            s.above_since_ns = None
             return Staleness(False, "", mean)
-        self._since_ns = stamp_ns if self._since_ns is None else self._since_ns
-        if stamp_ns - self._since_ns < self._hold_ns:
+        s.above_since_ns = stamp_ns if s.above_since_ns is None else s.above_since_ns
+        above_ns = stamp_ns - s.above_since_ns
+        if above_ns < self._hold_ns:
             return Staleness(False, "", mean)
         reason = (
-            f"calibration stale: NIS is {mean:.1f} for {(stamp_ns - self._since_ns) * _NS:.0f} s, "
+            f"calibration stale: NIS is {mean:.1f} for {above_ns * _NS:.0f} s, "
             f"{self._expected:.1f} expected, {bound:.1f} allowed; run 'calib check'"
         )
         return Staleness(True, reason, mean)

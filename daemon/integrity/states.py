@@ -7,7 +7,7 @@ condition differ and counts must agree, so evidence that hovers at a threshold d
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ceilvo.config import States
 from ceilvo.types import State
@@ -62,21 +62,49 @@ class Verdict:
     changed: bool
 
 
-class _Agreement:
+@dataclass(slots=True)
+class Votes:
     """A condition that holds once `need` votes more came for it than against it, and until all are taken back."""
 
-    def __init__(self, need: int) -> None:
-        self._need = need
-        self._votes = 0
-        self.holds = False
+    count: int = 0
+    holds: bool = False
 
-    def vote(self, bad: bool, good: bool) -> None:
-        self._votes = min(max(self._votes + int(bad) - int(good), 0), self._need)
-        if self._votes in (0, self._need):
-            self.holds = self._votes == self._need
+    def add(self, bad: bool, good: bool, need: int) -> None:
+        self.count = min(max(self.count + int(bad) - int(good), 0), need)
+        if self.count in (0, need):
+            self.holds = self.count == need
 
-    def clear(self) -> None:
-        self._votes, self.holds = 0, False
+
+@dataclass(slots=True)
+class StateMachineState:
+    """What the frames so far left.
+
+    Attributes:
+        current, reported: state now, and at the end of the last step.
+        cause, reason: why it is this one, as a short key and as text.
+        conditions: those that hold, by key, with their texts.
+        nis_high, nis_lost: whether NIS is above the thresholds of DEGRADED and LOST.
+        nis_mean: smoothed NIS per degree of freedom.
+        vision_score: in [0, 1], fading without vision.
+        stamp_ns, vision_ns: the last frame's, and of the last one with a motion.
+        good_frames, vision_frames: in a row, without anything bad and with a motion.
+        confirmed: landmarks have matched since the pose was last given up.
+    """
+
+    current: State = State.INIT
+    reported: State = State.INIT
+    cause: str = ""
+    reason: str = "starting"
+    conditions: dict[str, str] = field(default_factory=dict)
+    nis_high: Votes = field(default_factory=Votes)
+    nis_lost: Votes = field(default_factory=Votes)
+    nis_mean: float = 1.0
+    vision_score: float = 0.0
+    stamp_ns: int | None = None
+    vision_ns: int | None = None
+    good_frames: int = 0
+    vision_frames: int = 0
+    confirmed: bool = False
 
 
 class StateMachine:
@@ -84,20 +112,7 @@ class StateMachine:
 
     def __init__(self, config: States) -> None:
         self._cfg = config
-        self._state = State.INIT
-        self._reported = State.INIT
-        self._reason = "starting"
-        self._cause = ""
-        self._causes: dict[str, str] = {}
-        self._nis_high = _Agreement(config.nis_frames)
-        self._nis_lost = _Agreement(config.nis_frames)
-        self._nis_mean = 1.0
-        self._vision_score = 0.0
-        self._stamp_ns: int | None = None
-        self._vision_ns: int | None = None
-        self._good_frames = 0
-        self._vision_frames = 0
-        self._confirmed = False
+        self.state = StateMachineState()
 
     def reset(self, reason: str) -> None:
         """Back to INIT (a pose was set from outside, or the map was dropped); the next step reports the change."""
@@ -105,36 +120,37 @@ class StateMachine:
         self._forget()
 
     def step(self, evidence: Evidence) -> Verdict:
+        s = self.state
         self._weigh(evidence)
         if evidence.relocalising:
             self._forget()
         state, cause, reason = self._decide(evidence)
-        if state is not self._state or cause not in ("", self._cause):
+        if state is not s.current or cause not in ("", s.cause):
             self._enter(state, cause, reason)
-        changed = self._state is not self._reported
-        self._reported = self._state
-        return Verdict(self._state, self._quality(evidence), self._reason, changed)
+        changed = s.current is not s.reported
+        s.reported = s.current
+        return Verdict(s.current, self._quality(evidence), s.reason, changed)
 
     def _enter(self, state: State, cause: str, reason: str) -> None:
-        self._state, self._cause, self._reason = state, cause, reason
+        self.state.current, self.state.cause, self.state.reason = state, cause, reason
 
     def _forget(self) -> None:
         """Innovations and good frames of a pose that is no longer believed say nothing about the next one."""
-        self._nis_high.clear()
-        self._nis_lost.clear()
-        self._nis_mean = 1.0
-        self._causes.clear()
-        self._good_frames = 0
-        self._confirmed = False
+        s = self.state
+        s.nis_high, s.nis_lost = Votes(), Votes()
+        s.nis_mean = 1.0
+        s.conditions.clear()
+        s.good_frames = 0
+        s.confirmed = False
 
     def _weigh(self, e: Evidence) -> None:
         """Update the conditions that hold, the counts and the smoothed scores with this frame."""
-        cfg = self._cfg
-        elapsed_s = 0.0 if self._stamp_ns is None else max(e.stamp_ns - self._stamp_ns, 0) / 1e9
-        self._stamp_ns = e.stamp_ns
-        if e.motion_ok or self._vision_ns is None:
-            self._vision_ns = e.stamp_ns
-        self._vision_frames = self._vision_frames + 1 if e.motion_ok else 0
+        cfg, s = self._cfg, self.state
+        elapsed_s = 0.0 if s.stamp_ns is None else max(e.stamp_ns - s.stamp_ns, 0) / 1e9
+        s.stamp_ns = e.stamp_ns
+        if e.motion_ok or s.vision_ns is None:
+            s.vision_ns = e.stamp_ns
+        s.vision_frames = s.vision_frames + 1 if e.motion_ok else 0
         if e.motion_ok:  # without a motion the count says nothing that the failure does not say better
             n = cfg.degraded_inliers
             text = f"{e.inliers} inliers of {e.crossings} crossings, fewer than {n}"
@@ -147,25 +163,22 @@ class StateMachine:
         self._hold("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
         self._weigh_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
-        self._good_frames = self._good_frames + 1 if e.motion_ok and not self._causes and not spike else 0
-        self._confirmed |= not e.relocalising and e.landmarks_matched > 0
+        s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
+        s.confirmed |= not e.relocalising and e.landmarks_matched > 0
         hold = math.exp(-elapsed_s / cfg.dead_reckoning_s) if cfg.dead_reckoning_s > 0 else 0.0
         now = _score(cfg.degraded_inliers, e.inliers) if e.motion_ok else 0.0
-        self._vision_score = max(now, self._vision_score * hold)
+        s.vision_score = max(now, s.vision_score * hold)
 
     def _weigh_nis(self, e: Evidence) -> None:
-        cfg = self._cfg
+        cfg, s = self._cfg, self.state
         if e.nis_dof > 0:
             nis = e.nis if math.isfinite(e.nis) else math.inf
-            self._nis_high.vote(nis > cfg.nis_high, nis < LEAVE_RATIO * cfg.nis_high)
-            self._nis_lost.vote(nis > cfg.nis_lost, nis < LEAVE_RATIO * cfg.nis_lost)
-            self._nis_mean += (min(nis, 2.0 * cfg.nis_lost) - self._nis_mean) / cfg.nis_frames
+            s.nis_high.add(nis > cfg.nis_high, nis < LEAVE_RATIO * cfg.nis_high, cfg.nis_frames)
+            s.nis_lost.add(nis > cfg.nis_lost, nis < LEAVE_RATIO * cfg.nis_lost, cfg.nis_frames)
+            s.nis_mean += (min(nis, 2.0 * cfg.nis_lost) - s.nis_mean) / cfg.nis_frames
         text = f"NIS per degree of freedom {e.nis:.1f}, above {{:g}} for {cfg.nis_frames} updates"
-        for name, agreement, limit in (
-            ("nis", self._nis_high, cfg.nis_high),
-            ("lost_nis", self._nis_lost, cfg.nis_lost),
-        ):
-            self._hold(name, agreement.holds, not agreement.holds, text.format(limit))
+        for name, votes, limit in (("nis", s.nis_high, cfg.nis_high), ("lost_nis", s.nis_lost, cfg.nis_lost)):
+            self._hold(name, votes.holds, not votes.holds, text.format(limit))
 
     def _hold_below(self, name: str, value: float, limit: float, text: str) -> None:
         """A condition entered above the limit; a value that is not a number is above it."""
@@ -173,47 +186,48 @@ class StateMachine:
 
     def _hold(self, name: str, enter: bool, leave: bool, text: str) -> None:
         if enter:
-            self._causes.setdefault(name, text)
+            self.state.conditions.setdefault(name, text)
         elif leave:
-            self._causes.pop(name, None)
+            self.state.conditions.pop(name, None)
 
     def _decide(self, e: Evidence) -> tuple[State, str, str]:
         """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
-        cfg, state = self._cfg, self._state
+        cfg, s = self._cfg, self.state
+        state = s.current
         if e.relocalising:
             return State.RELOCALISING, "relocalising", self._search_reason()
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:
-            return State.LOST, lost, self._causes[lost]
-        enough = self._good_frames >= cfg.tracking_frames
+            return State.LOST, lost, s.conditions[lost]
+        enough = s.good_frames >= cfg.tracking_frames
         if state in (State.INIT, State.RELOCALISING):
-            enough &= state is State.INIT or self._confirmed
+            enough &= state is State.INIT or s.confirmed
             return (State.TRACKING, "good", self._good_reason()) if enough else (state, "", "")
         if not e.motion_ok:
             return self._without_vision(e)
-        if state is State.DEAD_RECKONING and self._vision_frames < cfg.tracking_frames:
+        if state is State.DEAD_RECKONING and s.vision_frames < cfg.tracking_frames:
             return state, "", ""
-        if enough or (state is State.TRACKING and not self._causes):
+        if enough or (state is State.TRACKING and not s.conditions):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
         cause = self._first_cause("nis", "unconfirmed", "sigma", "heading", "inliers")
         if cause:
-            return State.DEGRADED, cause, self._causes[cause]
+            return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
 
     def _search_reason(self) -> str:
-        why = self._reason if self._cause == "reset" else "searching"
+        why = self.state.reason if self.state.cause == "reset" else "searching"
         return f"{why}: a hypothesis until landmarks confirm it"
 
     def _without_vision(self, e: Evidence) -> tuple[State, str, str]:
-        out_s = (e.stamp_ns - (self._vision_ns or 0)) / 1e9
+        out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
         why = e.failure or "no motion"
-        if out_s > self._cfg.dead_reckoning_s or self._state is State.DEAD_RECKONING:
-            kept = self._state is State.DEAD_RECKONING
+        if out_s > self._cfg.dead_reckoning_s or self.state.current is State.DEAD_RECKONING:
+            kept = self.state.current is State.DEAD_RECKONING
             return State.DEAD_RECKONING, "" if kept else "blind", f"no vision for {out_s:.2f} s: {why}"
         return State.DEGRADED, "missed", f"no motion from this frame: {why}"
 
     def _first_cause(self, *names: str) -> str:
-        return next((n for n in names if n in self._causes), "")
+        return next((n for n in names if n in self.state.conditions), "")
 
     def _good_reason(self) -> str:
         n = self._cfg.tracking_frames
@@ -221,14 +235,14 @@ class StateMachine:
 
     def _quality(self, e: Evidence) -> float:
         """Product of scores, each 1/2 at its DEGRADED threshold and falling as its evidence gets worse."""
-        if self._state in UNUSABLE:
+        if self.state.current in UNUSABLE:
             return 0.0
         cfg = self._cfg
         sigma = _score(e.position_sigma_m, cfg.degraded_sigma_m)
         heading = _score(math.degrees(e.heading_sigma_rad), cfg.degraded_heading_deg)
-        nis = _score(self._nis_mean, cfg.nis_high)
+        nis = _score(self.state.nis_mean, cfg.nis_high)
         ess = 0.8 + 0.2 * min(max(e.ess_ratio, 0.0) / ESS_REFERENCE, 1.0) if math.isfinite(e.ess_ratio) else 0.8
-        return sigma * heading * nis * self._vision_score * ess
+        return sigma * heading * nis * self.state.vision_score * ess
 
 
 def _score(value: float, reference: float) -> float:

@@ -19,7 +19,15 @@ class Turn:
     of_points: bool
 
 
-class HeadingLock:
+@dataclass(slots=True)
+class HeadingState:
+    """By how much the heading of the lines is ahead of the sum of reported rotations, and the variance of that sum."""
+
+    deferred_rad: float = 0.0
+    deferred_var_rad2: float = 0.0
+
+
+class HeadingFusion:
     """Chooses between the rotation of the lines and that of the points, and remembers what the choice left open.
 
     The lines' direction errs from frame to frame where few or crooked lines show, but its errors do not add up; those
@@ -27,24 +35,18 @@ class HeadingLock:
     good as soon as they agree again.
     """
 
-    def __init__(self) -> None:
-        self._open_rad = 0.0
-        self._variance = 0.0
+    def __init__(self, state: HeadingState | None = None) -> None:
+        self.state = HeadingState() if state is None else state
 
-    def forget(self) -> None:
-        """The reference was lost: what was left open means nothing to the next one."""
-        self._open_rad, self._variance = 0.0, 0.0
-
-    def choose(self, lines_rad: float, lines_sigma_rad: float, points_rad: float, points_sigma_rad: float) -> Turn:
+    def fuse(self, lines_rad: float, lines_sigma_rad: float, points_rad: float, points_sigma_rad: float) -> Turn:
         """The rotation to report for one step."""
-        full = lines_rad + self._open_rad
+        s = self.state
+        full = lines_rad + s.deferred_rad
         off = abs(wrap(full - points_rad))
-        variance = self._variance + points_sigma_rad**2
+        variance = s.deferred_var_rad2 + points_sigma_rad**2
         if off > _AGREE_SIGMAS * math.sqrt(lines_sigma_rad**2 + variance):
-            self._open_rad = wrap(full - points_rad)
-            self._variance = variance
+            s.deferred_rad, s.deferred_var_rad2 = wrap(full - points_rad), variance
             return Turn(points_rad, points_sigma_rad, True)
-        free = self._open_rad == 0.0
-        turn = Turn(full, math.sqrt(lines_sigma_rad**2 + self._variance), not free)
-        self.forget()
+        turn = Turn(full, math.sqrt(lines_sigma_rad**2 + s.deferred_var_rad2), s.deferred_rad != 0.0)
+        s.deferred_rad, s.deferred_var_rad2 = 0.0, 0.0
         return turn

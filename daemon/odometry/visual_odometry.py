@@ -8,7 +8,7 @@ grows with the gap, so one bad frame costs nothing but covariance.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import quarter_turns, turn_kind
-from ceilvo.daemon.odometry.heading_fusion import HeadingLock
+from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
 from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.odometry.rigid import RigidFit, robust_rigid_motion, shift_at, turned_by
@@ -32,29 +32,41 @@ _FEWEST_SHARE = 1.0 / 3.0  # on lap after lap 0.6 at least, 0.37 on bare plaster
 _FRESH = 0.6  # of the error of a direction or tilt; the rest is the same lines' in the next frame and cancels
 
 
+@dataclass(slots=True)
+class VisualOdometryState:
+    """What the next frame is registered to.
+
+    Attributes:
+        reference: crossings of the last good frame, None before the first.
+        ref_from_prev: (3,) [m, m, rad] predicted motion from it to the previous frame; 0 when that is the reference.
+        since_ref_s: time from it to the previous frame.
+        misses: frames in a row that had crossings, but none that fit the reference.
+        twist: (3,) [m/s, m/s, rad/s] in base, of the last good step.
+        twist_known: whether there was one since odometry last began anew.
+        heading: difference between the rotations of lines and points.
+    """
+
+    reference: Crossings | None = None
+    ref_from_prev: Array = field(default_factory=lambda: np.zeros(3))
+    since_ref_s: float = 0.0
+    misses: int = 0
+    twist: Array = field(default_factory=lambda: np.zeros(3))
+    twist_known: bool = False
+    heading: HeadingState = field(default_factory=HeadingState)
+
+
 class VisualOdometry:
-    """Frame-to-frame motion. It keeps the last good frame, the (dead-reckoned) pose since then and the last twist."""
+    """Frame-to-frame motion."""
 
     def __init__(self, config: Odometry) -> None:
         self._config = config
-        self._reference: Crossings | None = None
-        self._ref_from_prev = np.zeros(3)
-        self._since_ref_s = 0.0
-        self._misses = 0
-        self._twist = np.zeros(3)
-        self._twist_known = False
-        self._heading = HeadingLock()
-
-    @property
-    def twist(self) -> Array:
-        """(3,) m/s, m/s, rad/s in base, of the last good step."""
-        return self._twist
+        self.state = VisualOdometryState()
 
     def expected(self, dt_s: float, wheels: WheelMotion | None = None) -> Array | None:
         """(3,) predicted motion since the previous call of step(), None right after a failure or at the start."""
-        if self._reference is None or self._since_ref_s > 0.0:
+        if self.state.reference is None or self.state.since_ref_s > 0.0:
             return None
-        return wheels.prev_from_curr if wheels is not None else self._twist * dt_s
+        return wheels.prev_from_curr if wheels is not None else self.state.twist * dt_s
 
     def step(
         self,
@@ -80,23 +92,23 @@ class VisualOdometry:
             return self._coast(predicted, dt_s, wheels, missing)
         if len(crossings) < self._config.min_inliers:
             return self._coast(predicted, dt_s, wheels, f"only {len(crossings)} crossings")
-        if self._reference is None:
+        if self.state.reference is None:
             self._refer_to(crossings)
             return Motion(np.zeros(3), self._floor(), len(crossings), 0.0, "first frame", restarted=True)
-        fit, failure = self._register(crossings, se2.compose(self._ref_from_prev, predicted), dt_s)
+        fit, failure = self._register(crossings, se2.compose(self.state.ref_from_prev, predicted), dt_s)
         if fit is None:
             return self._miss(crossings, self._coast(predicted, dt_s, wheels, failure))
-        motion = se2.between(self._ref_from_prev, fit.b_from_a)
+        motion = se2.between(self.state.ref_from_prev, fit.b_from_a)
         cov = fit.cov + self._floor()
-        cov[:2, :2] += _FRESH**2 * (self._reference.common_cov_m2 + crossings.common_cov_m2)
-        self._twist = fit.b_from_a / (self._since_ref_s + dt_s)
-        self._twist_known = True
+        cov[:2, :2] += _FRESH**2 * (self.state.reference.common_cov_m2 + crossings.common_cov_m2)
+        self.state.twist = fit.b_from_a / (self.state.since_ref_s + dt_s)
+        self.state.twist_known = True
         self._refer_to(crossings)
         return Motion(motion, cov, int(np.count_nonzero(fit.used)), fit.rms_m)
 
     def _refer_to(self, crossings: Crossings) -> None:
-        self._reference, self._ref_from_prev = crossings, np.zeros(3)
-        self._since_ref_s, self._misses = 0.0, 0
+        self.state.reference, self.state.ref_from_prev = crossings, np.zeros(3)
+        self.state.since_ref_s, self.state.misses = 0.0, 0
 
     def _floor(self) -> Array:
         xy, theta = self._config.noise_xy_m, self._config.noise_theta_rad
@@ -104,7 +116,7 @@ class VisualOdometry:
 
     def _register(self, crossings: Crossings, guess: Array, dt_s: float) -> tuple[RigidFit | None, str]:
         """ref_from_curr by matching near the guess, or why there is none."""
-        ref, cfg = self._reference, self._config
+        ref, cfg = self.state.reference, self._config
         if ref is None:
             return None, "no reference"
         turn = _direction_change(ref.psi_rad, crossings.psi_rad, float(guess[2]))
@@ -132,14 +144,14 @@ class VisualOdometry:
         if fit is None:
             return None, "too few consistent correspondences"
         failure = (
-            self._implausible(fit.b_from_a, turn, self._since_ref_s + dt_s)
+            self._implausible(fit.b_from_a, turn, self.state.since_ref_s + dt_s)
             or self._jerk(fit, dt_s)
             or _minority(fit, crossings, ref)
         )
         if failure:
             return None, failure
         sigma_rad = _FRESH * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
-        best = self._heading.choose(turn, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
+        best = HeadingFusion(self.state.heading).fuse(turn, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
         if best.of_points:
             return fit.facing(best.theta_rad, best.sigma_rad), ""
         return turned_by(fit, seen, before, best.theta_rad, best.sigma_rad), ""
@@ -158,20 +170,20 @@ class VisualOdometry:
 
     def _miss(self, crossings: Crossings, motion: Motion) -> Motion:
         """After several frames that do not fit the reference, go on from here; covariance tells what that costs."""
-        self._misses += 1
-        if self._misses < _MAX_MISSES:
+        self.state.misses += 1
+        if self.state.misses < _MAX_MISSES:
             return motion
         self._refer_to(crossings)
-        self._twist_known = False
-        self._heading.forget()
+        self.state.twist_known = False
+        self.state.heading = HeadingState()
         return replace(motion, restarted=True)
 
     def _jerk(self, fit: RigidFit, dt_s: float) -> str:
         """Neighbouring lines that change places: a jump that is consistent in itself, but that no robot makes."""
-        if not self._twist_known:
+        if not self.state.twist_known:
             return ""
-        elapsed_s = self._since_ref_s + dt_s
-        off = fit.b_from_a - self._twist * elapsed_s
+        elapsed_s = self.state.since_ref_s + dt_s
+        off = fit.b_from_a - self.state.twist * elapsed_s
         off_m, off_rad = float(np.hypot(off[0], off[1])), abs(se2.wrap(float(off[2])))
         noise_m = _JERK_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
         noise_rad = _JERK_SIGMAS * math.sqrt(fit.cov[2, 2])
@@ -183,16 +195,16 @@ class VisualOdometry:
 
     def _coasting_twist(self) -> Array:
         """The last twist, fading with the gap: a robot that is told its pose is bad will stop."""
-        return np.asarray(self._twist * np.exp(-self._since_ref_s / _TWIST_FADES_S))
+        return np.asarray(self.state.twist * np.exp(-self.state.since_ref_s / _TWIST_FADES_S))
 
     def _coast(self, predicted: Array, dt_s: float, wheels: WheelMotion | None, reason: str) -> Motion:
-        start_s = self._since_ref_s
-        self._since_ref_s += dt_s
-        self._ref_from_prev = se2.compose(self._ref_from_prev, predicted)
+        start_s = self.state.since_ref_s
+        self.state.since_ref_s += dt_s
+        self.state.ref_from_prev = se2.compose(self.state.ref_from_prev, predicted)
         if wheels is not None:
             return Motion(predicted, wheels.cov, 0, 0.0, reason)
         # an unknown constant acceleration displaces by a t^2 / 2; its variance, split over the steps of the gap
-        share = 0.25 * (self._since_ref_s**4 - start_s**4)
+        share = 0.25 * (self.state.since_ref_s**4 - start_s**4)
         xy, theta = self._config.coast_accel_mps2**2 * share, self._config.coast_turn_radps2**2 * share
         return Motion(np.asarray(predicted, np.float64), np.diag([xy, xy, theta]) + self._floor(), 0, 0.0, reason)
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ceilvo.config import Filter
+from ceilvo.daemon.relocalisation.recovering_filter import RecoveringFilter
+from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
-from ceilvo.daemon.slam.paper.ukf import Ukf
-from ceilvo.daemon.slam.pfcf import Pfcf
+from ceilvo.daemon.slam.paper.ukf import UkfRule
+from ceilvo.daemon.slam.pfcf import PfcfRule
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 
 
 def make_filter(settings: Filter, rng: np.random.Generator) -> PoseFilter:
     """filter.method: pfcf, pfcf_paper, pf or ukf."""
     if settings.method == "ukf":
-        return Ukf(settings, rng)
+        return JointFilter(settings, rng, UkfRule(settings))
     if settings.method == "pfcf":
-        return Pfcf(settings, rng)
+        return RecoveringFilter(JointFilter(settings, rng, PfcfRule(settings)))
     return FastSlam(settings, rng)

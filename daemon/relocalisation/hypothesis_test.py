@@ -1,121 +1,166 @@
-"""Whether a pose that was only assumed is right: it must explain what is seen better than its rivals do.
+"""Whether a pose that was only assumed is right: it must explain what is seen better than the alternatives do.
 
-A grid of tiles agrees with any pose that is whole tiles off, so that most features fit proves nothing. The rivals are
-tried on the same views: the assumed pose is believed once it has explained clearly more features than the best of the
-poses whole tiles away, over views from places a little apart. A bare grid decides nothing, and then nothing is
-believed. Where one rival is clearly better than all others, the robot is there.
+A grid of tiles agrees with any pose that is whole tiles off, so that most features fit proves nothing. The alternatives
+are tried on the same views: the assumed pose is believed once it has explained clearly more features than the best of
+the poses whole tiles away, over views from places a little apart. A bare grid decides nothing, and then nothing is
+believed. Where one alternative is clearly better than all others, the robot is there.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
 import numpy as np
 
-from ceilvo.daemon.relocalisation.place_search import Home
-from ceilvo.se2 import compose, inverse, rotation, transform, wrap
-from ceilvo.types import Array, Landmarks, Observations
+from ceilvo.daemon.relocalisation.place_search import ReachableRegion
+from ceilvo.se2 import compose, inverse
+from ceilvo.types import Array
 
-_MARGIN, _JUMP_MARGIN = 12, 24
-_SHARE, _LONG_SHARE, _AT_ONCE_SHARE = 0.85, 0.93, 0.97
-_SURE_SHARE = 0.6
-_FEWEST_VIEWS = 6
-_LONG_VIEWS = 40
-_FEWEST = 5
-_FEWEST_LANDMARKS = 6
-_ELSEWHERE_SHARE, _LONG_ELSEWHERE_SHARE = 0.03, 0.006
-_REACH_TILES = 3
-_SMALLEST_TILE_M = 0.28
-_TURNED_RAD = 0.15
-_NEAR_M = 2.0  # rivals of that distance are tried anyway
-_FEWEST_MAPPED, _HALF = 10, 0.5
-_GROUND_M = 0.45  # ground is mapped so near a landmark
+# Counts and fractions were chosen on the simulated laps of python -m ceilvo.bench.faults; docs/faults.md has the figures.
+MARGIN, JUMP_MARGIN = 12, 24
+"""Features that a pose must explain more than every alternative: to be believed; for an alternative to replace it."""
+EXPLAINED_FRACTION, EXPLAINED_FRACTION_LONG, EXPLAINED_FRACTION_AT_ONCE = 0.85, 0.93, 0.97
+"""Of the features seen, those that must be explained: near where the robot should be; over FAR_VIEWS; FEWEST_VIEWS."""
+CLOSE_FRACTION = 0.6
+"""The same for a pose that was given so closely that no tile can be mistaken."""
+ELSEWHERE_FRACTION, ELSEWHERE_FRACTION_LONG = 0.03, 0.006
+"""Of the features seen, how many more the best other place may explain: over a few views, over FAR_VIEWS."""
+FEWEST_VIEWS, FAR_VIEWS = 6, 40
+"""Views that it takes: near where the robot should be, and anywhere on the map."""
+FEWEST_FEATURES = 5
+"""A view of fewer proves nothing."""
+NEAR_M = 2.0
+"""Alternatives whole tiles away cover poses that are so near."""
 
 
-class Confirmation:
-    """Counts explained features; `sure` hypotheses are within a fraction of a tile and need no rivals.
+class Source(IntEnum):
+    """Where a pose came from that landmarks have yet to confirm; the numbers are in recordings."""
+
+    GIVEN_CLOSELY = 0
+    """Said by somebody or stored, to within a fraction of a tile: needs no alternatives."""
+    GIVEN = 1
+    DEAD_RECKONED = 2
+    """Carried over a blind path so well that it is usable with care."""
+    BLIND = 3
+    """After a blind path that may have led to another tile."""
+    CONTRADICTED = 4
+    """Tracked until what is seen contradicted the map."""
+    SEARCHED = 5
+    """Found by looking all over the map. Ceilings repeat themselves at many distances and the map may lack the right
+    place, so it must be right for a longer path."""
+
+
+@dataclass(slots=True)
+class PoseHypothesis:
+    """An assumed pose, and how well views have borne it out.
 
     Attributes:
-        carried: the wheels carried the pose here: usable with care while it is unconfirmed.
-        why: for the reason of the state.
-        found: it came from looking all over the map. Ceilings repeat themselves at many distances and the map may lack
-            the right place, so it must be right for a longer way.
-        reach_m: how far the robot can be from where its way since it was last sure took it.
-        home_from_map: (3,) takes the assumed pose to where that way ended.
+        source: where the pose came from.
+        reach_m: how far the robot can be from where its path since it was last sure took it.
+        blind_m: length of the blind path, for the reason that is given.
+        expected_from_assumed: (3,) takes the assumed pose to where that path ended.
+        explained: (1 + K,) features explained so far, by the pose and by its K alternatives.
+        seen, views: features and views so far.
+        elsewhere: sum of how many more the best other place explained in each view where one did.
+        lead: sum of how many more than the best other place the pose explained.
     """
 
-    def __init__(
-        self,
-        sure: bool,
-        carried: bool = False,
-        why: str = "",
-        found: bool = False,
-        reach_m: float = np.inf,
-        home_from_map: Array | None = None,
-    ) -> None:
-        self.sure, self.carried, self.why, self.found = sure, carried, why, found
-        self.reach_m = reach_m
-        self.home_from_map = np.zeros(3) if home_from_map is None else home_from_map
-        self._explained: Array = np.zeros(1)
-        self._seen = self._views = self._elsewhere = self._ahead_of_map = 0
+    source: Source
+    reach_m: float = np.inf
+    blind_m: float = 0.0
+    expected_from_assumed: Array = field(default_factory=lambda: np.zeros(3))
+    explained: Array = field(default_factory=lambda: np.zeros(1))
+    seen: int = 0
+    views: int = 0
+    elsewhere: int = 0
+    lead: int = 0
 
-    def after_gap(self, carried: bool, reach_m: float = 0.0) -> Confirmation:
-        """The same hypothesis after a further blind way: what was counted before it says nothing any more."""
-        both = self.carried and carried
-        return Confirmation(False, both, self.why, self.found, self.reach_m + reach_m, self.home_from_map)
+    @property
+    def close(self) -> bool:
+        return self.source is Source.GIVEN_CLOSELY
 
-    def jumped(self, old: Array, new: Array) -> Confirmation:
-        """A hypothesis that says the robot is at `new` instead of at `old`."""
-        home_from_map = compose(self.home_from_map, compose(old, inverse(new)))
-        return Confirmation(
-            False, why="found elsewhere on the map", found=True, reach_m=self.reach_m, home_from_map=home_from_map
-        )
+    @property
+    def usable(self) -> bool:
+        """With care, while it is unconfirmed."""
+        return self.source is Source.DEAD_RECKONED
 
-    def home(self, pose: Array) -> Home | None:
-        """Where the robot should be if nobody carried it, for an assumed pose; None where nothing is known of that."""
-        return Home(compose(self.home_from_map, pose), self.reach_m) if np.isfinite(self.reach_m) else None
+    @property
+    def reason(self) -> str:
+        """Why landmarks have to confirm the pose."""
+        if self.source in (Source.DEAD_RECKONED, Source.BLIND):
+            return f"{self.blind_m:.2f} m driven blind"
+        if self.source is Source.CONTRADICTED:
+            return "what is seen contradicts the map"
+        return "found elsewhere on the map" if self.source is Source.SEARCHED else "assumed"
+
+    def after_gap(self, usable: bool = True, reach_m: float = 0.0) -> PoseHypothesis:
+        """The same hypothesis after a further blind path: what was counted before it says nothing any more."""
+        source = Source.GIVEN if self.close else self.source
+        if source is Source.DEAD_RECKONED and not usable:
+            source = Source.BLIND
+        return replace(self._uncounted(), source=source, reach_m=self.reach_m + reach_m)
+
+    def jumped(self, old: Array, new: Array) -> PoseHypothesis:
+        """A hypothesis that says the robot is at `new` (3,) instead of at `old`."""
+        moved = compose(self.expected_from_assumed, compose(old, inverse(new)))
+        return replace(self._uncounted(), source=Source.SEARCHED, expected_from_assumed=moved)
+
+    def _uncounted(self) -> PoseHypothesis:
+        return replace(self, explained=np.zeros(1), seen=0, views=0, elsewhere=0, lead=0)
+
+    def region(self, pose: Array) -> ReachableRegion | None:
+        """Where the robot is if nobody carried it, for an assumed pose; None where nothing is known of that."""
+        if not np.isfinite(self.reach_m):
+            return None
+        return ReachableRegion(compose(self.expected_from_assumed, pose), self.reach_m)
 
     def weigh(self, explained: Array, seen: int, elsewhere: int, nis: float, nis_max: float) -> bool:
         """Take in one view from a new place.
 
         Args:
-            explained: (1 + K,) features that the map explains from the assumed pose and from its K rivals.
+            explained: (1 + K,) features that the map explains from the assumed pose and from its K alternatives.
             seen: features in the view.
             elsewhere: how many more the best other place of the whole map would explain, negative where none does.
 
         Returns:
             True once the hypothesis is confirmed.
         """
-        if explained.shape != self._explained.shape:
-            self._explained = np.zeros(explained.shape)
-            self._seen = self._views = self._elsewhere = self._ahead_of_map = 0
-        self._explained = self._explained + explained
-        self._seen, self._views = self._seen + seen, self._views + 1
-        self._elsewhere += max(elsewhere, 0)
-        self._ahead_of_map -= elsewhere
-        fits = explained[0] >= max(_FEWEST, _SURE_SHARE * seen) and nis <= nis_max
-        if self.sure or len(explained) == 1:
-            return bool(fits and self.sure)
-        ahead = self._explained[0] - np.max(self._explained[1:])
-        return bool(fits and ahead >= _MARGIN and self._believed())
+        if explained.shape != self.explained.shape:
+            self.explained = np.zeros(explained.shape)
+            self.seen = self.views = self.elsewhere = self.lead = 0
+        self.explained = self.explained + explained
+        self.seen, self.views = self.seen + seen, self.views + 1
+        self.elsewhere += max(elsewhere, 0)
+        self.lead -= elsewhere
+        fits = explained[0] >= max(FEWEST_FEATURES, CLOSE_FRACTION * seen) and nis <= nis_max
+        if self.close or len(explained) == 1:
+            return bool(fits and self.close)
+        ahead = self.explained[0] - np.max(self.explained[1:])
+        return bool(fits and ahead >= MARGIN and self._believed())
 
     def _believed(self) -> bool:
         """Where the robot should be a few good views do; else it takes many or better ones, and no place like it."""
-        if not self.found and self.reach_m <= _NEAR_M:
-            return self._views >= _FEWEST_VIEWS and self._holds(_SHARE, _ELSEWHERE_SHARE)
-        if self._ahead_of_map < _MARGIN:
+        searched = self.source is Source.SEARCHED
+        if not searched and self.reach_m <= NEAR_M:
+            return self.views >= FEWEST_VIEWS and self._holds(EXPLAINED_FRACTION, ELSEWHERE_FRACTION)
+        if self.lead < MARGIN:
             return False
-        if self._views >= _LONG_VIEWS:
-            return self._holds(_LONG_SHARE, _LONG_ELSEWHERE_SHARE)
-        return not self.found and self._views >= _FEWEST_VIEWS and self._holds(_AT_ONCE_SHARE, _ELSEWHERE_SHARE)
+        if self.views >= FAR_VIEWS:
+            return self._holds(EXPLAINED_FRACTION_LONG, ELSEWHERE_FRACTION_LONG)
+        return (
+            not searched and self.views >= FEWEST_VIEWS and self._holds(EXPLAINED_FRACTION_AT_ONCE, ELSEWHERE_FRACTION)
+        )
 
     def better(self) -> int | None:
-        """Which rival has explained clearly more than the assumed pose and than every other; None where none has."""
-        if len(self._explained) < 3:
+        """Which alternative has explained clearly more than the pose and than every other; None where none has."""
+        if len(self.explained) < 3:
             return None
-        order = np.argsort(self._explained)
+        order = np.argsort(self.explained)
         best, second = int(order[-1]), int(order[-2])
-        ahead = self._explained[best] - self._explained[second]
-        convinces = self._views >= _FEWEST_VIEWS and self._explained[best] >= _SHARE * self._seen
-        return best - 1 if best > 0 and ahead >= _JUMP_MARGIN and convinces else None
+        ahead = self.explained[best] - self.explained[second]
+        convinces = self.views >= FEWEST_VIEWS and self.explained[best] >= EXPLAINED_FRACTION * self.seen
+        return best - 1 if best > 0 and ahead >= JUMP_MARGIN and convinces else None
 
     @property
     def hopeless(self) -> bool:
@@ -123,81 +168,18 @@ class Confirmation:
 
         All views count: were the last one enough, a wrong pose would only have to wait for the one that fits.
         """
-        if self.sure or self._views < _FEWEST_VIEWS:
+        if self.close or self.views < FEWEST_VIEWS:
             return False
-        if self._views >= _LONG_VIEWS:
-            return not self._holds(_LONG_SHARE, _LONG_ELSEWHERE_SHARE)
-        return not self._holds(_SHARE, _ELSEWHERE_SHARE)
+        if self.views >= FAR_VIEWS:
+            return not self._holds(EXPLAINED_FRACTION_LONG, ELSEWHERE_FRACTION_LONG)
+        return not self._holds(EXPLAINED_FRACTION, ELSEWHERE_FRACTION)
 
-    def _holds(self, share: float, elsewhere_share: float) -> bool:
+    def _holds(self, fraction: float, elsewhere: float) -> bool:
         """Whether the views were explained nearly whole, the best of bad ones being none, and nowhere better."""
-        explained = self._explained[0] >= share * self._seen
-        return bool(explained and self._elsewhere <= elsewhere_share * self._seen)
-
-
-def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) -> bool:
-    """Whether a view cannot be from a pose: its lines lie otherwise, or mapped ground shows something else.
-
-    On mapped ground, less than half of what is seen is in the map, and less than half of what is in the map is seen.
-
-    Args:
-        observations: labelled as seen from that pose.
-    """
-    if abs(wrap(observations.heading_rad - float(pose[2]))) > _TURNED_RAD:
-        return True
-    seen = transform(pose, observations.xy_base_m)
-    reach_m = float(np.max(np.hypot(*observations.xy_base_m.T), initial=0.0)) + _GROUND_M
-    at = landmarks.xy_map_m[np.hypot(*(landmarks.xy_map_m - pose[:2]).T) < reach_m]
-    if not len(at):
-        return False
-    apart2 = np.min((seen[:, 0, None] - at[:, 0]) ** 2 + (seen[:, 1, None] - at[:, 1]) ** 2, axis=1)
-    mapped = apart2 < _GROUND_M**2
-    known = int(np.count_nonzero(observations.label[mapped] >= 0))
-    within = np.all((at >= seen.min(axis=0)) & (at <= seen.max(axis=0)), axis=1)
-    surprising, missed = known < _HALF * np.count_nonzero(mapped), known < _HALF * np.count_nonzero(within)
-    return bool(np.count_nonzero(mapped) >= _FEWEST_MAPPED and surprising and missed)
+        explained = self.explained[0] >= fraction * self.seen
+        return bool(explained and self.elsewhere <= elsewhere * self.seen)
 
 
 def convincing(explained: int, seen: int) -> bool:
     """Whether one view is explained nearly whole."""
-    return seen >= _FEWEST and explained >= _SHARE * seen
-
-
-def can_confirm(landmarks: Landmarks) -> bool:
-    """Whether the map has enough in it to judge a pose by."""
-    return len(landmarks) >= _FEWEST_LANDMARKS
-
-
-def rival_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
-    """(K, 2) whole tiles along and across the map's axes, up to 3 away, K = 48, or 0 where the map shows no tiles."""
-    xy = landmarks.xy_map_m
-    if not can_confirm(landmarks):
-        return np.zeros((0, 2))
-    kinds, counts = np.unique(landmarks.kind, return_counts=True)
-    same = xy[landmarks.kind == kinds[np.argmax(counts)]]
-    if len(same) < _FEWEST_LANDMARKS:
-        return np.zeros((0, 2))
-    apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])
-    apart[apart < _SMALLEST_TILE_M] = np.inf  # itself, and the other edge of the same joint
-    nearest = np.min(apart, axis=1)
-    if not np.any(np.isfinite(nearest)):
-        return np.zeros((0, 2))
-    tile = float(np.median(nearest[np.isfinite(nearest)]))
-    reach = range(-_REACH_TILES, _REACH_TILES + 1)
-    steps = np.array([(i, j) for i in reach for j in reach if (i, j) != (0, 0)], np.float64)
-    return np.asarray(tile * steps @ rotation(map_axis_rad).T)
-
-
-def explained_at(shifts: Array, pose: Array, observations: Observations, landmarks: Landmarks, gate_m: float) -> Array:
-    """(K,) how many features have a landmark of their kind within the gate, were the robot shifted by (K, 2)."""
-    seen = transform(pose, observations.xy_base_m)
-    count = np.zeros(len(shifts))
-    for kind in np.unique(observations.kind):
-        there = landmarks.xy_map_m[landmarks.kind == kind]
-        if not len(there):
-            continue
-        moved = seen[observations.kind == kind] + shifts[:, None]
-        dx = moved[..., 0, None] - there[:, 0]
-        dy = moved[..., 1, None] - there[:, 1]
-        count += np.count_nonzero(np.min(dx * dx + dy * dy, axis=-1) <= gate_m * gate_m, axis=-1)
-    return count
+    return seen >= FEWEST_FEATURES and explained >= EXPLAINED_FRACTION * seen

@@ -1,18 +1,35 @@
-"""On a periodic ceiling a pose one tile further sees nearly the same: the shifts, and the belief in each."""
+"""On a periodic ceiling a pose whole tiles off sees nearly the same: the shifts, and the belief in each."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from ceilvo.daemon.slam.pose_filter import normalised
+from ceilvo.se2 import rotation
 from ceilvo.types import Array, Landmarks
 
 SAMPLE = 144
+"""Landmarks that periods are looked for among; chosen for time, which grows with its square."""
 REACH_M = 1.6
+"""Longest period; office tiles are 0.3 to 1.25 m."""
 BIN_M = 0.04
+"""Shifts that differ by less are one; a few sigmas of a landmark."""
+SHORTEST_M = 0.15
+"""Landmarks nearer than this are the two edges of one joint, not a period."""
+FEWEST_SHIFTS = 8
+"""Of fewer pairs no period is concluded; chosen."""
+FEWEST_LANDMARKS = 6
+"""A map of fewer confirms no pose; chosen."""
+SMALLEST_TILE_M = 0.28
+"""The smallest tiles made are 0.3 m; nearer landmarks of one type are the two edges of a joint."""
+REACH_TILES = 3
+"""Tiles that a pose may be off along each axis and be noticed; further takes the place search."""
 CERTAIN = 0.95
+"""Weight from which a map in the making takes another shift for certain; chosen."""
 PERIODIC = 0.35
-"""Share of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
+"""Fraction of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
 CALM, WARY, SURPRISED, SURPRISED_MAPPING = 1e-4, 0.05, 0.2, 0.01
 """Chance per update that the pose is a tile further: always, and when the view surprises (2 sigma; 3 sigma, or
 twice in a row). A map in the making grew along the way of the robot, which ties it to its tile."""
@@ -28,9 +45,9 @@ def periods(landmarks: Landmarks) -> Array:
         at, kind = landmarks.xy_map_m[pick], landmarks.kind[pick]
     off = at[:, None] - at[None]
     length = np.hypot(off[..., 0], off[..., 1])
-    near = (kind[:, None] == kind[None]) & (length > 0.15) & (length < REACH_M) & (off[..., 0] > -BIN_M)
+    near = (kind[:, None] == kind[None]) & (length > SHORTEST_M) & (length < REACH_M) & (off[..., 0] > -BIN_M)
     shifts = off[near]
-    if len(shifts) < 8:
+    if len(shifts) < FEWEST_SHIFTS:
         return np.empty((0, 2))
     votes = np.array([np.sum(np.hypot(*(shifts - s).T) < 1.5 * BIN_M) for s in shifts[: 2 * SAMPLE]])
     good = votes > PERIODIC * len(at)
@@ -51,7 +68,7 @@ def _basis(shifts: Array) -> Array:
     return np.asarray(first[None], np.float64)
 
 
-def lattice(basis: Array) -> Array:
+def neighbours(basis: Array) -> Array:
     """(S, 2) no shift first, then all to the neighbouring tiles."""
     if not len(basis):
         return np.zeros((1, 2))
@@ -59,12 +76,22 @@ def lattice(basis: Array) -> Array:
     return np.asarray(n @ basis, np.float64)
 
 
-class Tiles:
-    """Belief in each shift; the first is none."""
+@dataclass(slots=True)
+class LatticeBelief:
+    """Belief in each shift; the first is none.
 
-    def __init__(self, shifts: Array) -> None:
-        self.shifts = shifts
-        self.weight: Array = np.eye(1, len(shifts))[0]
+    Attributes:
+        shifts: (S, 2).
+        weight: (S,), sums to one.
+    """
+
+    shifts: Array
+    weight: Array
+
+    @staticmethod
+    def at_home(shifts: Array) -> LatticeBelief:
+        """Sure of no shift."""
+        return LatticeBelief(shifts, np.eye(1, len(shifts))[0])
 
     def weigh(self, log_likelihood: Array, chance: float) -> None:
         """(S,) of one view at all shifts, with the chance that the pose slipped since the last."""
@@ -77,3 +104,23 @@ class Tiles:
         best = int(np.argmax(self.weight))
         if best and self.weight[best] >= CERTAIN:
             self.weight = np.eye(1, len(self.shifts))[0]
+
+
+def tile_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
+    """(K, 2) whole tiles along and across the map's axes, up to 3 away, K = 48, or 0 where the map shows no tiles."""
+    xy = landmarks.xy_map_m
+    if len(landmarks) < FEWEST_LANDMARKS:
+        return np.zeros((0, 2))
+    kinds, counts = np.unique(landmarks.kind, return_counts=True)
+    same = xy[landmarks.kind == kinds[np.argmax(counts)]]
+    if len(same) < FEWEST_LANDMARKS:
+        return np.zeros((0, 2))
+    apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])
+    apart[apart < SMALLEST_TILE_M] = np.inf  # itself, and the other edge of the same joint
+    nearest = np.min(apart, axis=1)
+    if not np.any(np.isfinite(nearest)):
+        return np.zeros((0, 2))
+    tile = float(np.median(nearest[np.isfinite(nearest)]))
+    reach = range(-REACH_TILES, REACH_TILES + 1)
+    steps = np.array([(i, j) for i in reach for j in reach if (i, j) != (0, 0)], np.float64)
+    return np.asarray(tile * steps @ rotation(map_axis_rad).T)

@@ -17,17 +17,25 @@ from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
 _CELL_M = 0.05
+"""Side of a cell of the raster; a few sigmas of a landmark."""
 _DISC_CELLS = 3
-_GROUND_CELLS = 8  # around those discs
+"""A feature hits a landmark within so many cells: 0.15 m, about the association gate."""
+_GROUND_CELLS = 8
+"""Ground counts as mapped so many cells around those discs: less than a tile, so that a missing neighbour shows."""
 _STEP_CELLS = 2
+"""Positions are tried every second cell, 0.1 m, which no disc of 0.15 m slips through."""
 _MARGIN_M = 1.0
+"""The robot may stand so far outside the mapped ceiling."""
 _MOST_CELLS = 4_000_000
-_MAPPED_SHARE = 0.9
+"""Of a larger map nothing is searched: 36 MB of raster, 100 m x 90 m."""
+_MAPPED_FRACTION = 0.9
+"""All that is within reach is mapped where this fraction of a view is on mapped ground from everywhere; chosen."""
 _SAME_PLACE_M = 0.3
+"""Half a tile of 0.6 m: poses nearer to each other are one place."""
 
 
 @dataclass(frozen=True, slots=True)
-class Home:
+class ReachableRegion:
     """Where a robot should be (3,) by its way since it was last sure, and how far off that it can be at most."""
 
     pose: Array
@@ -46,18 +54,20 @@ class Place:
     explained: int
     here: int
     rival: int
-    near: Home | None = None
+    near: ReachableRegion | None = None
 
     def allows(self, pose: Array) -> bool:
         """Whether the robot can be at a pose (3,)."""
         return self.near is None or float(np.hypot(*(pose - self.near.pose)[:2])) <= self.near.reach_m
 
 
-def best_place(landmarks: Landmarks, observations: Observations, pose: Array, home: Home | None = None) -> Place | None:
+def search_places(
+    landmarks: Landmarks, observations: Observations, pose: Array, region: ReachableRegion | None = None
+) -> Place | None:
     """The pose of the whole map that explains most of a view, beside the given one; None without a map.
 
     Where a ceiling repeats itself, ground that the map lacks looks like some that it has: unless all that is within
-    reach of `home` is mapped, only places within reach count.
+    reach of `region` is mapped, only places within reach count.
 
     Positions are tried every 0.1 m, a feature hits within 0.15 m.
     """
@@ -66,7 +76,7 @@ def best_place(landmarks: Landmarks, observations: Observations, pose: Array, ho
     raster = _Raster.of(landmarks, pad)
     if raster is None or not len(observations):
         return None
-    near = None if home is None or raster.knows(home, observations) else home
+    near = None if region is None or raster.knows(region, observations) else region
     best, here, rival = (-1, np.zeros(3)), 0, 0
     for turn in range(4):
         theta = wrap(observations.heading_rad - 0.5 * np.pi * turn)
@@ -127,17 +137,17 @@ class _Raster:
         x, y = ((np.arange(n) * _STEP_CELLS * _CELL_M + o) for n, o in zip((cols, rows), self._origin_m, strict=True))
         return np.asarray(np.hypot(x - pose[0], y[:, None] - pose[1]) <= reach_m)
 
-    def knows(self, home: Home, observations: Observations) -> bool:
+    def knows(self, region: ReachableRegion, observations: Observations) -> bool:
         """Whether the map has landmarks all around every feature, wherever within reach the robot is."""
         rows, cols = self._images.shape[1:]
         size_m = _CELL_M * (np.array([cols, rows]) - 2 * self._pad)
-        inside = np.minimum(home.pose[:2] - self._origin_m, self._origin_m + size_m - home.pose[:2])
-        if float(np.min(inside)) < home.reach_m:
+        inside = np.minimum(region.pose[:2] - self._origin_m, self._origin_m + size_m - region.pose[:2])
+        if float(np.min(inside)) < region.reach_m:
             return False
         ground = _widened(np.max(self._images, axis=0), _GROUND_CELLS)
-        offset_m = observations.xy_base_m @ rotation(float(home.pose[2])).T
+        offset_m = observations.xy_base_m @ rotation(float(region.pose[2])).T
         count = _Raster(ground[None], self._origin_m, self._pad).count(offset_m, np.zeros(len(offset_m), np.int64))
-        return bool(np.all(count[self.within(home.pose, home.reach_m)] >= _MAPPED_SHARE * len(offset_m)))
+        return bool(np.all(count[self.within(region.pose, region.reach_m)] >= _MAPPED_FRACTION * len(offset_m)))
 
     def position(self, x: int, y: int) -> tuple[float, float]:
         """Metres in map of an element of count()."""

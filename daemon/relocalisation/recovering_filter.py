@@ -1,162 +1,251 @@
-"""A joint filter that may be somewhere else: lost poses, kidnapping, and the tiles of a periodic ceiling."""
+"""A filter that may be somewhere else: lost poses, kidnapping, and the tiles of a periodic ceiling."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.lattice import CALM, SURPRISED, SURPRISED_MAPPING, WARY, Tiles, lattice, periods
-from ceilvo.daemon.relocalisation.pose_search import Bank
-from ceilvo.daemon.relocalisation.view_score import shifted_scores, unexplained
+from ceilvo.daemon.relocalisation import view_score
+from ceilvo.daemon.relocalisation.lattice import (
+    CALM,
+    SURPRISED,
+    SURPRISED_MAPPING,
+    WARY,
+    LatticeBelief,
+    neighbours,
+    periods,
+)
+from ceilvo.daemon.relocalisation.pose_hypotheses import PoseHypotheses
+from ceilvo.daemon.slam.association import independent, usable
 from ceilvo.daemon.slam.joint_filter import JointFilter
-from ceilvo.daemon.slam.paper.fastslam import independent, usable
-from ceilvo.daemon.slam.pose_filter import SURE, chi_square_bounds
-from ceilvo.daemon.slam.spatial_index import KnownMap
-from ceilvo.types import UNLABELLED, Array, Landmarks, Motion, Observations
+from ceilvo.daemon.slam.pose_filter import SURE, chi_square_bounds, normalised, systematic
+from ceilvo.daemon.slam.spatial_index import IndexedMap
+from ceilvo.types import UNLABELLED, Array, FilterHealth, Landmarks, Motion, Observations
 
 CARRIED_AWAY = 1e-3
 """Chance that a robot whose view surprises is somewhere else; the view then speaks for itself."""
 QUIET_UPDATES = 20
-"""After rivals have lost, for so long features that nothing explains call for no new ones: the map may lack them."""
+"""After alternatives have lost, for so long features that nothing explains call for no new ones: the map may lack
+them."""
+FEWEST_TO_SEARCH = 3
+"""A map of fewer landmarks is not searched."""
+FEWEST_PERIODIC = 12
+"""A map of fewer landmarks shows no period."""
+GROWN = 1.25
+"""The period is looked for anew once the map has grown by this factor."""
 
 
-class Recovering(JointFilter):
-    """Tracks; on a known map weighs rivals of its pose beside it; lost, searches. `_absorb` sets `_surprise`."""
+@dataclass(slots=True)
+class LatticeWatch:
+    """The belief in shifts, with the map and its size that they were found on."""
+
+    size: int
+    map: IndexedMap
+    belief: LatticeBelief
+
+
+@dataclass(slots=True)
+class RecoveringState:
+    """All that a RecoveringFilter remembers.
+
+    Attributes:
+        tracker: of the filter that tracks.
+        refused: updates in a row most of whose features were refused.
+        surprised: updates in a row with innovations beyond 2 sigma.
+        chance: that the pose is a tile further than at the last view.
+        settled: update at which alternatives last lost.
+        lattice: belief in shifts by whole tiles, None before a period was looked for.
+        search: poses that are weighed because tracking was lost; None while it tracks.
+        alternatives: poses that are weighed beside the tracked one.
+    """
+
+    tracker: Any
+    refused: int = 0
+    surprised: int = 0
+    chance: float = CALM
+    settled: int = 0
+    lattice: LatticeWatch | None = None
+    search: PoseHypotheses | None = None
+    alternatives: PoseHypotheses | None = None
+
+
+class RecoveringFilter:
+    """Tracks; on a known map weighs alternatives to its pose beside it; lost, searches."""
+
+    def __init__(self, tracker: JointFilter) -> None:
+        self._tracker = tracker
+        self._settings = tracker.settings
+        self._memory = RecoveringState(tracker.state)
+
+    @property
+    def state(self) -> RecoveringState:
+        self._memory.tracker = self._tracker.state
+        return self._memory
+
+    @state.setter
+    def state(self, state: RecoveringState) -> None:
+        self._memory, self._tracker.state = state, state.tracker
 
     def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
-        super().reset(pose, cov, landmarks, known)
-        self._refused, self._surprise, self._surprises = 0, 0.0, 0
-        self._tiles: tuple[int, KnownMap, Tiles] | None = None
-        self._bank: Bank | None = None
-        self._rivals: Bank | None = None
-        self._settled, self._chance = 0, CALM
+        self._tracker.reset(pose, cov, landmarks, known)
+        self._memory = RecoveringState(self._tracker.state)
         if not np.all(np.isfinite(cov)):
             self._begin_search()
 
     def predict(self, motion: Motion) -> None:
-        super().predict(motion)
-        for bank in (self._bank, self._rivals):
-            if bank is not None:
-                bank.move(motion)
+        self._tracker.predict(motion)
+        for poses in (self._memory.search, self._memory.alternatives):
+            if poses is not None:
+                poses.move(motion)
 
-    def dominant(self) -> tuple[Array, Array, float]:
+    def estimate(self) -> tuple[Array, Array, FilterHealth]:
+        health = self._tracker.estimate()[2]
+        pose, cov, weight = self._dominant()
+        if self._memory.search is not None:
+            health = replace(health, nis=0.0, nis_dof=0)
+        return pose, cov, replace(health, mode_weight=weight)
+
+    def landmarks(self) -> Landmarks:
+        return self._tracker.landmarks()
+
+    def particles(self) -> tuple[Array, Array]:
+        search, n = self._memory.search, self._settings.particles
+        if search is not None and len(search):
+            pick = systematic(normalised(search.log_weight), np.random.default_rng(0), n)
+            return search.mean[pick], np.full(n, 1.0 / n)
+        return self._tracker.particles()
+
+    def counters(self) -> Mapping[str, int]:
+        return self._tracker.counters()
+
+    def _dominant(self) -> tuple[Array, Array, float]:
         """Pose, covariance and weight of the dominant mode."""
-        pose, cov = self._joint.pose.copy(), self._joint.pose_cov.copy()
-        if self._bank is not None:
-            found = self._bank.best() if len(self._bank) else (pose, cov)
-            return *found, self._bank.weight() * self._bank.agreed
-        sure = 1.0 if self._tiles is None else float(self._tiles[2].weight[0])
-        if self._rivals is not None and len(self._rivals):
-            sure, there = self._rivals.weight_at(pose), self._rivals.weight()
+        m, joint = self._memory, self._tracker.state.joint
+        pose, cov = joint.pose.copy(), joint.pose_cov.copy()
+        if m.search is not None:
+            found = m.search.best() if len(m.search) else (pose, cov)
+            return *found, m.search.weight() * m.search.agreed
+        sure = 1.0 if m.lattice is None else float(m.lattice.belief.weight[0])
+        if m.alternatives is not None and len(m.alternatives):
+            sure, there = m.alternatives.weight_at(pose), m.alternatives.weight()
             if there > max(sure, 0.5):
-                return *self._rivals.best(), there * self._rivals.agreed
-        return pose, cov, sure * (1.0 - max(self._refused - 1, 0) / self._settings.lost_updates)
+                return *m.alternatives.best(), there * m.alternatives.agreed
+        return pose, cov, sure * (1.0 - max(m.refused - 1, 0) / self._settings.lost_updates)
 
     def update(self, obs: Observations) -> None:
         """Track; or, lost, search the map until one pose is left."""
-        if self._bank is None:
-            pose, cov = self._joint.pose.copy(), self._joint.pose_cov.copy()
-            c = self._counters
-            matched, refused = c["observations"], c["outliers"]
-            super().update(obs)
-            matched, refused = c["observations"] - matched, c["outliers"] - refused
-            self._chance = self._chance_of_slip()
+        m, state = self._memory, self._tracker.state
+        counters = state.counters
+        if m.search is None:
+            pose, cov = state.joint.pose.copy(), state.joint.pose_cov.copy()
+            matched, refused = counters["observations"], counters["outliers"]
+            self._tracker.update(obs)
+            matched, refused = counters["observations"] - matched, counters["outliers"] - refused
+            m.chance = self._chance_of_slip()
             self._watch_loss(obs, matched, matched - refused)
-            if self._bank is None:
-                self._watch_tiles(obs)
-                self._watch_rivals(obs, pose, cov)
+            if m.search is None:
+                self._watch_lattice(obs)
+                self._watch_alternatives(obs, pose, cov)
             return
-        self._counters["updates"] += 1
-        self._bank.update(usable(obs, self._size()))
-        if self._bank.found:
-            self._go_on_from(self._bank)
-            self._counters["recoveries"] += 1
+        counters["updates"] += 1
+        m.search.update(usable(obs, self._tracker.size()), state.rng)
+        if m.search.found:
+            self._continue_from(m.search)
+            counters["recoveries"] += 1
 
-    def _go_on_from(self, bank: Bank) -> None:
-        self._joint.put_pose(*bank.best())
-        self._bank, self._rivals, self._tiles, self._refused = None, None, None, 0
+    def _continue_from(self, poses: PoseHypotheses) -> None:
+        m = self._memory
+        self._tracker.jump(*poses.best())
+        m.search, m.alternatives, m.lattice, m.refused = None, None, None, 0
 
-    def _watch_rivals(self, obs: Observations, pose: Array, cov: Array) -> None:
+    def _watch_alternatives(self, obs: Observations, pose: Array, cov: Array) -> None:
         """When a view surprises on a known map: poses that the view allows, weighed beside the predicted one.
 
-        They are dropped once the tracked pose has won; a rival that has won takes its place.
+        They are dropped once the tracked pose has won; one that has won takes its place.
         """
-        if self._known is None:
+        m, state = self._memory, self._tracker.state
+        if state.known is None:
             return
-        obs, reach = usable(obs, self._size()), self._settings.association_gate_m
-        if self._rivals is not None:
-            self._rivals.update(obs)
-        elif self._suspicious(self._known, obs):
-            self._rivals = Bank(self._known, reach, self._rng, pose)
-            self._rivals.rival(obs, pose, cov, CARRIED_AWAY)
-        if self._rivals is None or (self._rivals.agreed < 1.0 and len(self._rivals)):
+        obs, reach_m = usable(obs, self._tracker.size()), self._settings.association_gate_m
+        if m.alternatives is not None:
+            m.alternatives.update(obs, state.rng)
+        elif self._suspicious(state.known, obs):
+            m.alternatives = PoseHypotheses.on(state.known, reach_m, pose)
+            m.alternatives.challenge(obs, pose, cov, CARRIED_AWAY, state.rng)
+        if m.alternatives is None or (m.alternatives.agreed < 1.0 and len(m.alternatives)):
             return
-        if self._rivals.found and self._rivals.weight_at(self._joint.pose) < 0.5:
-            periodic = self._tiles is not None and len(self._tiles[2].shifts) > 1
-            self._counters["tile_slips" if periodic else "recoveries"] += 1
-            self._go_on_from(self._rivals)
+        if m.alternatives.found and m.alternatives.weight_at(state.joint.pose) < 0.5:
+            periodic = m.lattice is not None and len(m.lattice.belief.shifts) > 1
+            state.counters["tile_slips" if periodic else "recoveries"] += 1
+            self._continue_from(m.alternatives)
         else:
-            self._rivals, self._tiles, self._settled = None, None, self._now
+            m.alternatives, m.lattice, m.settled = None, None, state.now
 
-    def _suspicious(self, known: KnownMap, obs: Observations) -> bool:
+    def _suspicious(self, known: IndexedMap, obs: Observations) -> bool:
         """Whether the pose may be another: what matched surprises, is refused, or too much has no landmark."""
-        elsewhere = self._tiles is not None and self._tiles[2].weight[0] < SURE
-        if self._refused or self._chance > CALM or elsewhere:
+        m, state = self._memory, self._tracker.state
+        elsewhere = m.lattice is not None and m.lattice.belief.weight[0] < SURE
+        if m.refused or m.chance > CALM or elsewhere:
             return True
-        quiet = self._now - self._settled <= QUIET_UPDATES
-        return not quiet and unexplained(known, self._joint.pose, obs, self._settings.association_gate_m)
+        quiet = state.now - m.settled <= QUIET_UPDATES
+        reach_m = self._settings.association_gate_m
+        return not quiet and view_score.unexplained(known, state.joint.pose, obs, reach_m)
 
     def _watch_loss(self, obs: Observations, matched: int, believed: int) -> None:
         """Count updates that contradict the map; too many in a row begin a search.
 
         Of a map in the making, features that nobody labelled may be new: those that lie at a landmark count.
         """
-        told = int(np.count_nonzero((obs.label >= 0) | (obs.label == UNLABELLED) & (self._known is not None)))
-        if told or matched:
-            told = max(told, matched)
-            self._refused = self._refused + 1 if 2 * believed < told else 0
-        if self._refused >= self._settings.lost_updates and self._size() >= 3:
+        m, learning = self._memory, self._tracker.state.known is None
+        labelled = int(np.count_nonzero((obs.label >= 0) | (obs.label == UNLABELLED) & (not learning)))
+        if labelled or matched:
+            m.refused = m.refused + 1 if 2 * believed < max(labelled, matched) else 0
+        if m.refused >= self._settings.lost_updates and self._tracker.size() >= FEWEST_TO_SEARCH:
             self._begin_search()
 
     def _begin_search(self) -> None:
-        known = self._known or KnownMap(self.landmarks())
-        self._bank = Bank(known, self._settings.association_gate_m, self._rng)
-        self._refused, self._tiles, self._rivals = 0, None, None
-        self._counters["searches"] += 1
+        m, state = self._memory, self._tracker.state
+        known = state.known or IndexedMap(self.landmarks())
+        m.search = PoseHypotheses.on(known, self._settings.association_gate_m)
+        m.refused, m.lattice, m.alternatives = 0, None, None
+        state.counters["searches"] += 1
 
     def _chance_of_slip(self) -> float:
         """That the pose is a tile further than at the last view, from how much this one surprises."""
-        dof = self._nis_dof - 2
+        m, state = self._memory, self._tracker.state
+        dof = state.nis_dof - 2
         if dof <= 0:
             return CALM
-        self._surprises = self._surprises + 1 if self._surprise > chi_square_bounds(dof, 2.0)[1] else 0
-        if not self._surprises:
+        m.surprised = m.surprised + 1 if state.trimmed_nis > chi_square_bounds(dof, 2.0)[1] else 0
+        if not m.surprised:
             return CALM
-        if self._known is None:
+        if state.known is None:
             return SURPRISED_MAPPING
-        again = self._surprises > 1
-        return SURPRISED if again or self._surprise > chi_square_bounds(dof, 3.0)[1] else WARY
+        again = m.surprised > 1
+        return SURPRISED if again or state.trimmed_nis > chi_square_bounds(dof, 3.0)[1] else WARY
 
-    def _watch_tiles(self, obs: Observations) -> None:
+    def _watch_lattice(self, obs: Observations) -> None:
         """Belief in this tile against its neighbours, where association was left to the filter."""
+        m, state = self._memory, self._tracker.state
         free = obs.label == UNLABELLED
-        size = self._size()
-        if not np.any(free) or size < 12:
+        size = self._tracker.size()
+        if not np.any(free) or size < FEWEST_PERIODIC:
             return
-        if self._tiles is None or size > 1.25 * self._tiles[0]:
-            known = self._known or KnownMap(self.landmarks())
-            self._tiles = size, known, Tiles(lattice(periods(known.landmarks)))
-        _, known, tiles = self._tiles
-        if len(tiles.shifts) < 2:
+        if m.lattice is None or size > GROWN * m.lattice.size:
+            known = state.known or IndexedMap(self.landmarks())
+            m.lattice = LatticeWatch(size, known, LatticeBelief.at_home(neighbours(periods(known.landmarks))))
+        known, belief = m.lattice.map, m.lattice.belief
+        if len(belief.shifts) < 2:
             return
-        poses = np.tile(self._joint.pose, (len(tiles.shifts), 1))
-        poses[:, :2] += tiles.shifts
-        seen = replace(obs, xy_base_m=obs.xy_base_m[free], var_m2=obs.var_m2[free], kind=obs.kind[free])
-        seen = replace(seen, label=obs.label[free])
+        poses = np.tile(state.joint.pose, (len(belief.shifts), 1))
+        poses[:, :2] += belief.shifts
+        seen = obs.of(free)
         k = len(seen)
         inflation = k / independent(k, self._settings.feature_independence, 0.0)
-        score = shifted_scores(known, poses, seen, self._settings.association_gate_m, inflation)
-        tiles.weigh(score, self._chance)
-        if self._known is None:
-            tiles.settle()
+        score = view_score.log_likelihood(known, poses, seen, self._settings.association_gate_m, inflation)
+        belief.weigh(score, m.chance)
+        if state.known is None:
+            belief.settle()

@@ -1,4 +1,4 @@
-"""How well a view fits a known map at given poses."""
+"""How well a map explains a view: every place that asks does so here."""
 
 from __future__ import annotations
 
@@ -6,40 +6,55 @@ from math import comb
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.pose_search import OUTLIER, OUTLIER_DENSITY_PER_M2
-from ceilvo.daemon.slam.spatial_index import KnownMap
-from ceilvo.se2 import rotation, transform
-from ceilvo.types import UNLABELLED, Array, Observations
+from ceilvo.daemon.relocalisation.pose_hypotheses import OUTLIER, OUTLIER_DENSITY_PER_M2
+from ceilvo.daemon.slam.spatial_index import IndexedMap
+from ceilvo.se2 import rotation, transform, wrap
+from ceilvo.types import UNLABELLED, Array, Ints, Landmarks, Observations
 
 CHANCE = 0.0228
 """What is less likely is a surprise: one side beyond 2 sigma."""
+TURNED_RAD = 0.15
+"""Lines that lie so far off the expected heading contradict a pose; 9 deg is far beyond any heading sigma in use."""
+GROUND_M = 0.45
+"""Ground is mapped so near a landmark: less than a tile, so that a missing neighbour shows."""
+FEWEST_MAPPED = 10
+"""Features on mapped ground that it takes to contradict a pose; chosen."""
+HALF = 0.5
+"""A view contradicts where less than this fraction is known and less than this fraction of the map is seen."""
 
 
-def shifted_scores(known: KnownMap, poses: Array, obs: Observations, reach_m: float, inflation: float) -> Array:
-    """(M,) robust log-likelihood of a view at poses (M, 3), each with its own nearest landmarks of the kinds."""
-    out = np.zeros(len(poses))
-    if not len(obs):
-        return out
+def nearest_landmarks(known: IndexedMap, poses: Array, obs: Observations, reach_m: float) -> tuple[Ints, Array]:
+    """For each pose (M, 3) and feature the nearest landmark of its type, (M, K) labels or -1, and distances (M, K)."""
     m, k = len(poses), len(obs)
     at = np.einsum("mij,kj->mki", np.array([rotation(float(t)) for t in poses[:, 2]]), obs.xy_base_m)
     at += poses[:, None, :2]
     label, distance = known.nearest(at.reshape(-1, 2), np.tile(obs.kind, m), reach_m)
-    var = (
-        np.tile(np.mean(obs.var_m2, axis=1) * inflation, m)
-        + np.trace(known.landmarks.cov_m2[label], axis1=1, axis2=2) / 2
-    )
+    return label.reshape(m, k), distance.reshape(m, k)
+
+
+def explained(known: IndexedMap, poses: Array, obs: Observations, reach_m: float) -> Array:
+    """(M,) how many features have a landmark of their type within reach, seen from poses (M, 3)."""
+    return np.asarray(np.count_nonzero(nearest_landmarks(known, poses, obs, reach_m)[0] >= 0, axis=1), np.float64)
+
+
+def log_likelihood(known: IndexedMap, poses: Array, obs: Observations, reach_m: float, inflation: float) -> Array:
+    """(M,) robust log-likelihood of a view at poses (M, 3), each with its own nearest landmarks of the types."""
+    if not len(obs):
+        return np.zeros(len(poses))
+    label, distance = nearest_landmarks(known, poses, obs, reach_m)
+    var = np.mean(obs.var_m2, axis=1) * inflation + np.trace(known.landmarks.cov_m2[label], axis1=2, axis2=3) / 2
     inlier = np.log1p(-OUTLIER) - 0.5 * distance**2 / var - np.log(2.0 * np.pi * var)
     inlier[label < 0] = -np.inf
     score = np.logaddexp(inlier, np.log(OUTLIER * OUTLIER_DENSITY_PER_M2))
-    return np.asarray(np.sum(score.reshape(m, k), axis=1) / inflation, np.float64)
+    return np.asarray(np.sum(score, axis=1) / inflation, np.float64)
 
 
-def unexplained(known: KnownMap, pose: Array, obs: Observations, reach_m: float) -> bool:
-    """Whether of a kind more unlabelled features are without a landmark than outliers explain (2 sigma)."""
-    free = np.flatnonzero(obs.label == UNLABELLED)
-    label, _ = known.nearest(transform(pose, obs.xy_base_m[free]), obs.kind[free], reach_m)
+def unexplained(known: IndexedMap, pose: Array, obs: Observations, reach_m: float) -> bool:
+    """Whether of a type more unlabelled features are without a landmark than outliers explain (2 sigma)."""
+    free = obs.label == UNLABELLED
+    label = nearest_landmarks(known, pose[None], obs, reach_m)[0][0]
     for kind in np.unique(obs.kind[free]):
-        of = label[obs.kind[free] == kind]
+        of = label[free & (obs.kind == kind)]
         if at_least(int(np.count_nonzero(of < 0)), len(of), OUTLIER) < CHANCE:
             return True
     return False
@@ -48,3 +63,26 @@ def unexplained(known: KnownMap, pose: Array, obs: Observations, reach_m: float)
 def at_least(k: int, n: int, p: float) -> float:
     """Chance of k or more of n, each with chance p."""
     return 1.0 - sum(comb(n, i) * p**i * (1.0 - p) ** (n - i) for i in range(k))
+
+
+def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) -> bool:
+    """Whether a view cannot be from a pose: its lines lie otherwise, or mapped ground shows something else.
+
+    On mapped ground, less than half of what is seen is in the map, and less than half of what is in the map is seen.
+
+    Args:
+        observations: labelled as seen from that pose.
+    """
+    if abs(wrap(observations.heading_rad - float(pose[2]))) > TURNED_RAD:
+        return True
+    seen = transform(pose, observations.xy_base_m)
+    reach_m = float(np.max(np.hypot(*observations.xy_base_m.T), initial=0.0)) + GROUND_M
+    at = landmarks.xy_map_m[np.hypot(*(landmarks.xy_map_m - pose[:2]).T) < reach_m]
+    if not len(at):
+        return False
+    apart2 = np.min((seen[:, 0, None] - at[:, 0]) ** 2 + (seen[:, 1, None] - at[:, 1]) ** 2, axis=1)
+    mapped = apart2 < GROUND_M**2
+    known = int(np.count_nonzero(observations.label[mapped] >= 0))
+    within = np.all((at >= seen.min(axis=0)) & (at <= seen.max(axis=0)), axis=1)
+    surprising, missed = known < HALF * np.count_nonzero(mapped), known < HALF * np.count_nonzero(within)
+    return bool(np.count_nonzero(mapped) >= FEWEST_MAPPED and surprising and missed)

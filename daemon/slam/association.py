@@ -11,11 +11,22 @@ from ceilvo.config import Filter
 from ceilvo.crossing_types import quarter_turns, turn_kind
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.se2 import transform, wrap
-from ceilvo.types import Array, Crossings, Ints, Landmarks, Observations, frozen
+from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Ints, Landmarks, Observations, frozen
 
 SIGMA_FLOOR_M = 1e-4
 """No curve is trusted below this."""
+VAR_FLOOR = 1e-12
+"""m^2 or rad^2: smaller variances are not believed; a micrometre, squared."""
+NIS_CAP = 50.0
+"""Largest normalised innovation squared of one feature in a mean: a few false matches are not a lost robot."""
+CANDIDATE_GATE_CHI2 = 25.0
+"""Squared normalised distance at which two sightings cannot be of one feature (5 sigma)."""
+DUPLICATE_FRACTION = 0.25
+"""No landmark is born nearer to one of its kind than this fraction of the association gate."""
+EXPIRES_UPDATES = 20
+"""A feature seen too rarely and not again for so many updates is forgotten; chosen."""
 _GRID = 257
+"""Samples of a noise curve between its radii; 256 steps over 3 m are 12 mm each."""
 
 
 def sigma(curves: NoiseCurves, r_m: Array) -> tuple[Array, Array]:
@@ -79,7 +90,7 @@ def observe(
 
 
 def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmarks, gate_m: float) -> Ints:
-    label = np.full(len(kind), -1, np.int64)
+    label = np.full(len(kind), NO_LANDMARK, np.int64)
     if not len(kind) or not len(landmarks):
         return label
     reach = np.max(np.hypot(*(xy_map_m - centre_m).T)) + gate_m
@@ -87,3 +98,33 @@ def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmark
     seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.kind[near], gate_m)
     label[seen] = near[which]
     return label
+
+
+def usable(obs: Observations, landmarks: int) -> Observations:
+    """Without rows that are not finite or have no variance; a landmark seen twice or not there is unknown."""
+    good = np.all(np.isfinite(obs.xy_base_m), axis=1) & np.all(np.isfinite(obs.var_m2) & (obs.var_m2 > 0.0), axis=1)
+    label = obs.label[good].copy()
+    label[(label >= landmarks) | (label < UNLABELLED)] = NO_LANDMARK
+    first = np.unique(label, return_index=True)[1]
+    repeated = label >= 0
+    repeated[first] = False
+    label[repeated] = NO_LANDMARK
+    return Observations(
+        obs.xy_base_m[good],
+        np.maximum(obs.var_m2[good], VAR_FLOOR),
+        obs.kind[good],
+        label,
+        obs.heading_rad,
+        obs.heading_var_rad2,
+        obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
+    )
+
+
+def independent(features: int, power: float, correlation: float) -> float:
+    """How many independent features K features of one frame are worth.
+
+    K crossings are made of far fewer lines, so they count as K^power; of those a share `correlation` of the variance
+    is common to all, which leaves n / (1 + (n - 1) correlation) (Kish's design effect).
+    """
+    n = float(features**power)
+    return n / (1.0 + max(n - 1.0, 0.0) * min(max(correlation, 0.0), 1.0))

@@ -99,7 +99,7 @@ class Predicted:
         return chi2_of(self.nu, self.total.reshape(len(k), 2, len(k), 2)[k, :, k])
 
 
-def surprise_of(view: View, pose: Array, cov: Array, inflation: float) -> Array:
+def nis_of(view: View, pose: Array, cov: Array, inflation: float) -> Array:
     """(K,) squared normalised innovation of every feature by itself, at cost K."""
     arm = view.xy @ rotation(float(pose[2])).T
     h = jacobian(arm).reshape(-1, 2, 3)

@@ -1,30 +1,36 @@
-"""What filters with one joint map share: association, gates, births, the bookkeeping of a PoseFilter."""
+"""A filter with one joint map: association, births and deaths of landmarks; an update rule does the arithmetic."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.slam.association import (
+    CANDIDATE_GATE_CHI2,
+    DUPLICATE_FRACTION,
+    EXPIRES_UPDATES,
+    VAR_FLOOR,
+    independent,
+    usable,
+)
 from ceilvo.daemon.slam.joint_map import JointMap
-from ceilvo.daemon.slam.paper.fastslam import independent, usable
-from ceilvo.daemon.slam.pose_filter import COUNTERS
-from ceilvo.daemon.slam.spatial_index import KnownMap
+from ceilvo.daemon.slam.pose_filter import COUNTERS, checked_motion
+from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import rotation, transform
-from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations
+from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
-EXPIRES_UPDATES = 20
-DUPLICATE_SHARE = 0.25
-"""No landmark is born nearer to one of its kind than this share of the association gate."""
-TWINS_EVERY = 4
-"""Updates in which every landmark in view is looked at once, whether it is there twice."""
-VAR_FLOOR = 1e-12
-NIS_CAP = 50.0
-CANDIDATE_GATE = 25.0
+DUPLICATES_EVERY = 4
+"""Updates in which every landmark in view is looked at once, whether it is there twice; chosen, to share the cost."""
+ALL_LABELS = 1 << 60
+"""More landmarks than any map has: labels of the joint map are not bounded by those that are shown."""
+Bools = NDArray[np.bool_]
 _POSE = np.arange(3)
 
 
@@ -68,183 +74,261 @@ def noise_in_map(theta: float, var: Array) -> Array:
     return np.asarray((r * var[:, None, :]) @ r.T, np.float64)
 
 
-class JointFilter:
-    """A PoseFilter but for `_absorb`."""
+@dataclass(frozen=True, slots=True)
+class Innovations:
+    """How far a view was from what was predicted.
 
-    def __init__(self, settings: Filter, rng: np.random.Generator) -> None:
-        self._settings = settings
-        self._rng = rng
-        self._counters = dict.fromkeys(COUNTERS, 0)
+    Attributes:
+        inliers: (K,) features that were believed.
+        nis, nis_dof: mean normalised innovation squared per degree of freedom, and those degrees.
+        trimmed_nis: the same without the feature that is furthest off.
+    """
+
+    inliers: Bools
+    nis: float
+    nis_dof: int
+    trimmed_nis: float = 0.0
+
+
+@dataclass(slots=True)
+class JointFilterState:
+    """All that a JointFilter remembers.
+
+    Attributes:
+        rng: the filter's only source of randomness.
+        joint: pose and map.
+        known: a map that is not learnt; the joint map then has no landmarks.
+        now: updates since the last reset.
+        nis, nis_dof, trimmed_nis: of the last view, see Innovations.
+        counters: see pose_filter.COUNTERS.
+        rule: of the update rule.
+    """
+
+    rng: np.random.Generator
+    joint: JointMap
+    known: IndexedMap | None = None
+    now: int = 0
+    nis: float = 0.0
+    nis_dof: int = 0
+    trimmed_nis: float = 0.0
+    counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
+    rule: Any = None
+
+
+class UpdateRule(Protocol):
+    """How a view changes pose and map."""
+
+    def fresh(self, rng: np.random.Generator) -> Any:
+        """The state of the rule after a reset."""
+
+    def moved(self, state: JointFilterState, step_m: Array) -> None:
+        """The pose went by (2,) in map."""
+
+    def jumped(self, state: JointFilterState) -> None:
+        """The pose is another; the path to it says nothing."""
+
+    def absorb(self, state: JointFilterState, view: View, rows: Ints) -> Innovations:
+        """Update pose and map with a view; rows of the joint state of its landmarks."""
+
+    def particles(self, state: JointFilterState) -> tuple[Array, Array]:
+        """As PoseFilter.particles()."""
+
+    def curve(self, state: JointFilterState) -> tuple[float, float]:
+        """Effective sample size and residual of the last fit, see FilterHealth."""
+
+
+class JointFilter:
+    """A PoseFilter of an update rule."""
+
+    def __init__(self, settings: Filter, rng: np.random.Generator, rule: UpdateRule) -> None:
+        self.settings = settings
+        self._rule = rule
+        self._state = JointFilterState(rng, JointMap.at(np.zeros(3), np.zeros((3, 3))))
         self.reset(np.zeros(3), np.zeros((3, 3)))
 
+    @property
+    def state(self) -> JointFilterState:
+        return self._state
+
+    @state.setter
+    def state(self, state: JointFilterState) -> None:
+        self._state, self._summary = state, None
+
     def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
+        found = landmarks if landmarks is not None and len(landmarks) else None
         somewhere = bool(np.all(np.isfinite(cov)))
-        if not somewhere and (landmarks is None or not len(landmarks)):
+        if not somewhere and found is None:
             raise CeilvoError("filter: the pose is not known and there is no map; give a finite covariance or a map")
-        self._joint = JointMap(np.asarray(pose, np.float64), np.asarray(cov, np.float64) if somewhere else np.eye(3))
-        self._known = KnownMap(landmarks) if known and landmarks is not None and len(landmarks) else None
-        if self._known is None and landmarks is not None and len(landmarks):
-            self._joint.load(landmarks)
-        self._now = 0
+        joint = JointMap.at(np.asarray(pose, np.float64), np.asarray(cov, np.float64) if somewhere else np.eye(3))
+        before = self._state
+        self._state = JointFilterState(before.rng, joint, counters=before.counters)
+        if found is not None and known:
+            self._state.known = IndexedMap(found)
+        elif found is not None:
+            joint.load(found)
+        self._state.rule = self._rule.fresh(before.rng)
         self._summary: tuple[Ints, Landmarks] | None = None
-        self._nis, self._nis_dof = 0.0, 0
 
     def predict(self, motion: Motion) -> None:
-        if not (np.all(np.isfinite(motion.prev_from_curr)) and np.all(np.isfinite(motion.cov))):
-            raise CeilvoError(
-                f"filter: motion {motion.prev_from_curr} is not finite, expected metres and radians with a finite "
-                "covariance; report a failed motion with its prediction instead"
-            )
-        self._joint.move(motion)
+        joint = self._state.joint
+        before = joint.pose[:2].copy()
+        joint.move(checked_motion(motion))
+        self._rule.moved(self._state, joint.pose[:2] - before)
+
+    def jump(self, pose: Array, cov: Array) -> None:
+        """Continue from a pose that knows nothing of the map."""
+        self._state.joint.put_pose(pose, cov)
+        self._rule.jumped(self._state)
 
     def update(self, obs: Observations) -> None:
         """Associate, absorb, then births and deaths of landmarks."""
-        obs = usable(obs, self._size())
-        self._now += 1
-        self._counters["updates"] += 1
+        state = self._state
+        obs = usable(obs, self.size())
+        state.now += 1
+        state.counters["updates"] += 1
         obs = self._associated(obs)
         matched = np.flatnonzero(obs.label >= 0)
-        inliers = self._absorb(self._view(obs, matched), self._rows(obs.label[matched]))
-        self._count(len(matched), int(np.count_nonzero(inliers)))
-        if self._known is None:
+        found = self._rule.absorb(state, self._view(obs, matched), self._rows(obs.label[matched]))
+        state.nis, state.nis_dof, state.trimmed_nis = found.nis, found.nis_dof, found.trimmed_nis
+        self._count(len(matched), int(np.count_nonzero(found.inliers)))
+        if state.known is None:
             labels = obs.label[matched]
-            self._joint.seen_at[labels] = self._now
-            self._joint.sightings[labels[inliers]] += 1
+            state.joint.seen_at[labels] = state.now
+            state.joint.sightings[labels[found.inliers]] += 1
             self._confirm()
             self._be_born(obs, np.flatnonzero(obs.label == NO_LANDMARK))
-            self._merge_twins(labels[inliers])
-            self._joint.bound()
+            self._merge_duplicates(labels[found.inliers])
+            state.joint.bound()
         self._summary = None
 
-    def _absorb(self, view: View, rows: Ints) -> np.ndarray:
-        """Update pose and map with a view; rows of the joint state of its landmarks; (K,) which were believed."""
-        raise NotImplementedError
-
     def _count(self, matched: int, inliers: int) -> None:
-        c = self._counters
+        c = self._state.counters
         c["observations"] += matched
         c["outliers"] += matched - inliers
         c["rejected_updates"] += int(2 * inliers < matched)
 
-    def estimate(self) -> tuple[Array, Array, Depletion]:
-        n = self._settings.particles
-        return (
-            self._joint.pose.copy(),
-            self._joint.pose_cov.copy(),
-            Depletion(n, float(n), n, float("nan"), self._nis, self._nis_dof),
-        )
+    def estimate(self) -> tuple[Array, Array, FilterHealth]:
+        joint, state = self._state.joint, self._state
+        ess, residual = self._rule.curve(state)
+        health = FilterHealth(self.settings.particles, ess, None, residual, state.nis, state.nis_dof)
+        return joint.pose.copy(), joint.pose_cov.copy(), health
+
+    def particles(self) -> tuple[Array, Array]:
+        return self._rule.particles(self._state)
 
     def landmarks(self) -> Landmarks:
-        if self._known is not None:
-            return self._known.landmarks
-        return self._public()[1]
+        if self._state.known is not None:
+            return self._state.known.landmarks
+        return self._shown()[1]
 
-    def _public(self) -> tuple[Ints, Landmarks]:
+    def _shown(self) -> tuple[Ints, Landmarks]:
         """Labels of the joint map that are confirmed, and they as seen from outside."""
         if self._summary is None:
-            labels = np.flatnonzero(self._joint.confirmed)
-            self._summary = labels, self._joint.summary(labels)
+            labels = np.flatnonzero(self._state.joint.confirmed)
+            self._summary = labels, self._state.joint.summary(labels)
         return self._summary
 
-    def _size(self) -> int:
-        return len(self._known) if self._known is not None else len(self._public()[0])
+    def size(self) -> int:
+        return len(self._state.known) if self._state.known is not None else len(self._shown()[0])
 
     def counters(self) -> Mapping[str, int]:
-        return dict(self._counters)
+        return dict(self._state.counters)
 
     # -- association
 
     def _associated(self, obs: Observations) -> Observations:
         """Labels of the joint map instead of those of landmarks(); unconfirmed landmarks and free features included."""
         label = obs.label.copy()
-        if self._known is None:
-            told = label >= 0
-            label[told] = self._public()[0][label[told]]
+        if self._state.known is None:
+            given = label >= 0
+            label[given] = self._shown()[0][label[given]]
         free = np.flatnonzero(label < 0)
-        if self._known is not None:
+        if self._state.known is not None:
             free = free[obs.label[free] == UNLABELLED]
         label[free] = NO_LANDMARK
-        pose = self._joint.pose
+        pose = self._state.joint.pose
         xy = transform(pose, obs.xy_base_m[free])
-        gate = self._settings.association_gate_m
-        if self._known is not None:
-            near = self._known.near(xy, gate)
-            at, kind = self._known.landmarks.xy_map_m[near], self._known.landmarks.kind[near]
+        gate = self.settings.association_gate_m
+        if self._state.known is not None:
+            near = self._state.known.near(xy, gate)
+            at, kind = self._state.known.landmarks.xy_map_m[near], self._state.known.landmarks.kind[near]
         else:
             near = self._candidates_near(xy, gate, label, obs.label[free])
-            at, kind = self._joint.xy(near), self._joint.kind[near]
+            at, kind = self._state.joint.xy(near), self._state.joint.kind[near]
         seen, which = mutual_nearest(xy, obs.kind[free], at, kind, gate)
         label[free[seen]] = near[which]
-        return usable(replace(obs, label=label), 1 << 60)
+        return usable(replace(obs, label=label), ALL_LABELS)
 
-    def _candidates_near(self, xy: Array, gate: float, taken: Ints, told: Ints) -> Ints:
+    def _candidates_near(self, xy: Array, gate: float, taken: Ints, given: Ints) -> Ints:
         """Labels that features without a landmark may belong to: unconfirmed ones, and all if the labels are ours."""
         if not len(xy):
             return np.empty(0, np.int64)
-        open_ = ~self._joint.confirmed if not np.any(told == UNLABELLED) else np.ones(len(self._joint), bool)
+        open_ = (
+            ~self._state.joint.confirmed if not np.any(given == UNLABELLED) else np.ones(len(self._state.joint), bool)
+        )
         open_[taken[taken >= 0]] = False
         labels = np.flatnonzero(open_)
-        at = self._joint.xy(labels)
+        at = self._state.joint.xy(labels)
         low, high = np.min(xy, axis=0) - gate, np.max(xy, axis=0) + gate
         return labels[np.all((at >= low) & (at <= high), axis=1)]
 
     def _view(self, obs: Observations, matched: Ints) -> View:
         labels = obs.label[matched]
-        if self._known is not None:
-            at, joint = self._known.landmarks.xy_map_m[labels], np.zeros((3 + 2 * len(labels),) * 2)
-            joint[:3, :3] = self._joint.pose_cov
-            for i, block in enumerate(self._known.landmarks.cov_m2[labels]):
+        if self._state.known is not None:
+            at, joint = self._state.known.landmarks.xy_map_m[labels], np.zeros((3 + 2 * len(labels),) * 2)
+            joint[:3, :3] = self._state.joint.pose_cov
+            for i, block in enumerate(self._state.known.landmarks.cov_m2[labels]):
                 joint[3 + 2 * i : 5 + 2 * i, 3 + 2 * i : 5 + 2 * i] = block
         else:
-            self._joint.bring_in(labels)
-            rows = np.concatenate([np.arange(3), self._joint.rows(labels)])
-            at, joint = self._joint.xy(labels), self._joint.cov[np.ix_(rows, rows)]
+            self._state.joint.bring_in(labels)
+            rows = np.concatenate([np.arange(3), self._state.joint.rows(labels)])
+            at, joint = self._state.joint.xy(labels), self._state.joint.cov[np.ix_(rows, rows)]
         var = obs.var_m2[matched]
         k = max(len(matched), 1)
         correlation = obs.common_var_m2 / float(np.mean(var)) if len(matched) else 0.0
-        inflation = k / independent(k, self._settings.feature_independence, correlation)
+        inflation = k / independent(k, self.settings.feature_independence, correlation)
         var_heading = obs.heading_var_rad2 if np.isfinite(obs.heading_rad) and obs.heading_var_rad2 > 0 else np.inf
         return View(obs.xy_base_m[matched], var, at, joint, obs.heading_rad, max(var_heading, VAR_FLOOR), inflation)
 
     def _rows(self, labels: Ints) -> Ints:
-        return np.empty(0, np.int64) if self._known is not None else self._joint.rows(labels)
+        return np.empty(0, np.int64) if self._state.known is not None else self._state.joint.rows(labels)
 
     # -- landmarks
 
-    def _merge_twins(self, labels: Ints) -> None:
+    def _merge_duplicates(self, labels: Ints) -> None:
         """At most one pair per update: two landmarks of one kind whose difference is zero within the gate are one."""
-        j = self._joint
-        labels = labels[labels < len(j)][self._now % TWINS_EVERY :: TWINS_EVERY]
-        xy, reach = j.xy(labels), DUPLICATE_SHARE * self._settings.association_gate_m
+        j = self._state.joint
+        labels = labels[labels < len(j)][self._state.now % DUPLICATES_EVERY :: DUPLICATES_EVERY]
+        xy, reach = j.xy(labels), DUPLICATE_FRACTION * self.settings.association_gate_m
         near = self._candidates_near(xy, reach, np.empty(0, np.int64), np.array([UNLABELLED]))
         apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
-        twins = (apart < reach) & (j.kind[labels][:, None] == j.kind[near]) & (labels[:, None] != near)
-        pairs = np.argwhere(twins)
+        same = (apart < reach) & (j.kind[labels][:, None] == j.kind[near]) & (labels[:, None] != near)
+        pairs = np.argwhere(same)
         if len(pairs):
             a, b = int(labels[pairs[0, 0]]), int(near[pairs[0, 1]])
             keep, drop = (a, b) if (j.sightings[a], b) >= (j.sightings[b], a) else (b, a)
-            self._counters["merges"] += int(j.merge(keep, drop, self._settings.gate_chi2))
+            self._state.counters["merges"] += int(j.merge(keep, drop, self.settings.gate_chi2))
 
     def _confirm(self) -> None:
-        j, cfg = self._joint, self._settings
+        j, cfg = self._state.joint, self.settings
         j.confirmed |= j.sightings >= cfg.birth_sightings
-        j.forget(np.flatnonzero(~j.confirmed & (self._now - j.seen_at > EXPIRES_UPDATES)))
+        j.forget(np.flatnonzero(~j.confirmed & (self._state.now - j.seen_at > EXPIRES_UPDATES)))
 
     def _be_born(self, obs: Observations, which: Ints) -> None:
-        j, cfg = self._joint, self._settings
+        j, cfg = self._state.joint, self.settings
         xy, kind = transform(j.pose, obs.xy_base_m[which]), obs.kind[which]
         near = self._candidates_near(xy, cfg.association_gate_m, np.empty(0, np.int64), np.array([UNLABELLED]))
         apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
         apart[kind[:, None] != j.kind[near]] = np.inf
-        fresh = np.min(apart, axis=1, initial=np.inf) > DUPLICATE_SHARE * cfg.association_gate_m
+        fresh = np.min(apart, axis=1, initial=np.inf) > DUPLICATE_FRACTION * cfg.association_gate_m
         if len(near):  # nor where it may be one that is known, seen badly
             off = apart**2 / (np.max(obs.var_m2[which], axis=1)[:, None] + np.max(j.packed(near)[:, [0, 2]], axis=1))
-            fresh &= np.min(off, axis=1) > CANDIDATE_GATE
+            fresh &= np.min(off, axis=1) > CANDIDATE_GATE_CHI2
         which = which[fresh]
         over = len(j) + len(which) - cfg.max_landmarks
         if over > 0:
             j.forget(np.sort(np.argsort(j.sightings, kind="stable")[:over]))
         if len(which):
-            j.give_birth(obs.xy_base_m[which], obs.var_m2[which], kind[fresh], self._now)
-            self._counters["births"] += len(which)
+            j.give_birth(obs.xy_base_m[which], obs.var_m2[which], kind[fresh], self._state.now)
+            self._state.counters["births"] += len(which)
             self._confirm()

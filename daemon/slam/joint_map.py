@@ -2,40 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.slam.paper.particle_maps import unpacked
+from ceilvo.daemon.slam.spatial_index import packed, unpacked
 from ceilvo.se2 import compose, rotation, wrap
 from ceilvo.types import Array, Ints, Landmarks, Motion, frozen
 
 WINDOW = 160
 """Landmarks whose correlations are kept; beyond, those seen least recently keep their own covariance only."""
 JITTER = np.array([1e-12, 1e-12, 1e-12])
-_POSE = np.arange(3)
+"""m^2, m^2, rad^2: added to a covariance so that it can be inverted; a micrometre and a microradian, squared."""
 
 
+@dataclass(slots=True)
 class JointMap:
-    """Mean (3 + 2 W,) and covariance of the pose and the W landmarks in the window, and a table of all landmarks.
+    """Mean (3 + 2 W,) and covariance of the pose and the W landmarks in the window, and a table of all L landmarks.
 
-    Labels are rows of the table. A row in the window has a slot; its other columns are then out of date until it
+    Labels are rows of the table. A row in the window has a slot; its place in the table is then out of date until it
     leaves.
+
+    Attributes:
+        mean, cov: (3 + 2 W,), (3 + 2 W, 3 + 2 W) [m, m, rad, m, m, ...].
+        label_of: (W,) row of the landmark in each slot.
+        ids, kind, sightings: (L,) as in Landmarks.
+        seen_at: (L,) update that saw it last.
+        confirmed: (L,) seen often enough to be shown.
+        slot: (L,) its place in the window, -1 outside.
+        table_xy, table_packed: (L, 2) means and (L, 3) covariances xx, xy, yy of those outside.
+        next_id: for the next landmark that is born.
     """
 
-    def __init__(self, pose: Array, cov: Array) -> None:
-        self.mean: Array = np.array(pose, np.float64)
-        self.mean[2] = wrap(float(self.mean[2]))
-        self.cov: Array = np.array(cov, np.float64) + np.diag(JITTER)
-        self.label_of: Ints = np.empty(0, np.int64)
-        self.ids: Ints = np.empty(0, np.int64)
-        self.kind: Ints = np.empty(0, np.int64)
-        self.sightings: Ints = np.empty(0, np.int64)
-        self.seen_at: Ints = np.empty(0, np.int64)
-        self.confirmed: NDArray[np.bool_] = np.empty(0, bool)
-        self.slot: Ints = np.empty(0, np.int64)
-        self._xy: Array = np.empty((0, 2))
-        self._packed: Array = np.empty((0, 3))
-        self._next_id = 0
+    mean: Array
+    cov: Array
+    label_of: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    sightings: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    seen_at: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    slot: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    table_xy: Array = field(default_factory=lambda: np.empty((0, 2)))
+    table_packed: Array = field(default_factory=lambda: np.empty((0, 3)))
+    next_id: int = 0
+
+    @staticmethod
+    def at(pose: Array, cov: Array) -> JointMap:
+        """Without landmarks, at a pose (3,) with cov (3, 3)."""
+        mean = np.array(pose, np.float64)
+        mean[2] = wrap(float(mean[2]))
+        return JointMap(mean, np.array(cov, np.float64) + np.diag(JITTER))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -77,13 +95,13 @@ class JointMap:
 
     def xy(self, labels: Ints) -> Array:
         """(K, 2) means."""
-        out, inside = self._xy[labels], self.slot[labels] >= 0
+        out, inside = self.table_xy[labels], self.slot[labels] >= 0
         out[inside] = self.mean[self.rows(labels[inside])].reshape(-1, 2)
         return out
 
     def packed(self, labels: Ints) -> Array:
         """(K, 3) covariances xx, xy, yy."""
-        out, inside = self._packed[labels], self.slot[labels] >= 0
+        out, inside = self.table_packed[labels], self.slot[labels] >= 0
         a = 3 + 2 * self.slot[labels[inside]]
         out[inside] = np.column_stack([self.cov[a, a], self.cov[a, a + 1], self.cov[a + 1, a + 1]])
         return out
@@ -92,19 +110,19 @@ class JointMap:
         """Append a map; its landmarks enter the window when they are seen."""
         self._append(landmarks.kind, landmarks.sightings, landmarks.ids, confirmed=True)
         n = len(landmarks)
-        self._xy[-n:], self._packed[-n:] = landmarks.xy_map_m, landmarks.cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
+        self.table_xy[-n:], self.table_packed[-n:] = landmarks.xy_map_m, packed(landmarks.cov_m2)
 
     def _append(self, kind: Ints, sightings: Ints, ids: Ints | None, confirmed: bool) -> Ints:
         n, old = len(kind), len(self)
-        ids = self._next_id + np.arange(n) if ids is None else ids
-        self._next_id = max(self._next_id, int(np.max(ids, initial=-1)) + 1)
+        ids = self.next_id + np.arange(n) if ids is None else ids
+        self.next_id = max(self.next_id, int(np.max(ids, initial=-1)) + 1)
         self.ids, self.kind = np.concatenate([self.ids, ids]), np.concatenate([self.kind, kind])
         self.sightings = np.concatenate([self.sightings, sightings])
         self.seen_at = np.concatenate([self.seen_at, np.zeros(n, np.int64)])
         self.confirmed = np.concatenate([self.confirmed, np.full(n, confirmed)])
         self.slot = np.concatenate([self.slot, np.full(n, -1)])
-        self._xy = np.concatenate([self._xy, np.zeros((n, 2))])
-        self._packed = np.concatenate([self._packed, np.zeros((n, 3))])
+        self.table_xy = np.concatenate([self.table_xy, np.zeros((n, 2))])
+        self.table_packed = np.concatenate([self.table_packed, np.zeros((n, 3))])
         return np.arange(old, old + n)
 
     def _widen(self, labels: Ints, xy: Array, cross: Array, own: Array) -> None:
@@ -128,9 +146,9 @@ class JointMap:
         if not len(labels):
             return
         own = np.zeros((2 * len(labels), 2 * len(labels)))
-        for i, block in enumerate(unpacked(self._packed[labels])):
+        for i, block in enumerate(unpacked(self.table_packed[labels])):
             own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block
-        self._widen(labels, self._xy[labels], np.zeros((2 * len(labels), len(self.mean))), own)
+        self._widen(labels, self.table_xy[labels], np.zeros((2 * len(labels), len(self.mean))), own)
 
     def give_birth(self, xy_base: Array, var: Array, kind: Ints, now: int) -> Ints:
         """Unconfirmed landmarks where the pose sees them: xy_base (K, 2), var (K, 2) along base x and y."""
@@ -180,13 +198,13 @@ class JointMap:
         self.label_of = moved[self.label_of]
         self.ids, self.kind, self.sightings = self.ids[keep], self.kind[keep], self.sightings[keep]
         self.seen_at, self.confirmed, self.slot = self.seen_at[keep], self.confirmed[keep], self.slot[keep]
-        self._xy, self._packed = self._xy[keep], self._packed[keep]
+        self.table_xy, self.table_packed = self.table_xy[keep], self.table_packed[keep]
 
     def _narrow(self, labels: Ints) -> None:
         """Out of the window, keeping their own covariance in the table."""
         if not len(labels):
             return
-        self._xy[labels], self._packed[labels] = self.xy(labels), self.packed(labels)
+        self.table_xy[labels], self.table_packed[labels] = self.xy(labels), self.packed(labels)
         keep = np.ones(len(self.mean), bool)
         keep[self.rows(labels)] = False
         self.mean, self.cov = self.mean[keep], self.cov[np.ix_(keep, keep)]

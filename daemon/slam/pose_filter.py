@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from ceilvo.errors import CeilvoError
 from ceilvo.se2 import compose, wrap_array
-from ceilvo.types import Array, Depletion, Landmarks, Motion, Observations
+from ceilvo.types import Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
 
 class PoseFilter(Protocol):
     """Estimates map_from_base and the map. Poses are (3,) [m, m, rad], covariances (3, 3)."""
+
+    @property
+    def state(self) -> Any:
+        """All that the filter remembers, as one dataclass; setting it continues from there."""
+
+    @state.setter
+    def state(self, state: Any) -> None: ...
 
     def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
         """Start again at a pose, with a map or with an empty one.
@@ -27,7 +35,7 @@ class PoseFilter(Protocol):
     def update(self, obs: Observations) -> None:
         """Weigh against the map; labels index the landmarks() of this moment (types.NO_LANDMARK, UNLABELLED)."""
 
-    def estimate(self) -> tuple[Array, Array, Depletion]:
+    def estimate(self) -> tuple[Array, Array, FilterHealth]:
         """Pose, covariance and health."""
 
     def landmarks(self) -> Landmarks:
@@ -41,7 +49,7 @@ class PoseFilter(Protocol):
 
 
 SURE = 0.9
-"""A pose with a smaller Depletion.mode_weight is one hypothesis among several, and must not be called TRACKING."""
+"""A pose with a smaller FilterHealth.mode_weight is one hypothesis among several, and must not be called TRACKING."""
 COUNTERS = (
     "updates",
     "observations",
@@ -59,6 +67,20 @@ COUNTERS = (
 """Updates; observations matched to a landmark, and those of them that the gate refused; updates most of whose
 observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
 the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling."""
+
+
+def checked_motion(motion: Motion) -> Motion:
+    """The same motion.
+
+    Raises:
+        CeilvoError: it is not finite.
+    """
+    if not (np.all(np.isfinite(motion.prev_from_curr)) and np.all(np.isfinite(motion.cov))):
+        raise CeilvoError(
+            f"filter: motion {motion.prev_from_curr} is not finite, expected metres and radians with a finite "
+            "covariance; report a failed motion with its prediction instead"
+        )
+    return motion
 
 
 def mean_and_cov(poses: Array, weights: Array) -> tuple[Array, Array]:
@@ -87,6 +109,14 @@ def spread(mean: Array, cov: Array, n: int, rng: np.random.Generator) -> Array:
     noise = rng.standard_normal((n, 3))
     noise = (noise - np.mean(noise, axis=0)) * np.sqrt(n / max(n - 1, 1))
     return np.asarray(mean + noise @ (vectors * np.sqrt(np.maximum(values, 0.0))).T, np.float64)
+
+
+def systematic(weights: Array, rng: np.random.Generator, count: int | None = None) -> Ints:
+    """(count,) ancestors by systematic resampling, as many as there are particles unless said otherwise."""
+    n = len(weights) if count is None else count
+    cdf = np.cumsum(weights)
+    steps = (np.arange(n) + rng.random()) / n
+    return np.minimum(np.searchsorted(cdf / cdf[-1], steps, side="right"), len(weights) - 1).astype(np.int64)
 
 
 def moved(poses: Array, motion: Motion, rng: np.random.Generator) -> Array:

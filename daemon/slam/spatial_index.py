@@ -1,6 +1,8 @@
-"""A map that is what it is: landmarks with a spatial index, so that looking at it costs what is in view."""
+"""Landmarks with a spatial index, so that looking at a map costs what is in view."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,22 +13,33 @@ _SIDE = 1 << 20
 """Cells are numbered row by row; no building is a million cells wide."""
 
 
-class KnownMap:
-    """Landmarks in square cells; near() and nearest() look at the cells around a point only."""
+@dataclass(slots=True)
+class IndexedMap:
+    """Landmarks in square cells; near() and nearest() look at the cells around a point only.
 
-    def __init__(self, landmarks: Landmarks, cell_m: float = CELL_M) -> None:
-        self.landmarks = landmarks
-        self._cell_m = cell_m
-        self.packed: Array = landmarks.cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
-        cell = self._numbers(self._cells(landmarks.xy_map_m))
-        self._order: Ints = np.argsort(cell, kind="stable").astype(np.int64)
+    Attributes:
+        landmarks: the map; it does not change.
+        cell_m: side of a cell.
+        packed: (L, 3) covariances xx, xy, yy.
+    """
+
+    landmarks: Landmarks
+    cell_m: float = CELL_M
+    packed: Array = field(init=False)
+    _order: Ints = field(init=False)
+    _sorted: Ints = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.packed = packed(self.landmarks.cov_m2)
+        cell = self._numbers(self._cells(self.landmarks.xy_map_m))
+        self._order = np.argsort(cell, kind="stable").astype(np.int64)
         self._sorted = cell[self._order]
 
     def __len__(self) -> int:
         return len(self.landmarks)
 
     def _cells(self, xy: Array) -> Ints:
-        return np.floor(np.clip(xy / self._cell_m, -_SIDE / 2, _SIDE / 2 - 1)).astype(np.int64) + _SIDE // 2
+        return np.floor(np.clip(xy / self.cell_m, -_SIDE / 2, _SIDE / 2 - 1)).astype(np.int64) + _SIDE // 2
 
     @staticmethod
     def _numbers(cells: Ints) -> Ints:
@@ -66,3 +79,13 @@ class KnownMap:
     def repeated(self, labels: Ints) -> tuple[Array, Array]:
         """(K, 2, 1) means and (K, 3, 1) covariances: the same for every particle."""
         return self.landmarks.xy_map_m[labels][:, :, None], self.packed[labels][:, :, None]
+
+
+def packed(cov: Array) -> Array:
+    """(M, 3) xx, xy, yy of covariances (M, 2, 2)."""
+    return cov.reshape(-1, 4)[:, [0, 1, 3]]
+
+
+def unpacked(packed: Array) -> Array:
+    """(M, 2, 2) from (M, 3)."""
+    return packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2)

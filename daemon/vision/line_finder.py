@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,34 @@ from ceilvo.daemon.vision.edge_tracking import BandDetector, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.line_detection import LastFit, detect
 from ceilvo.daemon.vision.line_pairing import EdgeSet
-from ceilvo.daemon.vision.tilt_prior import TiltTracker
+from ceilvo.daemon.vision.tilt_prior import TiltPrior, TiltState, TiltTracker
 from ceilvo.types import Array, Lines
 
 _CLEAN_FADES = 1.01
+
+
+@dataclass(slots=True)
+class LineFinderState:
+    """What the last frames left for the next one.
+
+    Attributes:
+        tilt: of the robot, over many frames.
+        edges: of the last frame, None when it showed no lines.
+        tilt_rad: (2,) of the last frame that showed lines.
+        best_noise_px: standard deviation of edge points about their lines in the cleanest of the latest frames.
+        detection_noise_px: the same in the last frame that was searched whole.
+        since_detection: frames since then.
+        detections, tracked: frames that were searched whole, and near the predicted edges only.
+    """
+
+    tilt: TiltState = field(default_factory=TiltState)
+    edges: EdgeSet | None = None
+    tilt_rad: Array = field(default_factory=lambda: np.zeros(2))
+    best_noise_px: float = np.inf
+    detection_noise_px: float = 0.0
+    since_detection: int = 0
+    detections: int = 0
+    tracked: int = 0
 
 
 class LineFinder:
@@ -26,18 +51,11 @@ class LineFinder:
         self._calibration, self._config = calibration, config
         self._edges = EdgeDetector(calibration, config)
         self._bands = BandDetector(calibration, config) if config.full_every > 1 else None
-        self.reset()
+        self.state = LineFinderState()
 
     def reset(self) -> None:
-        """Forget the last frame."""
-        self._tilt = TiltTracker()
-        self._last: EdgeSet | None = None
-        self._last_tilt = np.zeros(2)
-        self._clean_px = np.inf
-        self._full_px = 0.0
-        self._since_full = 0
-        self.full = 0
-        self.verified = 0
+        """Forget the frames so far."""
+        self.state = LineFinderState()
 
     def __call__(
         self, gray: NDArray[np.uint8], prev_from_curr: Array | None, lap: Callable[[str], None] = lambda stage: None
@@ -48,36 +66,39 @@ class LineFinder:
             prev_from_curr: (3,) predicted motion since the last frame; None when there is no good prediction.
             lap: called with "edges" and "lines" when these stages have ended.
         """
-        found = self._verify(gray, prev_from_curr)
+        s, tilt = self.state, TiltTracker(self.state.tilt)
+        found = self._track(gray, prev_from_curr, tilt.prior())
         if found is None:
-            self._since_full = 0
-            self.full += 1
+            s.since_detection = 0
+            s.detections += 1
             edges = self._edges(gray)
             lap("edges")
             focal_px = self._calibration.level_view.focal_px
-            found = detect(edges, self._config, focal_px, self._tilt.prior(), LastFit(self._last_tilt, self._clean_px))
+            found = detect(edges, self._config, focal_px, tilt.prior(), LastFit(s.tilt_rad, s.best_noise_px))
         else:
-            self._since_full += 1
-            self.verified += 1
+            s.since_detection += 1
+            s.tracked += 1
         lap("lines")
         if found is None:
-            self._last = None
+            s.edges = None
             return None
-        lines, self._last = found
-        self._last_tilt = lines.tilt_rad
-        self._clean_px = min(self._last.noise_px, self._clean_px * _CLEAN_FADES)
-        if self._since_full == 0:
-            self._full_px = self._last.noise_px
-        self._tilt.note(lines)
+        lines, s.edges = found
+        s.tilt_rad = lines.tilt_rad
+        s.best_noise_px = min(s.edges.noise_px, s.best_noise_px * _CLEAN_FADES)
+        if s.since_detection == 0:
+            s.detection_noise_px = s.edges.noise_px
+        tilt.update(lines)
         return lines
 
-    def _verify(self, gray: NDArray[np.uint8], prev_from_curr: Array | None) -> tuple[Lines, EdgeSet] | None:
-        prior = self._tilt.prior()
-        if self._bands is None or self._last is None or prev_from_curr is None or prior is None:
+    def _track(
+        self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None
+    ) -> tuple[Lines, EdgeSet] | None:
+        s = self.state
+        if self._bands is None or s.edges is None or prev_from_curr is None or prior is None:
             return None
-        if self._since_full + 1 >= self._config.full_every:
+        if s.since_detection + 1 >= self._config.full_every:
             return None
-        expected = predicted(self._last, prev_from_curr, self._calibration)
+        expected = predicted(s.edges, prev_from_curr, self._calibration)
         # what a full look could not fit better, a close one need not
-        last = LastFit(self._last_tilt, max(self._clean_px, self._full_px))
+        last = LastFit(s.tilt_rad, max(s.best_noise_px, s.detection_noise_px))
         return self._bands(gray, expected, last, prior)

@@ -6,7 +6,7 @@ height of the ceiling turns a hundredth of a degree into half a millimetre. A ro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,34 +27,44 @@ class TiltPrior:
     sigma_rad: Array
 
 
+@dataclass(slots=True)
+class TiltState:
+    """What the frames so far said of the tilt about base x and y.
+
+    Attributes:
+        weight: sum of the frames' weights, each at most 1.
+        mean_rad, var_rad2: (2,) of the single-frame estimates.
+        noise_var_rad2: (2,) the part of var_rad2 that is the estimates' own error.
+    """
+
+    weight: float = 0.0
+    mean_rad: Array = field(default_factory=lambda: np.zeros(2))
+    var_rad2: Array = field(default_factory=lambda: np.zeros(2))
+    noise_var_rad2: Array = field(default_factory=lambda: np.zeros(2))
+
+
 class TiltTracker:
     """Mean and spread of the tilt over about the last 45 frames, freed of the estimates' own noise."""
 
-    def __init__(self) -> None:
-        self._count = 0.0
-        self._mean = np.zeros(2)
-        self._square = np.zeros(2)
-        self._noise = np.zeros(2)
+    def __init__(self, state: TiltState | None = None) -> None:
+        self.state = TiltState() if state is None else state
 
-    def note(self, lines: Lines | None) -> None:
+    def update(self, lines: Lines) -> None:
         """Take in what one frame alone said; one that can hardly tell counts little."""
-        if lines is None:
-            return
-        noise = lines.free_tilt_sigma_rad**2
+        s, noise = self.state, lines.free_tilt_sigma_rad**2
         weight = 1.0 / (1.0 + float(np.max(noise)) / _FAIR_RAD**2)
-        self._count += weight
-        rate = weight * max(1.0 / _MEMORY, 1.0 / max(self._count, 1.0))
-        off = lines.free_tilt_rad - self._mean
-        self._mean = self._mean + rate * off
-        self._square = (1.0 - rate) * (self._square + rate * off**2)
-        self._noise = self._noise + rate * (noise - self._noise)
+        s.weight += weight
+        rate = weight * max(1.0 / _MEMORY, 1.0 / max(s.weight, 1.0))
+        off = lines.free_tilt_rad - s.mean_rad
+        s.mean_rad = s.mean_rad + rate * off
+        s.var_rad2 = (1.0 - rate) * (s.var_rad2 + rate * off**2)
+        s.noise_var_rad2 = s.noise_var_rad2 + rate * (noise - s.noise_var_rad2)
 
     def prior(self) -> TiltPrior | None:
         """For the next frame; None until enough was seen."""
-        if self._count < _FEWEST:
+        s = self.state
+        if s.weight < _FEWEST:
             return None
-        own = np.maximum(self._square - self._noise, 0.0)
-        return TiltPrior(self._mean, np.sqrt(_SLACK * own + self._noise / self._count_in_mean() + _FLOOR_RAD**2))
-
-    def _count_in_mean(self) -> float:
-        return min(self._count, _MEMORY)
+        own = np.maximum(s.var_rad2 - s.noise_var_rad2, 0.0)
+        mean_var = s.noise_var_rad2 / min(s.weight, _MEMORY)
+        return TiltPrior(s.mean_rad, np.sqrt(_SLACK * own + mean_var + _FLOOR_RAD**2))

@@ -78,14 +78,6 @@ def _draw(coefficients: Array, u: Array, rng: np.random.Generator) -> Array | No
     return np.interp(strata, cdf / cdf[-1], edges)
 
 
-def systematic(weights: Array, rng: np.random.Generator, count: int | None = None) -> Ints:
-    """(count,) ancestors by systematic resampling, as many as there are particles unless said otherwise."""
-    n = len(weights) if count is None else count
-    cdf = np.cumsum(weights)
-    steps = (np.arange(n) + rng.random()) / n
-    return np.minimum(np.searchsorted(cdf / cdf[-1], steps, side="right"), len(weights) - 1).astype(np.int64)
-
-
 def nearest(poses: Array, ancestors: Array, scale: Array, block: int = 1024) -> Ints:
     """(N,) index of the ancestor nearest to each pose, (N, 3) and (M, 3), axes divided by scale (3,)."""
     p, a = poses - ancestors[0], ancestors - ancestors[0]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.slam.spatial_index import unpacked
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
@@ -12,43 +15,58 @@ _REFRESH = 64
 """Landmarks out of view whose summary is renewed per update, so that its cost does not grow with the map."""
 
 
+@dataclass(slots=True)
 class ParticleMaps:
     """Means and covariances of every landmark in every particle's map.
 
-    Landmark-major, so that the landmarks in view are contiguous: mean (L, 2, N), covariance packed xx, xy, yy
-    (L, 3, N). Resampling does not copy maps: `_row` (L, N) says which column holds a particle's version, and a
-    landmark is put in order when it is next written.
+    Landmark-major, so that the landmarks in view are contiguous. Resampling does not copy maps: `row` says which column
+    holds a particle's version, and a landmark is put in order when it is next written. Arrays have room for more than
+    `size` landmarks.
+
+    Attributes:
+        ids, kind, sightings: (L,) as in Landmarks.
+        mean, cov: (L, 2, N) and (L, 3, N) packed xx, xy, yy.
+        row: (L, N).
+        xy, packed: (L, 2) and (L, 3), the summary over the particles.
+        size: landmarks there are.
+        next_id: for the next landmark.
+        turn: where the next renewal of the summary begins.
     """
 
-    def __init__(self, particles: int) -> None:
-        self._particles = particles
-        self._next_id = 0
-        self._size = 0
-        self._turn = 0
-        self.ids: Ints = np.empty(0, np.int64)
-        self.kind: Ints = np.empty(0, np.int64)
-        self.sightings: Ints = np.empty(0, np.int64)
-        self._mean: Array = np.empty((0, 2, particles))
-        self._cov: Array = np.empty((0, 3, particles))
-        self._row: NDArray[np.int32] = np.empty((0, particles), np.int32)
-        self._xy: Array = np.empty((0, 2))
-        self._packed: Array = np.empty((0, 3))
+    ids: Ints
+    kind: Ints
+    sightings: Ints
+    mean: Array
+    cov: Array
+    row: NDArray[np.int32]
+    xy: Array
+    packed: Array
+    size: int = 0
+    next_id: int = 0
+    turn: int = 0
+
+    @staticmethod
+    def of(particles: int) -> ParticleMaps:
+        """Empty maps."""
+        none, n = np.empty(0, np.int64), particles
+        mean, cov, row = np.empty((0, 2, n)), np.empty((0, 3, n)), np.empty((0, n), np.int32)
+        return ParticleMaps(none, none, none, mean, cov, row, np.empty((0, 2)), np.empty((0, 3)))
 
     def __len__(self) -> int:
-        return self._size
+        return self.size
 
     def gather(self, labels: Ints) -> tuple[Array, Array]:
         """(K, 2, N) means and (K, 3, N) covariances of the landmarks `labels`."""
-        row = self._row[labels][:, None, :]
+        row = self.row[labels][:, None, :]
         return (
-            np.take_along_axis(self._mean[labels], row, axis=2),
-            np.take_along_axis(self._cov[labels], row, axis=2),
+            np.take_along_axis(self.mean[labels], row, axis=2),
+            np.take_along_axis(self.cov[labels], row, axis=2),
         )
 
     def scatter(self, labels: Ints, mean: Array, cov: Array) -> None:
         """Write back what gather() gave; labels must be distinct."""
-        self._mean[labels], self._cov[labels] = mean, cov
-        self._row[labels] = np.arange(self._particles, dtype=np.int32)
+        self.mean[labels], self.cov[labels] = mean, cov
+        self.row[labels] = np.arange(self.row.shape[1], dtype=np.int32)
 
     def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, limit: int, ids: Ints | None = None) -> Ints:
         """Append landmarks (M, 2, N), (M, 3, N) and return their labels (M,).
@@ -58,76 +76,77 @@ class ParticleMaps:
         labels = np.empty(len(kind), np.int64)
         for i in range(len(kind)):
             label = labels[i] = self._free_slot(limit)
-            self.ids[label] = self._next_id if ids is None else ids[i]
-            self._next_id = max(self._next_id, int(self.ids[label]) + 1)
+            self.ids[label] = self.next_id if ids is None else ids[i]
+            self.next_id = max(self.next_id, int(self.ids[label]) + 1)
             self.kind[label], self.sightings[label] = kind[i], sightings[i]
             self.scatter(labels[i : i + 1], mean[i], cov[i])
         return labels
 
     def _free_slot(self, limit: int) -> int:
-        if self._size >= limit:
-            return int(np.argmin(self.sightings[: self._size]))
-        if self._size == len(self.ids):
-            self._grow(max(_CHUNK, self._size // 2))
-        self._size += 1
-        return self._size - 1
+        if self.size >= limit:
+            return int(np.argmin(self.sightings[: self.size]))
+        if self.size == len(self.ids):
+            self._grow(max(_CHUNK, self.size // 2))
+        self.size += 1
+        return self.size - 1
 
     def _grow(self, more: int) -> None:
-        n = self._particles
+        n = self.row.shape[1]
         blank = np.zeros(more, np.int64)
         self.ids = np.concatenate([self.ids, blank])
         self.kind = np.concatenate([self.kind, blank])
         self.sightings = np.concatenate([self.sightings, blank])
-        self._mean = np.concatenate([self._mean, np.zeros((more, 2, n))])
-        self._cov = np.concatenate([self._cov, np.zeros((more, 3, n))])
-        self._row = np.concatenate([self._row, np.zeros((more, n), np.int32)])
-        self._xy = np.concatenate([self._xy, np.zeros((more, 2))])
-        self._packed = np.concatenate([self._packed, np.zeros((more, 3))])
+        self.mean = np.concatenate([self.mean, np.zeros((more, 2, n))])
+        self.cov = np.concatenate([self.cov, np.zeros((more, 3, n))])
+        self.row = np.concatenate([self.row, np.zeros((more, n), np.int32)])
+        self.xy = np.concatenate([self.xy, np.zeros((more, 2))])
+        self.packed = np.concatenate([self.packed, np.zeros((more, 3))])
 
     def resample(self, ancestors: Ints) -> None:
         """Particle i goes on with the map of particle ancestors[i]."""
-        self._row[: self._size] = self._row[: self._size, ancestors]
+        self.row[: self.size] = self.row[: self.size, ancestors]
 
     def refresh(self, weights: Array, labels: Ints) -> None:
         """Renew the summary of the landmarks `labels`, and of the next few in turn, for changed weights."""
-        if not self._size:
+        if not self.size:
             return
-        turn = (self._turn + np.arange(min(_REFRESH, self._size))) % self._size
-        self._turn = int((self._turn + len(turn)) % self._size)
+        turn = (self.turn + np.arange(min(_REFRESH, self.size))) % self.size
+        self.turn = int((self.turn + len(turn)) % self.size)
         labels = np.union1d(labels, turn)
         mean, cov = self.gather(labels)
         xy = mean @ weights
         x, y = mean[:, 0] - xy[:, :1], mean[:, 1] - xy[:, 1:]
-        self._xy[labels] = xy
-        self._packed[labels] = cov @ weights + np.stack([x * x, x * y, y * y], axis=1) @ weights
+        self.xy[labels] = xy
+        self.packed[labels] = cov @ weights + np.stack([x * x, x * y, y * y], axis=1) @ weights
 
     def summary(self) -> Landmarks:
         """Means over the particles; covariance = mean of theirs + spread of their means, as of the last refresh."""
-        size = self._size
+        size = self.size
         return Landmarks(
             ids=self.ids[:size].copy(),
-            xy_map_m=frozen(self._xy[:size].copy()),
-            cov_m2=frozen(unpacked(self._packed[:size])),
+            xy_map_m=frozen(self.xy[:size].copy()),
+            cov_m2=frozen(unpacked(self.packed[:size])),
             kind=self.kind[:size].copy(),
             sightings=self.sightings[:size].copy(),
         )
 
 
-def unpacked(packed: Array) -> Array:
-    """(M, 2, 2) from (M, 3)."""
-    return packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-
-
+@dataclass(slots=True)
 class Candidates:
-    """Features seen but not yet believed: one list for all particles, in the map at the mean pose."""
+    """Features seen but not yet believed: one list for all particles, in the map at the mean pose.
 
-    def __init__(self, expire_updates: int) -> None:
-        self._expire = expire_updates
-        self.xy: Array = np.empty((0, 2))
-        self.cov: Array = np.empty((0, 3))
-        self.kind: Ints = np.empty(0, np.int64)
-        self.count: Ints = np.empty(0, np.int64)
-        self._age: Ints = np.empty(0, np.int64)
+    Attributes:
+        expire_updates: a candidate not seen for so many is forgotten.
+        xy, cov: (C, 2) and (C, 3) packed.
+        kind, count, age: (C,) type of crossing, sightings, updates since the last.
+    """
+
+    expire_updates: int
+    xy: Array = field(default_factory=lambda: np.empty((0, 2)))
+    cov: Array = field(default_factory=lambda: np.empty((0, 3)))
+    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    count: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    age: Ints = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -137,13 +156,13 @@ class Candidates:
         gain_cov = self.cov[which] + cov
         self.xy[which], self.cov[which] = fused(self.xy[which], self.cov[which], xy - self.xy[which], gain_cov)
         self.count[which] += 1
-        self._age[which] = 0
+        self.age[which] = 0
 
     def append(self, xy: Array, cov: Array, kind: Ints) -> None:
         fresh = np.ones(len(kind), np.int64)
         self.xy, self.cov = np.concatenate([self.xy, xy]), np.concatenate([self.cov, cov])
         self.kind, self.count = np.concatenate([self.kind, kind]), np.concatenate([self.count, fresh])
-        self._age = np.concatenate([self._age, 0 * fresh])
+        self.age = np.concatenate([self.age, 0 * fresh])
 
     def remove(self, which: NDArray[np.intp]) -> None:
         keep = np.ones(len(self), bool)
@@ -152,12 +171,12 @@ class Candidates:
 
     def grow_older(self) -> None:
         """One update has passed: forget the candidates that were not seen for too many."""
-        self._age += 1
-        self._keep(self._age <= self._expire)
+        self.age += 1
+        self._keep(self.age <= self.expire_updates)
 
     def _keep(self, keep: NDArray[np.bool_]) -> None:
         self.xy, self.cov, self.kind = self.xy[keep], self.cov[keep], self.kind[keep]
-        self.count, self._age = self.count[keep], self._age[keep]
+        self.count, self.age = self.count[keep], self.age[keep]
 
 
 def fused(mean: Array, cov: Array, innovation: Array, innovation_cov: Array) -> tuple[Array, Array]:

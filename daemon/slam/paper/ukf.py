@@ -4,28 +4,47 @@ from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.daemon.slam.joint_filter import NIS_CAP, JointFilter, View
+from ceilvo.config import Filter
+from ceilvo.daemon.slam.association import NIS_CAP
+from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState, View
 from ceilvo.daemon.slam.pose_filter import spread
 from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Ints
 
-ALPHA, BETA = 1.0, 0.0
+NO_HEADING_VAR_RAD2 = 1e12
+"""In place of an infinite variance, with which the linear algebra could not be done."""
 
 
-class Ukf(JointFilter):
-    """The rival of the paper's table 1, ungated, and the one that is hard to beat, gated (filter.ukf_gate)."""
+class UkfRule:
+    """An UpdateRule: the rival of the paper's table 1, ungated, and the one that is hard to beat, gated (ukf_gate)."""
 
-    def particles(self) -> tuple[Array, Array]:
+    def __init__(self, settings: Filter) -> None:
+        self._settings = settings
+
+    def fresh(self, rng: np.random.Generator) -> None:
+        """It remembers nothing."""
+
+    def moved(self, state: JointFilterState, step_m: Array) -> None:
+        """It does not matter."""
+
+    def jumped(self, state: JointFilterState) -> None:
+        """It does not matter."""
+
+    def curve(self, state: JointFilterState) -> tuple[float, float]:
+        return float(self._settings.particles), float("nan")
+
+    def particles(self, state: JointFilterState) -> tuple[Array, Array]:
         """Draws from the Gaussian, for pictures."""
         n = self._settings.particles
-        return spread(self._joint.pose, self._joint.pose_cov, n, np.random.default_rng(0)), np.full(n, 1.0 / n)
+        joint = state.joint
+        return spread(joint.pose, joint.pose_cov, n, np.random.default_rng(0)), np.full(n, 1.0 / n)
 
-    def _absorb(self, view: View, rows: Ints) -> np.ndarray:
-        predicted, own, cross = unscented(self._joint.pose, view)
+    def absorb(self, state: JointFilterState, view: View, rows: Ints) -> Innovations:
+        predicted, own, cross = unscented(state.joint.pose, view)
         seen = np.append(view.xy.ravel(), view.heading)
         innovation = seen - predicted
         innovation[-1] = wrap(float(innovation[-1])) if np.isfinite(view.heading_var) else 0.0
-        noise = np.append((view.var * view.inflation).ravel(), min(view.heading_var, 1e12))
+        noise = np.append((view.var * view.inflation).ravel(), min(view.heading_var, NO_HEADING_VAR_RAD2))
         total = own + np.diag(noise)
         keep = np.ones(len(view) + 1, bool)
         chi2 = np.array([_mahalanobis(innovation, total, i, len(view)) for i in range(len(view) + 1)])
@@ -34,25 +53,25 @@ class Ukf(JointFilter):
         dof = 2 * len(view)
         bare = own + np.diag(np.append(view.var.ravel(), noise[-1]))
         nis = [min(_mahalanobis(innovation, bare, i, len(view)), NIS_CAP) for i in range(len(view))]
-        self._nis, self._nis_dof = (float(np.mean(nis)) / 2 if dof else 0.0), dof
         used = np.append(np.repeat(keep[:-1], 2), keep[-1])
         if np.any(used):
-            self._correct(view, rows, innovation[used], total[np.ix_(used, used)], cross[:, used])
-        return keep[:-1]
+            _correct(state, view, rows, innovation[used], total[np.ix_(used, used)], cross[:, used])
+        return Innovations(keep[:-1], float(np.mean(nis)) / 2 if dof else 0.0, dof)
 
-    def _correct(self, view: View, rows: Ints, innovation: Array, total: Array, cross: Array) -> None:
-        """Kalman update; landmarks out of view follow by their correlation with pose and view."""
-        j = self._joint
-        block = np.concatenate([np.arange(3), rows]).astype(np.int64)
-        local = cross[: len(block)]  # a known map does not learn
-        if self._known is None:
-            link = np.linalg.lstsq(view.joint, j.cov[block], rcond=1e-13)[0]
-            local = link.T @ cross
-        gain = np.linalg.solve(total, local.T).T
-        j.mean += gain @ innovation
-        j.mean[2] = wrap(float(j.mean[2]))
-        j.cov -= gain @ local.T
-        j.cov = 0.5 * (j.cov + j.cov.T)
+
+def _correct(state: JointFilterState, view: View, rows: Ints, innovation: Array, total: Array, cross: Array) -> None:
+    """Kalman update; landmarks out of view follow by their correlation with pose and view."""
+    j = state.joint
+    block = np.concatenate([np.arange(3), rows]).astype(np.int64)
+    local = cross[: len(block)]  # a known map does not learn
+    if state.known is None:
+        link = np.linalg.lstsq(view.joint, j.cov[block], rcond=1e-13)[0]
+        local = link.T @ cross
+    gain = np.linalg.solve(total, local.T).T
+    j.mean += gain @ innovation
+    j.mean[2] = wrap(float(j.mean[2]))
+    j.cov -= gain @ local.T
+    j.cov = 0.5 * (j.cov + j.cov.T)
 
 
 def unscented(pose: Array, view: View) -> tuple[Array, Array, Array]:

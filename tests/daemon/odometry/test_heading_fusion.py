@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.daemon.odometry.heading_fusion import HeadingLock
+from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
 
 _LINES_RAD, _POINTS_RAD = 0.0002, 0.001
 _small = st.floats(-0.03, 0.03)
@@ -14,10 +14,10 @@ _small = st.floats(-0.03, 0.03)
 def drive(lies_rad: np.ndarray, seed: int = 3) -> np.ndarray:
     """Heading error after every step for a direction of lines that lies by so much in each frame."""
     rng = np.random.default_rng(seed)
-    lock, error, errors = HeadingLock(), 0.0, []
+    fusion, error, errors = HeadingFusion(), 0.0, []
     for before, now in zip(np.r_[0.0, lies_rad[:-1]], lies_rad, strict=True):
         points = float(rng.normal(0, _POINTS_RAD))
-        error += lock.choose(float(now - before), _LINES_RAD, points, _POINTS_RAD).theta_rad
+        error += fusion.fuse(float(now - before), _LINES_RAD, points, _POINTS_RAD).theta_rad
         errors.append(error)
     return np.array(errors)
 
@@ -43,18 +43,18 @@ def test_a_lasting_change_of_the_lines_is_not_followed_at_once() -> None:
 
 
 def test_the_choice_says_how_well_it_is_known() -> None:
-    lock = HeadingLock()
-    agreed = lock.choose(0.01, _LINES_RAD, 0.0101, _POINTS_RAD)
+    fusion = HeadingFusion()
+    agreed = fusion.fuse(0.01, _LINES_RAD, 0.0101, _POINTS_RAD)
     assert (agreed.theta_rad, agreed.sigma_rad, agreed.of_points) == (0.01, _LINES_RAD, False)
-    apart = lock.choose(0.05, _LINES_RAD, 0.0, _POINTS_RAD)
+    apart = fusion.fuse(0.05, _LINES_RAD, 0.0, _POINTS_RAD)
     assert (apart.theta_rad, apart.sigma_rad, apart.of_points) == (0.0, _POINTS_RAD, True)
-    back = lock.choose(-0.05, _LINES_RAD, 0.0, _POINTS_RAD)
+    back = fusion.fuse(-0.05, _LINES_RAD, 0.0, _POINTS_RAD)
     assert back.theta_rad == pytest.approx(0.0, abs=1e-15)
     assert back.sigma_rad == pytest.approx(np.hypot(_LINES_RAD, _POINTS_RAD))
 
 
 def test_a_lost_reference_forgets_what_was_open() -> None:
-    lock = HeadingLock()
-    lock.choose(0.05, _LINES_RAD, 0.0, _POINTS_RAD)
-    lock.forget()
-    assert lock.choose(0.0, _LINES_RAD, 0.0, _POINTS_RAD).theta_rad == 0.0
+    fusion = HeadingFusion()
+    fusion.fuse(0.05, _LINES_RAD, 0.0, _POINTS_RAD)
+    fusion.state = HeadingState()
+    assert fusion.fuse(0.0, _LINES_RAD, 0.0, _POINTS_RAD).theta_rad == 0.0

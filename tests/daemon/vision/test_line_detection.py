@@ -144,5 +144,5 @@ def test_few_lines_do_not_imitate_a_tilt() -> None:
         lines = find_lines(edges(lamp, 0.2, seed, noise_px=0.5), Features(min_line_points=15), FOCAL_PX)
         assert lines is not None
         assert np.abs(lines.tilt_rad).max() < 1e-9
-        tracker.note(lines)
+        tracker.update(lines)
     assert tracker.prior() is None

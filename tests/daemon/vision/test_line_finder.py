@@ -43,8 +43,9 @@ def test_bands_hold_while_the_robot_rocks_and_agree_with_the_truth(tilt_deg: flo
         off_psi.append((lines.psi_rad + truth[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4)
         off_tilt.append(lines.tilt_rad - world.tilt_at(t))
     worst_mm = 1e3 * np.hypot(*(pose - truth)[:2])
-    print(f"seed {SEED}, tilt {tilt_deg}: {finder.verified} verified, {finder.full} full, {worst_mm:.2f} mm at the end")
-    assert finder.verified > 0.6 * (finder.full + finder.verified)
+    tracked, detected = finder.state.tracked, finder.state.detections
+    print(f"seed {SEED}, tilt {tilt_deg}: {tracked} tracked, {detected} detected, {worst_mm:.2f} mm at the end")
+    assert tracked > 0.6 * (detected + tracked)
     assert np.abs(off_psi).max() < np.radians(0.03)
     assert np.abs(off_tilt).max() < np.radians(0.06)
     assert worst_mm < 4.0
@@ -57,7 +58,7 @@ def warmed(world: World) -> tuple[LineFinder, float]:
     for _ in range(30):
         t += 1 / RATE_HZ
         assert finder(world.frame_at(t), step) is not None
-    assert finder.verified > 5
+    assert finder.state.tracked > 5
     return finder, t
 
 
@@ -70,7 +71,7 @@ def test_a_close_look_sees_the_crossings_of_a_full_one() -> None:
         t = 1.0 + k / RATE_HZ
         step = se2.between(world.truth_at(t - 1 / RATE_HZ), world.truth_at(t))
         lines = close(world.frame_at(t), step)
-        if k % 4 or not close.verified:
+        if k % 4 or not close.state.tracked:
             continue
         full = LineFinder(world.calibration, Features(full_every=1))(world.frame_at(t), None)
         assert lines is not None and full is not None
@@ -93,23 +94,23 @@ def test_bands_take_no_tilt_where_none_is_to_be_estimated() -> None:
         lines = finder(world.frame_at(2.0 + k / RATE_HZ), np.array([0.35 / RATE_HZ, 0.0, 0.0]))
         assert lines is not None
         assert np.abs(lines.tilt_rad).max() < 1e-9
-    assert finder.verified > 10
+    assert finder.state.tracked > 10
 
 
 def test_a_black_frame_is_no_lines_and_a_full_look() -> None:
     world = world_with(0.0)
     finder, t = warmed(world)
-    full = finder.full
+    full = finder.state.detections
     assert finder(np.zeros_like(world.frame_at(t)), np.zeros(3)) is None
-    assert finder.full == full + 1
+    assert finder.state.detections == full + 1
 
 
 def test_a_scene_that_is_not_as_predicted_gets_a_full_look() -> None:
     world = world_with(0.0)
     finder, t = warmed(world)
-    full = finder.full
+    full = finder.state.detections
     lines = finder(world.frame_at(t + 6.0), np.zeros(3))
-    assert finder.full == full + 1
+    assert finder.state.detections == full + 1
     assert lines is not None
     truth = world.truth_at(t + 6.0)
     assert abs((lines.psi_rad + truth[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.radians(0.05)
@@ -118,9 +119,9 @@ def test_a_scene_that_is_not_as_predicted_gets_a_full_look() -> None:
 def test_without_a_prediction_every_look_is_full() -> None:
     world = world_with(0.0)
     finder, t = warmed(world)
-    full = finder.full
+    full = finder.state.detections
     finder(world.frame_at(t), None)
-    assert finder.full == full + 1
+    assert finder.state.detections == full + 1
 
 
 def test_predicted_edges_of_a_hand_made_move() -> None:

@@ -24,15 +24,13 @@ def track(tilts: np.ndarray, noise: float) -> TiltTracker:
     for t in tilts:
         seen: object = Seen(t + rng.normal(0, noise, 2), np.full(2, noise))
         assert not isinstance(seen, Lines)
-        tracker.note(seen)  # type: ignore[arg-type]
+        tracker.update(seen)  # type: ignore[arg-type]
     return tracker
 
 
 def test_no_prior_before_enough_was_seen() -> None:
-    tracker = TiltTracker()
-    assert tracker.prior() is None
-    tracker.note(None)
-    assert tracker.prior() is None
+    assert TiltTracker().prior() is None
+    assert track(np.zeros((14, 2)), 1e-4).prior() is None
 
 
 def test_a_robot_that_does_not_tilt_gets_a_prior_tighter_than_one_frame() -> None:
