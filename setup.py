@@ -2,14 +2,18 @@
 
 from setuptools import Extension, setup
 
+KERNEL = "daemon/vision/kernel"
+
 # optional: without a compiler the installation goes on, and the same loops run in NumPy
 setup(
     ext_modules=[
         Extension(
-            "ceilvo.daemon.vision.kernel._kernel",
-            ["daemon/vision/kernel/_kernel.c"],
+            f"ceilvo.{KERNEL.replace('/', '.')}.{name}",
+            [f"{KERNEL}/{name}.pyx"],
             extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math"],
             optional=True,
-        ),
-    ]
+        )
+        for name in ("pixels", "points")
+    ],
+    options={"build_ext": {"cython_c_in_temp": True}},  # no generated C between the sources
 )

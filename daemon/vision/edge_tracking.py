@@ -17,7 +17,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.edges import gradient
-from ceilvo.daemon.vision.kernel.reference import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
+from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
 from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
 from ceilvo.daemon.vision.line_fit import JointFit, Points
 from ceilvo.daemon.vision.line_pairing import EdgeSet, pair_edges

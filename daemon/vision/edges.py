@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel import reference as kernel_numpy
-from ceilvo.daemon.vision.kernel.reference import Int16s
+from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, Int16s
+from ceilvo.daemon.vision.kernel.reference import median
 from ceilvo.robust import MAD_TO_SIGMA
 
 Array32 = NDArray[np.float32]
@@ -43,7 +43,7 @@ class EdgeDetector:
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._config = config
-        self._lookup = calibration.level_view.lookup(config.max_view_deg, kernel_numpy.LOOKUP_STEP_PX)
+        self._lookup = calibration.level_view.lookup(config.max_view_deg, LOOKUP_STEP_PX)
         shape = calibration.camera.height_px, calibration.camera.width_px
         usable = _interpolated(np.isfinite(self._lookup[..., 0]), shape)
         usable[[0, -1], :] = False
@@ -51,7 +51,7 @@ class EdgeDetector:
         self._usable = usable.astype(np.uint8) * 255
         # a fixed, patternless order of the pixels: a regular one would favour lines at some angle
         rank = np.random.default_rng(0).permutation(usable.size) * _RANKS // usable.size
-        self._rank = rank.astype(np.uint16)
+        self._rank = rank.astype(np.uint16).reshape(shape)
 
     def __call__(self, gray: NDArray[np.uint8]) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size."""
@@ -72,7 +72,7 @@ def gradient(gray: NDArray[np.uint8], config: Features) -> tuple[Int16s, Int16s,
     """(H, W) gradient along x and y of the smoothed frame, and the lower and upper threshold its noise asks for."""
     smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
     dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(smooth))
-    noise = MAD_TO_SIGMA * kernel_numpy.median(np.abs(dx[::_NOISE_STRIDE_PX, ::_NOISE_STRIDE_PX]).reshape(-1))
+    noise = MAD_TO_SIGMA * median(np.abs(dx[::_NOISE_STRIDE_PX, ::_NOISE_STRIDE_PX]).reshape(-1))
     high = max(config.canny_sigmas * noise, config.canny_floor)
     return dx, dy, config.canny_low_ratio * high, high
 
@@ -80,5 +80,5 @@ def gradient(gray: NDArray[np.uint8], config: Features) -> tuple[Int16s, Int16s,
 def _interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """(H, W) pixels all four corners of whose cell of the look-up are known."""
     cell = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
-    step = kernel_numpy.LOOKUP_STEP_PX
+    step = LOOKUP_STEP_PX
     return np.asarray(cell.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])

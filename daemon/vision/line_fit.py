@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel import reference as kernel_numpy
+from ceilvo.daemon.vision.kernel.arguments import Ends
+from ceilvo.daemon.vision.kernel.reference import median
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
@@ -49,12 +50,12 @@ what no noise model knows, such as bloom of lamps and remains of the lens."""
 class Points:
     """Edge points as rays (x, y, 1), (P,) each, none further than `reach` from the centre.
 
-    `ends` bounds the four groups (see kernel_numpy).
+    `ends` bounds the four groups (see kernel/reference.py).
     """
 
     x: Array32
     y: Array32
-    ends: kernel_numpy.Ends
+    ends: Ends
     reach: float
 
     def stride_for(self, count: int) -> int:
@@ -76,7 +77,7 @@ class JointFit:
         psi: rad, direction of axis 0's normal.
         tilt: (2,) rad about base x and y.
         covariance: (3, 3) of psi and tilt, rad^2.
-        offset, line_group, support: (L,) px, group of the line (see kernel_numpy), and points it was fitted to.
+        offset, line_group, support: (L,) px, group of the line (see vision.kernel), and points it was fitted to.
         line: (P,) a point's line.
         rho, tangent: (P,) coordinates across and along it, as rays of a level robot.
         noise_px: standard deviation of the points about their lines.
@@ -161,7 +162,7 @@ class JointFit:
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
         spread = np.abs(self.rho[::_SPREAD_STRIDE] * self._focal - self.offset[self.line[::_SPREAD_STRIDE]])
-        sigma = MAD_TO_SIGMA * kernel_numpy.median(spread)
+        sigma = MAD_TO_SIGMA * median(spread)
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
     def solve(self, tilt: bool = True) -> None:

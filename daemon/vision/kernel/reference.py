@@ -8,56 +8,27 @@ that along the line, counted along the normal turned by +90 deg.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
-Int16s = NDArray[np.int16]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Ends = tuple[int, int, int, int, int]
-
-LOOKUP_STEP_PX = 2
-"""Spacing of the look-up: a lens bends by thousandths of a pixel over so little."""
-
-
-SEGMENT_PX = 16.0
-"""A predicted edge is straight in the raw picture over so much of it."""
-
-
-class Grids(NamedTuple):
-    """A camera's look-ups from raw to level pixels and back; level pixels count from the principal point.
-
-    Attributes:
-        lookup: (rows, columns, 2) level pixel of every LOOKUP_STEP_PX-th raw one.
-        raw_of_level: (rows, columns, 2) raw pixel of every cell_px-th level one, the first at low_px; nan outside.
-    """
-
-    lookup: Array32
-    raw_of_level: Array32
-    low_px: tuple[float, float]
-    cell_px: float
-
-
-class Look(NamedTuple):
-    """How to look for an edge: every stride_px along it, within reach_px of where it should be.
-
-    Attributes:
-        floor: least magnitude of the gradient.
-        gate: least cosine between the gradient and the edge's normal.
-        strongest: take the strongest within reach, else the nearest.
-    """
-
-    stride_px: float
-    reach_px: float
-    floor: float
-    gate: float
-    strongest: bool
-
+from ceilvo.daemon.vision.kernel.arguments import (
+    LOOKUP_STEP_PX,
+    MOST_PLACES,
+    SEGMENT_PX,
+    Array,
+    Array32,
+    Bools,
+    Ends,
+    Grids,
+    Int16s,
+    Int32s,
+    Int64s,
+    Look,
+    check_lookup,
+    check_search,
+)
 
 def level_points(
     mask: NDArray[np.uint8],
@@ -73,9 +44,10 @@ def level_points(
         mask: (H, W) nonzero at edges; the border counts as empty.
         dx, dy: (H, W) gradient.
         lookup: (rows, columns, 2) level pixel of every LOOKUP_STEP_PX-th pixel, for bilinear interpolation.
-        rank: (H * W,) pixels of this rank or above are left out.
+        rank: (H, W) pixels of this rank or above are left out.
         limit: see rank.
     """
+    check_lookup(lookup.shape, (mask.shape[0], mask.shape[1]))
     inner = np.zeros_like(mask)
     inner[1:-1, 1:-1] = mask[1:-1, 1:-1]
     at = np.flatnonzero(inner)
@@ -136,6 +108,8 @@ def follow(
     Returns:
         x, y, the line of every point, and at how many places each line was looked for (L,).
     """
+    height, width = dx.shape
+    check_search(grids, look, (height, width))
     line, raw, across = _places(grids, lines, tilt_rad, focal_px, look.stride_px)
     horizontal = np.abs(across[:, 0]) >= np.abs(across[:, 1])
     fixed, free = (np.where(horizontal, raw[:, a], raw[:, b]) for a, b in ((1, 0), (0, 1)))
@@ -143,7 +117,6 @@ def follow(
         slope = np.where(horizontal, across[:, 1] / across[:, 0], across[:, 0] / across[:, 1])
     major: Int64s = np.floor(fixed + np.float32(0.5)).astype(np.int64)
     centre = free - (major.astype(np.float32) - fixed) * slope
-    height, width = dx.shape
     first, last = np.ceil(centre - np.float32(look.reach_px)), np.floor(centre + np.float32(look.reach_px))
     inside = (fixed > 0) & (major >= 1) & (major <= np.where(horizontal, height - 2, width - 2))
     inside &= (first >= 1) & (last <= np.where(horizontal, width - 2, height - 2))
@@ -174,7 +147,7 @@ def _places(
     """
     per = max(int(SEGMENT_PX / stride_px), 1)
     length = (lines[:, 4] - lines[:, 3]) / stride_px
-    counts = np.where((length > 0.0) & (length < 1e6), length, 0.0).astype(np.int64)
+    counts = np.where((length > 0.0) & (length < MOST_PLACES), length, 0.0).astype(np.int64)
     segments = -(-counts // per)
     line = np.repeat(np.arange(len(lines)), segments)
     k = per * (np.arange(len(line)) - np.repeat(np.cumsum(segments) - segments, segments))
