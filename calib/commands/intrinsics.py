@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import intrinsics_result, update_file
 from ceilvo.calib.session.common import (
     Progress,
+    Subcommands,
     bench_of,
     check_size,
     conclude,
@@ -28,18 +29,15 @@ from ceilvo.calib.solve.intrinsics import (
     Intrinsics,
     Shot,
     board_pose,
-    camera_of,
     coverage,
     coverage_picture,
     fit_best,
     problems,
 )
+from ceilvo.calib.solve.lens import camera_of
 from ceilvo.calib.targets.board import Board, BoardFinder, other_board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "intrinsics"
 _SIMULATED = 26
@@ -48,7 +46,7 @@ _LIVE_FRAMES = 20_000
 _NEW_VIEW = 0.12
 
 
-def add(commands: Commands) -> None:
+def add(commands: Subcommands) -> None:
     p = commands.add_parser(
         STEP,
         help="1. the lens, from pictures of a chessboard or ChArUco board",

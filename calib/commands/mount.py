@@ -6,14 +6,22 @@ import argparse
 import copy
 import sys
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import lens_so_far, update_file
-from ceilvo.calib.session.common import Progress, bench_of, conclude, session_of, session_options, source_options
+from ceilvo.calib.session.common import (
+    Progress,
+    Subcommands,
+    bench_of,
+    conclude,
+    session_of,
+    session_options,
+    source_options,
+)
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, collect, moved
 from ceilvo.calib.session.wheels import LiveWheels, Wheels, live_base, no_wheels, recorded
@@ -23,9 +31,6 @@ from ceilvo.camera import CameraModel
 from ceilvo.config import Base
 from ceilvo.config.reader import load_config
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 Array = NDArray[np.float64]
 
@@ -41,7 +46,7 @@ _ASK = {
 }
 
 
-def add(commands: Commands) -> None:
+def add(commands: Subcommands) -> None:
     p = commands.add_parser(
         STEP,
         help="3. where the camera sits on the robot, from a turn on the spot and a straight run",

@@ -6,13 +6,14 @@ import argparse
 import itertools
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.session.assemble import camera_from, update_file
 from ceilvo.calib.session.common import (
+    Subcommands,
     bench_of,
     check_size,
     conclude,
@@ -34,9 +35,6 @@ from ceilvo.calib.targets.points_file import ask_on_terminal, read_points
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
-
 Array = NDArray[np.float64]
 
 STEP = "projection"
@@ -45,7 +43,7 @@ _PICTURES = 20
 _FEW = 5
 
 
-def add(commands: Commands) -> None:
+def add(commands: Subcommands) -> None:
     p = commands.add_parser(
         STEP,
         help="2. tilt and ceiling height, from the tiled ceiling itself or from measured points",
@@ -82,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         camera, cov = camera_from(session.need("intrinsics", "the projection"))
         measured = args.points or args.marks
         found, extra = _points(args, session, camera, cov) if measured else _grid(args, session, camera, cov)
-    bad = plausible(found, (camera.width_px, camera.height_px)) + extra.pop("problems", [])
+    bad = plausible(found) + extra.pop("problems", [])
     session.save(STEP, _result(found) | extra | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
     print(update_file(session))
     return conclude(STEP, _rows(found, extra), bad, args)

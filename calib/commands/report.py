@@ -8,15 +8,13 @@ import html
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ceilvo.calib.session.common import session_options
+from ceilvo.calib.commands.calibration_file import describe
+from ceilvo.calib.session.common import Subcommands, session_options
 from ceilvo.calib.session.session import STEPS, Session
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "report"
 _SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera", "lens")
@@ -29,7 +27,7 @@ _STYLE = (
 )
 
 
-def add(commands: Commands) -> None:
+def add(commands: Subcommands) -> None:
     p = commands.add_parser(
         STEP,
         help="7. one HTML file with everything, for the record",
@@ -100,8 +98,6 @@ def _summary(results: Mapping[str, Mapping[str, Any] | None]) -> str:
 def _file(session: Session) -> str:
     if not session.calibration_file.exists():
         return "<p>No calibration.yaml yet.</p>"
-    from ceilvo.calib.cli import describe
-
     try:
         text = describe(read_calibration(session.calibration_file))
     except CalibrationError as e:

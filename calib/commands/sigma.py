@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import assemble, update_file
 from ceilvo.calib.session.common import (
     Progress,
+    Subcommands,
     bench_of,
     conclude,
     pictures,
@@ -29,11 +30,8 @@ from ceilvo.calib.solve.station import Stand, errors_against_grid
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calib.targets.points_file import ask_on_terminal, in_metres, read_table
 from ceilvo.calib.targets.sources import Picture
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "sigma"
 _STANDS, _LOOKS = 18, 4
@@ -42,7 +40,7 @@ _ERRORS = ("r_m", "dx_m", "dy_m", "dtheta_rad")
 _POSES = ("x_m", "y_m", "theta_rad", "seen_x_m", "seen_y_m", "seen_theta_rad")
 
 
-def add(commands: Commands) -> None:
+def add(commands: Subcommands) -> None:
     p = commands.add_parser(
         STEP,
         help="4. observation noise against distance: sigma_x(r), sigma_y(r), sigma_theta",
@@ -134,7 +132,7 @@ def _circles(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         prompt = partial(_answer, answers)
     with pictures(args, bench) as source:
         subject = {"source": source.info.name, "size": [calibration.camera.width_px, calibration.camera.height_px]}
-        tilt, take, note = _tilt(calibration), circles.taker(source), Progress(STEP).note
+        tilt, take, note = mount_angles(calibration.camera_from_base)[1:], circles.taker(source), Progress(STEP).note
         samples = circles.collect(calibration, session, subject, take, tilt, prompt, note)
     return circles.errors_of(calibration, samples), f"{len(samples)} measured poses"
 
@@ -162,19 +160,12 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         STEP,
         calibration.camera,
         bench,
-        tilt_rad=_tilt(calibration),
+        tilt_rad=mount_angles(calibration.camera_from_base)[1:],
         wanted=_wanted,
         enough=lambda c: len(stands(c)) > _STANDS,
     )
     whole = [s for s in stands(got) if len(s.views) >= 2]
     return errors_against_grid(calibration, whole, calibration.tile_m), f"standing at {len(whole)} places"
-
-
-def _tilt(calibration: Calibration) -> tuple[float, float]:
-    from ceilvo.calib.cli import mount_angles
-
-    _, roll, pitch = mount_angles(calibration)
-    return roll, pitch
 
 
 def stands(c: Collection) -> list[Stand]:

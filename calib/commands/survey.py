@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from ceilvo.calib.evaluate.survey import Survey, flicker
 from ceilvo.calib.session.assemble import identity, update_file
 from ceilvo.calib.session.common import (
     Progress,
+    Subcommands,
     bench_of,
     calibration_of,
     check_size,
@@ -30,14 +31,11 @@ from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.errors import CalibrationError
 from ceilvo.types import Frame
 
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
-
 STEP = "survey"
 _SIMULATED = 240
 
 
-def add(commands: Commands) -> None:
+def add(commands: Subcommands) -> None:
     p = commands.add_parser(
         STEP,
         help="5. is the ceiling good enough? drive through the room once",

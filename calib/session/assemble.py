@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.session.session import Session, plain
-from ceilvo.calib.solve.intrinsics import Intrinsics, camera_of
+from ceilvo.calib.solve.intrinsics import Intrinsics
+from ceilvo.calib.solve.lens import camera_of
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import read_calibration, write_calibration
 from ceilvo.camera import CameraModel

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.session.session import CALIBRATION, Session
@@ -17,6 +18,8 @@ from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.config.reader import load_config
 from ceilvo.errors import CalibrationError
+
+Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 DEFAULT_SESSION = Path("commissioning")
 FAILED = 1
