@@ -24,12 +24,12 @@ from ceilvo.daemon.replay.inputs import Assumption, Continuation, FrameInput, In
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json, half_angle
 from ceilvo.daemon.vision.kernel import COMPILED
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_file import Head, Message
 from ceilvo.drivers.recording.recorder import Recorder, RecorderCounters
 from ceilvo.drivers.recording.storage import Ring, SingleFile
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError, FileFormatError
 from ceilvo.types import Estimate, Frame, State
 

@@ -29,21 +29,6 @@ MAX_PARTICLES = 2000
 """A larger set is thinned evenly: the message is for looking at."""
 
 
-class Topic(str, Enum):
-    """What is published; the value is the last part of the key."""
-
-    POSE = "pose"
-    ODOM = "odom"
-    HEALTH = "health"
-    EVENT = "event"
-    LANDMARKS = "landmarks"
-    PARTICLES = "particles"
-    IMAGE = "image"
-
-
-ON_DEMAND = (Topic.LANDMARKS, Topic.PARTICLES, Topic.IMAGE)
-"""Made only while somebody subscribes."""
-
 QUERIES = ("map", "calibration", "config")
 
 

@@ -32,8 +32,8 @@ from ceilvo.calibration_file import read_calibration
 from ceilvo.camera import CameraModel
 from ceilvo.config import Base
 from ceilvo.drivers.base.link import BaseLink
-from ceilvo.drivers.base.protocol import BaseStatus
 from ceilvo.drivers.base.wheel_track import WheelTrack
+from ceilvo.drivers.telegrams import BaseStatus
 from ceilvo.errors import CalibrationError
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.rig import simulated_calibration
