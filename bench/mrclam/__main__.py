@@ -1,4 +1,4 @@
-"""Real robots in the UTIAS multi-robot format: `make bench-mrclam`, `ceilvod experiment mrclam DIR`.
+"""Real robots in the UTIAS multi-robot format: `make bench-mrclam DATA=DIR`.
 
 Noise is fitted on the training robots, everything else is measured on the test robots.
 """
@@ -29,7 +29,7 @@ from ceilvo.bench.results.store import Store, fingerprint, run_all
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 
-FILES = ("mrclam_data.py", "mrclam_noise.py", "mrclam_run.py", "mrclam_peers.py", "mrclam_stonesoup.py")
+FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
 TASKS = ("localise", "slam", "start", "kidnap")
 RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "pfcf")
@@ -80,9 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m ceilvo.bench.mrclam.__main__", description="Filters on recorded robots."
-    )
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.mrclam", description="Filters on recorded robots.")
     p.add_argument("folder", type=Path, nargs="?", metavar="DIR", help=f"data set (default: $CEILVO_DATA/{DATASET})")
     p.add_argument("--train", default="1,2", metavar="N,N", help="robots that noise is fitted on (%(default)s)")
     p.add_argument("--test", default="3,4,5", metavar="N,N", help="robots that are evaluated (%(default)s)")
@@ -102,7 +100,7 @@ def parser() -> argparse.ArgumentParser:
 
 def default_folder() -> Path | None:
     """$CEILVO_DATA, else a folder shared/data beside the repository."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
     folder = Path(os.environ.get("CEILVO_DATA") or beside) / DATASET
     return folder if folder.is_dir() else None
 

@@ -1,4 +1,4 @@
-"""The paper's section 3 with its rivals: `make bench-paper`, `ceilvod experiment paper`.
+"""The paper's section 3 with its rivals: `make bench-paper`.
 
 Runs are stored one by one in build/bench/paper.jsonl; what is there is not run again unless the code changed.
 """
@@ -43,7 +43,7 @@ from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 
 PARTICLES = (20, 50, 100, 200, 500)
-FILES = ("paper_world.py", "paper_filters.py", "paper_ekf.py", "paper_run.py")
+FILES = ("paper/world.py", "paper/filters.py", "paper/ekf.py", "paper/run.py")
 _WIDTH = 200
 
 
@@ -82,9 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m ceilvo.bench.paper.__main__", description="The paper's experiment, with rivals."
-    )
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.paper", description="The paper's experiment, with rivals.")
     p.add_argument("--seeds", type=int, default=100, metavar="N", help="paired seeds (100); recoveries use 40 or 60")
     p.add_argument("--first-seed", type=int, default=1000, metavar="N")
     p.add_argument("--experiments", default=",".join(EXPERIMENTS), metavar="A,B", help="default: %(default)s")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import multiprocessing
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -20,6 +20,7 @@ import ceilvo.daemon
 
 Key = TypeVar("Key")
 Result = dict[str, Any]
+FILTERS_AND_STATES = {"relocalisation.filters", "integrity.states"}
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -68,24 +69,29 @@ def fingerprint(bench_files: Sequence[str], *more: str) -> str:
     """Of the filters and the state machine with all they import of the daemon, the named files of bench, and more."""
     digest = hashlib.sha256()
     daemon, bench = (Path(p.__path__[0]) for p in (ceilvo.daemon, ceilvo.bench))
-    for path in [*sorted(imported(daemon, {"filters", "states"})), *(bench / name for name in bench_files)]:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for path in [*sorted(imported(daemon, FILTERS_AND_STATES)), *(bench / name for name in bench_files)]:
+        digest.update(path.relative_to(daemon.parent).as_posix().encode() + b"\0" + path.read_bytes())
     for text in more:
         digest.update(text.encode() + b"\0")
     return digest.hexdigest()[:16]
 
 
-def imported(folder: Path, names: set[str]) -> set[Path]:
-    """Files of the daemon's modules `names`, and of all modules of the daemon that these import."""
-    open_, out = set(names), set()
+def imported(daemon: Path, modules: set[str]) -> set[Path]:
+    """Files of the daemon's modules, such as "slam.pfcf", with their packages, and of all that these import of it."""
+    open_, out = set(modules), set[Path]()
     while open_:
-        path = folder / f"{open_.pop()}.py"
+        name = open_.pop()
+        package, _, _ = name.rpartition(".")
+        path = daemon.joinpath(*name.split("."))
+        path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if path in out or not path.exists():  # a name that is no module, or the compiled kernel
+            continue
         out.add(path)
-        text = path.read_text()
-        found = re.findall(r"from ceilvo\.daemon\.(\w+) import", text)
-        for together in re.findall(r"from ceilvo\.daemon import (.+)", text):
-            found += together.split(", ")
-        open_ |= {n for n in found if folder / f"{n}.py" not in out}
+        open_ |= {package} if package else set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ceilvo.daemon."):
+                module = str(node.module).removeprefix("ceilvo.daemon.")
+                open_ |= {module, *(f"{module}.{a.name}" for a in node.names)}
     return out
 
 

@@ -1,6 +1,6 @@
 """The vision bench: every condition of vision_conditions on exact truth, as a table, JSON and a picture each.
 
-python -m ceilvo.bench.vision.__main__ [--conditions base,tilt] [--quick]
+python -m ceilvo.bench.vision [--conditions base,tilt] [--quick]
 """
 
 from __future__ import annotations
@@ -75,9 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m ceilvo.bench.vision.__main__", description="Front end against exact truth."
-    )
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.vision", description="Front end against exact truth.")
     p.add_argument("--conditions", metavar="A,B", help="names, separated by commas (default: all)")
     p.add_argument("--quick", action="store_true", help=f"{QUICK_S:g} s of each condition instead of a lap")
     p.add_argument("--seconds", type=float, metavar="S", help="world time of each condition instead of a lap")
