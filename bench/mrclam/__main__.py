@@ -24,10 +24,11 @@ from ceilvo.bench.mrclam import peers
 from ceilvo.bench.mrclam import run as runs
 from ceilvo.bench.mrclam.data import Run, World, read_run, read_world
 from ceilvo.bench.mrclam.noise import Bias, Noise, bias_of, fit, inflated, without
-from ceilvo.bench.results.bars import Bar, as_json, plain, table
+from ceilvo.bench.results.bars import Bar, as_json, table
 from ceilvo.bench.results.store import Store, fingerprint, run_all
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
 FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
@@ -314,7 +315,7 @@ def _report(
         "bars": as_json(bars(results)),
         "skipped": skipped,
     }
-    console.print_json(json.dumps(plain({"data": document["data"], "settings": document["settings"]})), indent=1)
+    console.print_json(json.dumps(json_value({"data": document["data"], "settings": document["settings"]})), indent=1)
     for title, key in (
         (f"Known map, start at the truth, mean over robots {args.test}", "localise"),
         ("SLAM, no map", "slam"),
@@ -329,7 +330,7 @@ def _report(
     for line in verdicts(results):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     args.json.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(args.json, json.dumps(plain({**document, "text": verdicts(results)}), indent=1) + "\n")
+    write_atomic(args.json, json.dumps(json_value({**document, "text": verdicts(results)}), indent=1) + "\n")
     console.print(f"figures in {args.json}")
 
 

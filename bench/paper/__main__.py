@@ -36,11 +36,12 @@ from ceilvo.bench.paper.world import (
     VENT_SHARE,
     VIEW_M,
 )
-from ceilvo.bench.results.bars import Bar, as_json, plain
+from ceilvo.bench.results.bars import Bar, as_json
 from ceilvo.bench.results.bars import table as bar_table
 from ceilvo.bench.results.store import Store, fingerprint, run_all
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
 PARTICLES = (20, 50, 100, 200, 500)
 FILES = ("paper/world.py", "paper/filters.py", "paper/ekf.py", "paper/run.py")
@@ -149,7 +150,7 @@ def report(args: argparse.Namespace, results: tables.Results) -> None:
         console.print(line, highlight=False, soft_wrap=True)
     out = {**as_document(results), "settings": stated, "bars": as_json(bars), "text": tables.verdicts(results)}
     args.json.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(args.json, json.dumps(plain(out), indent=1) + "\n")
+    write_atomic(args.json, json.dumps(json_value(out), indent=1) + "\n")
     console.print(summary(bars))
     if not args.no_pictures:
         for path in plots_paper.draw(results, args.pictures, args.first_seed):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import multiprocessing
 import os
 import queue
@@ -26,6 +25,7 @@ from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
 QUICK_S = 6.0
 _REPORT_EVERY = 15
@@ -180,7 +180,7 @@ def as_json(chosen: list[Condition], results: list[dict[str, float]], seconds: f
         "conditions": {
             c.name: {
                 "about": c.about,
-                "figures": {k: v if math.isfinite(v) else None for k, v in figures.items()},
+                "figures": json_value(figures),
                 "bars": {
                     k: {"sense": b.sense, "value": b.value, "pass": b.met(figures[k])}
                     for k, b in c.bars.items()
