@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.config.zenoh_names import segment_problem
 from ceilvo.errors import BusError
 from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Landmarks, State
@@ -47,12 +48,8 @@ def robot_key(prefix: str, robot: str) -> str:
         BusError: zenoh.prefix or robot.name cannot be part of a key.
     """
     for name, value in (("zenoh.prefix", prefix), ("robot.name", robot)):
-        bad = not value.isprintable() or not value or value.startswith("@") or set(value) & set("/*$#? ")
-        if bad:
-            raise BusError(
-                f"{name}: found {short(value)}, expected one segment of a Zenoh key: not empty, none of / * $ # ? or "
-                "blanks, no @ in front; try letters, digits, - and _"
-            )
+        if problem := segment_problem(value):
+            raise BusError(f"{name}: {problem}")
     return f"{prefix}/{robot}"
 
 
