@@ -31,7 +31,7 @@ def segment_problem(value: str) -> str:
 
 
 def endpoint_problems(config: Zenoh) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Every impossible endpoint, and a missing router: the keys that decide, the worst first, and why, from "found" on."""
+    """Every impossible endpoint, and a missing router: the keys that decide and why, from "found" on."""
     for key, ends, first_port in (("zenoh.listen", config.listen, 0), ("zenoh.connect", config.connect, 1)):
         for end in ends:
             expected = _expected(end, first_port)
