@@ -25,8 +25,8 @@ from ceilvo.bench.mrclam import run as runs
 from ceilvo.bench.mrclam.data import Run, World, read_run, read_world
 from ceilvo.bench.mrclam.noise import Bias, Noise, bias_of, fit, inflated, without
 from ceilvo.bench.results.bars import Bar, as_json, table
-from ceilvo.bench.results.store import Store, fingerprint, run_all
-from ceilvo.errors import CeilvoError, ConfigError
+from ceilvo.bench.results.store import Store, exit_code, fingerprint, run_all
+from ceilvo.errors import ConfigError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 
@@ -64,20 +64,12 @@ class Job:
 def main(arguments: Sequence[str] | None = None) -> int:
     """0 whether or not the bars are met; without a data set it says so and is 0 too."""
     args = parser().parse_args(arguments)
-    try:
-        folder = args.folder or default_folder()
-        if folder is None:
-            print("bench.mrclam: skipped, no data set: give its folder, or set CEILVO_DATA to the folder that holds")
-            print(f"  {DATASET}")
-            return 0
-        experiment(args, folder)
-    except CeilvoError as e:
-        print(f"bench.mrclam: {e}", file=sys.stderr)
-        return e.exit_code
-    except KeyboardInterrupt:
-        print("bench.mrclam: stopped; the same command goes on from here", file=sys.stderr)
-        return 130
-    return 0
+    folder = args.folder or default_folder()
+    if folder is None:
+        print("bench.mrclam: skipped, no data set: give its folder, or set CEILVO_DATA to the folder that holds")
+        print(f"  {DATASET}")
+        return 0
+    return exit_code("mrclam", lambda: experiment(args, folder))
 
 
 def parser() -> argparse.ArgumentParser:

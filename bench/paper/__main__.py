@@ -38,8 +38,8 @@ from ceilvo.bench.paper.world import (
 )
 from ceilvo.bench.results.bars import Bar, as_json
 from ceilvo.bench.results.bars import table as bar_table
-from ceilvo.bench.results.store import Store, fingerprint, run_all
-from ceilvo.errors import CeilvoError, ConfigError
+from ceilvo.bench.results.store import Store, exit_code, fingerprint, run_all
+from ceilvo.errors import ConfigError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 
@@ -70,16 +70,7 @@ PLANS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """0 whether or not the bars are met: they are in the tables and in the JSON."""
     args = parser().parse_args(arguments)
-    try:
-        cells = chosen(args)
-        report(args, measured(args, cells))
-    except CeilvoError as e:
-        print(f"bench.paper: {e}", file=sys.stderr)
-        return e.exit_code
-    except KeyboardInterrupt:
-        print("bench.paper: stopped; the same command goes on from here", file=sys.stderr)
-        return 130
-    return 0
+    return exit_code("paper", lambda: report(args, measured(args, chosen(args))))
 
 
 def parser() -> argparse.ArgumentParser:

@@ -7,6 +7,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -17,10 +18,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import ceilvo.bench
 import ceilvo.daemon
+from ceilvo.errors import CeilvoError
 
 Key = TypeVar("Key")
 Result = dict[str, Any]
 FILTERS_AND_STATES = {"relocalisation.filters", "integrity.states"}
+INTERRUPTED = 130
+"""Exit code of shells for a program ended by Ctrl-C: 128 + SIGINT."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -46,6 +50,25 @@ class Store(Generic[Key]):
         line = json.dumps({"code": self._fingerprint, "key": dict(as_dict), "figures": figures})
         with self._path.open("a") as file:
             file.write(("" if _ends_well(self._path) else "\n") + line + "\n")
+
+
+def exit_code(name: str, work: Callable[[], None]) -> int:
+    """Of a bench that keeps its results: 0 when all is done; our own errors and Ctrl-C are one line."""
+    try:
+        work()
+    except CeilvoError as e:
+        print(f"bench.{name}: {e}", file=sys.stderr)
+        return e.exit_code
+    except KeyboardInterrupt:
+        print(f"bench.{name}: stopped; the same command goes on from here", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def one_thread() -> None:
+    """BLAS on one thread in this process and its children, unless the caller said otherwise; before the first use."""
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
 
 
 def _ends_well(path: Path) -> bool:
@@ -104,8 +127,7 @@ def run_all(
 ) -> None:
     """Run what the store does not hold yet, with a progress bar; work must be importable where jobs > 1."""
     todo = [k for k in keys if k not in store.results]
-    for variable in THREADS:
-        os.environ.setdefault(variable, "1")
+    one_thread()
     bars = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*bars, console=Console(stderr=True)) as progress:
         task = progress.add_task("runs", total=len(todo))

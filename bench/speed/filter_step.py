@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -23,6 +22,7 @@ from rich.table import Table
 
 from ceilvo.bench.paper.run import known_map
 from ceilvo.bench.results.bars import Bar, as_json, table
+from ceilvo.bench.results.store import one_thread
 from ceilvo.bench.speed import filter_step_peers as peers
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
@@ -50,8 +50,7 @@ _WIDTH = 140
 
 def main(arguments: Sequence[str] | None = None) -> int:
     args = parser().parse_args(arguments)
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
+    one_thread()
     try:
         document = measured(args)
     except CeilvoError as e:

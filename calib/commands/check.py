@@ -11,7 +11,7 @@ import numpy as np
 
 from ceilvo.calib.commands.sigma import stands
 from ceilvo.calib.evaluate.check import Check, check
-from ceilvo.calib.session.common import Subcommands, bench_of, calibration_of, conclude, session_options, source_options
+from ceilvo.calib.session.common import Subcommands, add_step, bench_of, calibration_of, conclude
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import collect, moved
 from ceilvo.calibration import mount_angles
@@ -25,16 +25,15 @@ _GO_ON_S = 600.0
 
 
 def add(commands: Subcommands) -> None:
-    p = commands.add_parser(
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="6. is a calibration still good? in less than a minute",
         description="Push the robot about under the tiled ceiling; a dozen pictures are compared with the file.",
         epilog="example: calib check --config /etc/ceilvo/config.yaml --calibration /etc/ceilvo/calibration.yaml",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--calibration", type=Path, metavar="FILE", help="default: the session's calibration.yaml")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

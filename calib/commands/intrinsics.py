@@ -13,13 +13,12 @@ from ceilvo.calib.session.assemble import intrinsics_result, update_file
 from ceilvo.calib.session.common import (
     Progress,
     Subcommands,
+    add_step,
     bench_of,
     check_size,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.intrinsics import (
@@ -47,14 +46,14 @@ _NEW_VIEW = 0.12
 
 
 def add(commands: Subcommands) -> None:
-    p = commands.add_parser(
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="1. the lens, from pictures of a chessboard or ChArUco board",
         description="Hold the board everywhere in the picture, leaning every way, near and far, 15 to 30 pictures.",
         epilog="example: calib intrinsics --device /dev/video0 --board chessboard --columns 9 --rows 6 --square-mm 25",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--board", choices=("chessboard", "charuco"), default="chessboard")
     p.add_argument("--columns", type=int, default=9, help="inner corners; of ChArUco: squares (%(default)s)")
     p.add_argument("--rows", type=int, default=6, help="(%(default)s)")
@@ -64,7 +63,6 @@ def add(commands: Subcommands) -> None:
     p.add_argument("--model", choices=("auto", *MODELS), default="auto", help="lens model (%(default)s)")
     p.add_argument("--window-px", type=int, help="half side of a corner's window; default: as the squares allow")
     p.add_argument("--keep-all", action="store_true", help="drop no picture, however large its residual")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,11 +16,10 @@ from ceilvo.calib.session.assemble import lens_so_far, update_file
 from ceilvo.calib.session.common import (
     Progress,
     Subcommands,
+    add_step,
     bench_of,
     conclude,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, collect, moved
@@ -47,8 +46,10 @@ _ASK = {
 
 
 def add(commands: Subcommands) -> None:
-    p = commands.add_parser(
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="3. where the camera sits on the robot, from a turn on the spot and a straight run",
         description=f"First turn the robot {_TURNS} times round on the spot (its wandering averages out; once does), "
         "then drive it two metres straight ahead.",
@@ -56,10 +57,7 @@ def add(commands: Subcommands) -> None:
         "recorded: --images DIR with folders spin/ and run/ in it, each with wheels.csv where there are wheels: "
         "name,x_m,y_m,theta_rad, a row for each picture",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--units", choices=("m", "mm"), help="of wheels.csv, when it is doubtful")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

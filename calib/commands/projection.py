@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from ceilvo.calib.session.assemble import camera_from, update_file
 from ceilvo.calib.session.common import (
     Subcommands,
+    add_step,
     bench_of,
     check_size,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import collect, moved
@@ -44,15 +43,15 @@ _FEW = 5
 
 
 def add(commands: Subcommands) -> None:
-    p = commands.add_parser(
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="2. tilt and ceiling height, from the tiled ceiling itself or from measured points",
         description="Put the robot under the tiled ceiling in 10 to 20 places, turned differently; or measure points.",
         epilog="example: calib projection --device /dev/video0 --tile-m 0.6; "
         "points: CSV x_m,y_m,z_m,u_px,v_px, x and y in base, z 0 on the ceiling and negative below, raw pixels",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--tile-m", type=float, help="side of the ceiling's tiles; simulated: 0.6")
     p.add_argument(
         "--height-m", type=float, help="ceiling above the camera by tape, to a tenth; decides where two grids fit"
@@ -68,7 +67,6 @@ def add(commands: Subcommands) -> None:
     p.add_argument(
         "--size", metavar="WxH", help="points without 'calib intrinsics', of a lens without distortion: the picture, px"
     )
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

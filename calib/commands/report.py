@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ceilvo.calib.commands.calibration_file import describe
-from ceilvo.calib.session.common import Subcommands, session_options
+from ceilvo.calib.session.common import Subcommands, add_step
 from ceilvo.calib.session.session import STEPS, Session
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
@@ -28,14 +28,15 @@ _STYLE = (
 
 
 def add(commands: Subcommands) -> None:
-    p = commands.add_parser(
+    add_step(
+        commands,
         STEP,
+        run,
         help="7. one HTML file with everything, for the record",
         description="Writes SESSION/report.html.",
         epilog="example: calib report --session commissioning",
+        pictures=False,
     )
-    session_options(p)
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,12 +16,11 @@ from ceilvo.calib.session.assemble import assemble, update_file
 from ceilvo.calib.session.common import (
     Progress,
     Subcommands,
+    add_step,
     bench_of,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, Seen, collect
@@ -41,8 +40,10 @@ _POSES = ("x_m", "y_m", "theta_rad", "seen_x_m", "seen_y_m", "seen_theta_rad")
 
 
 def add(commands: Subcommands) -> None:
-    p = commands.add_parser(
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="4. observation noise against distance: sigma_x(r), sigma_y(r), sigma_theta",
         description="Either measured poses on three or more circles about a feature (--csv), or nothing but standing: "
         "put the robot in 12 to 20 places, turned differently, and let it stand for a second in each.",
@@ -50,15 +51,12 @@ def add(commands: Subcommands) -> None:
         "CSV: x_m,y_m,theta_rad (measured pose, the feature at the origin),seen_x_m,seen_y_m,seen_theta_rad "
         "(the feature as seen in base, the heading as estimated), or r_m,dx_m,dy_m,dtheta_rad",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument(
         "--circles", action="store_true", help="asks for the robot's measured pose, looks, and asks for the next: "
         "three or more circles about one crossing of joints, which is the origin"
     )  # fmt: skip
     p.add_argument("--csv", type=Path, metavar="FILE", help="the measurements, instead of pictures")
     p.add_argument("--units", choices=("m", "mm"), help="of the CSV, when it is doubtful")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,7 +18,6 @@ import pytest
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.cli import main
 from ceilvo.calib.commands import circles
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.session.session import Session
@@ -54,16 +53,6 @@ def project(rig: Calibration, xyz: Array) -> Array:
     """Independent of calib: eq. 5 as it stands."""
     s = np.column_stack([xyz, np.ones(len(xyz))]) @ rig.projection.T
     return np.asarray(s[:, :2] / s[:, 2:])
-
-
-@pytest.fixture
-def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*args: str) -> tuple[int, str, str]:
-        code = main([*args, "--session", str(tmp_path / "s")])
-        got = capsys.readouterr()
-        return code, got.out, got.err
-
-    return call
 
 
 def save_lens(folder: Path, camera: CameraModel) -> None:
