@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,13 +21,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ceilvo.bench.paper.run import known_map
-from ceilvo.bench.results.bars import Bar, as_json, plain, table
+from ceilvo.bench.results.bars import Bar, as_json, table
+from ceilvo.bench.results.store import one_thread
 from ceilvo.bench.speed import filter_step_peers as peers
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 from ceilvo.types import Array, Landmarks, Motion, Observations
 
 METHODS = ("pf", "pfcf_paper", "pfcf", "ukf")
@@ -49,8 +50,7 @@ _WIDTH = 140
 
 def main(arguments: Sequence[str] | None = None) -> int:
     args = parser().parse_args(arguments)
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
+    one_thread()
     try:
         document = measured(args)
     except CeilvoError as e:
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = bars(document)
     console.print(table(found, "What it must show"))
     args.json.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(args.json, json.dumps(plain({**document, "bars": as_json(found)}), indent=1) + "\n")
+    write_atomic(args.json, json.dumps(json_value({**document, "bars": as_json(found)}), indent=1) + "\n")
     console.print(f"figures in {args.json}")
     return 0
 

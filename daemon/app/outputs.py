@@ -17,8 +17,7 @@ from ceilvo.daemon.replay.recording import Tape
 from ceilvo.daemon.vision.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages as wire
-from ceilvo.drivers.bus.messages import ON_DEMAND, Topic
-from ceilvo.drivers.ports import Publisher
+from ceilvo.drivers.ports import ON_DEMAND, Publisher, Topic
 from ceilvo.errors import CeilvoError
 from ceilvo.types import Estimate, State
 

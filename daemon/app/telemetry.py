@@ -21,6 +21,7 @@ from ceilvo.daemon.slam.pose_filter import chi_square_bounds
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.camera.capture import CaptureLoop
 from ceilvo.drivers.ports import Publisher
+from ceilvo.json_values import json_value
 from ceilvo.types import Array, Estimate, FilterHealth, State
 
 _PATH_POINTS = 400
@@ -98,7 +99,7 @@ class Report:
             "store_error": "" if self._store is None else self._store.error,
             "calibration_stale": stale.stale,
             "calibration_stale_reason": stale.reason,
-            "calibration_mean_nis": stale.mean_nis if np.isfinite(stale.mean_nis) else None,
+            "calibration_mean_nis": json_value(stale.mean_nis),
             "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
         }
         out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.health))
@@ -191,7 +192,7 @@ def _health(d: FilterHealth) -> dict[str, float | None]:
         "particles": d.particles,
         "ess": d.ess,
         "unique_ancestors": d.unique_ancestors,
-        "fit_residual": d.fit_residual if np.isfinite(d.fit_residual) else None,
+        "fit_residual": json_value(d.fit_residual),
         "nis": d.nis if known else None,
         "nis_low": low if known else None,
         "nis_high": high if known else None,

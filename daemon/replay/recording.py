@@ -24,13 +24,14 @@ from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json, half_angle
 from ceilvo.daemon.vision.kernel import COMPILED
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_file import Head, Message
 from ceilvo.drivers.recording.recorder import Recorder, RecorderCounters
 from ceilvo.drivers.recording.storage import Ring, SingleFile
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError, FileFormatError
+from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Frame, State
 
 log = logging.getLogger("ceilvo")
@@ -118,7 +119,7 @@ class Tape:
         self._faults = faults
 
     def _put(self, channel: mcap_file.Channel, stamp_ns: int, body: Mapping[str, Any]) -> None:
-        self._recorder.put(Message(channel, stamp_ns, lambda _: json.dumps(_finite(body)).encode()))
+        self._recorder.put(Message(channel, stamp_ns, lambda _: json.dumps(json_value(body)).encode()))
 
     def _pictures(self, frame: Frame, number: int) -> list[Message]:
         if self._frames == "lossless":
@@ -252,12 +253,3 @@ def _jpeg(unix_ns: int, frame: Frame) -> bytes:
 def _pose(unix_ns: int, estimate: Estimate) -> bytes:
     x, y, theta = (float(v) for v in estimate.pose)
     return foxglove.pose_in_frame(unix_ns, "map", x, y, *half_angle(theta))
-
-
-def _finite(value: Any) -> Any:
-    """What JSON can say; nan and infinity become null."""
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value

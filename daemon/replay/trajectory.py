@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.errors import FileFormatError
+from ceilvo.json_values import json_value
 from ceilvo.types import Estimate
 
 Array = NDArray[np.float64]
@@ -56,41 +57,32 @@ def estimate_json(estimate: Estimate) -> str:
         "v": SCHEMA,
         "seq": estimate.seq,
         "stamp_ns": estimate.stamp_ns,
-        "pose_map_from_base": _plain(estimate.pose),
-        "cov": _plain(estimate.cov),
-        "pose_odom_from_base": _plain(estimate.odom),
-        "twist_base": _plain(estimate.twist),
+        "pose_map_from_base": estimate.pose,
+        "cov": estimate.cov,
+        "pose_odom_from_base": estimate.odom,
+        "twist_base": estimate.twist,
         "state": estimate.state.name,
-        "quality": _plain(estimate.quality),
+        "quality": estimate.quality,
         "reason": estimate.reason,
         "motion": {
-            "prev_from_curr": _plain(m.prev_from_curr),
-            "cov": _plain(m.cov),
+            "prev_from_curr": m.prev_from_curr,
+            "cov": m.cov,
             "inliers": m.inliers,
-            "rms_m": _plain(m.rms_m),
+            "rms_m": m.rms_m,
             "failure": m.failure,
         },
         "depletion": {
             "particles": d.particles,
-            "ess": _plain(d.ess),
+            "ess": d.ess,
             "unique_ancestors": d.unique_ancestors,
-            "fit_residual": _plain(d.fit_residual),
-            "nis": _plain(d.nis),
+            "fit_residual": d.fit_residual,
+            "nis": d.nis,
             "nis_dof": d.nis_dof,
         },
         "crossings": estimate.crossings,
         "landmarks": estimate.landmarks,
     }
-    return json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """Nested lists of floats with None for nan and infinity."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list):
-        return [_plain(v) for v in value]
-    return float(value) if math.isfinite(value) else None
+    return json.dumps(json_value(record), separators=(",", ":"), allow_nan=False) + "\n"
 
 
 class _LineWriter:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, LENGTH_UNIT_M, BaseStatus, wrap_int32
+from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, LENGTH_UNIT_M, wrap_int32
+from ceilvo.drivers.telegrams import BaseStatus
 from ceilvo.types import WheelMotion, frozen
 
 Array = NDArray[np.float64]

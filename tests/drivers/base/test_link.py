@@ -15,7 +15,7 @@ from ceilvo import config
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.mock_base import BaseModel, MockBase
 from ceilvo.drivers.base.modbus import ModbusBase
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.sim.base import SimBase
 from ceilvo.types import Estimate, FilterHealth, Motion, State
 
