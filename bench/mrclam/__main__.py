@@ -29,7 +29,7 @@ from ceilvo.bench.results.store import Store, fingerprint, run_all
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 
-FILES = ("mrclam_data.py", "mrclam_noise.py", "mrclam_run.py", "mrclam_peers.py", "mrclam_stonesoup.py")
+FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
 TASKS = ("localise", "slam", "start", "kidnap")
 RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "pfcf")

@@ -43,7 +43,7 @@ from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 
 PARTICLES = (20, 50, 100, 200, 500)
-FILES = ("paper_world.py", "paper_filters.py", "paper_ekf.py", "paper_run.py")
+FILES = ("paper/world.py", "paper/filters.py", "paper/ekf.py", "paper/run.py")
 _WIDTH = 200
 
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 import multiprocessing
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -20,6 +19,7 @@ import ceilvo.daemon
 
 Key = TypeVar("Key")
 Result = dict[str, Any]
+ROOMS = ("odometry", "slam", "relocalisation", "integrity")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -65,28 +65,19 @@ def _parsed(line: str) -> Result | None:
 
 
 def fingerprint(bench_files: Sequence[str], *more: str) -> str:
-    """Of the filters and the state machine with all they import of the daemon, the named files of bench, and more."""
+    """Of the rooms that the filters and the state machine load, the named files of bench, and more."""
     digest = hashlib.sha256()
     daemon, bench = (Path(p.__path__[0]) for p in (ceilvo.daemon, ceilvo.bench))
-    for path in [*sorted(imported(daemon, {"filters", "states"})), *(bench / name for name in bench_files)]:
+    for path in [*rooms(daemon), *(bench / name for name in bench_files)]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     for text in more:
         digest.update(text.encode() + b"\0")
     return digest.hexdigest()[:16]
 
 
-def imported(folder: Path, names: set[str]) -> set[Path]:
-    """Files of the daemon's modules `names`, and of all modules of the daemon that these import."""
-    open_, out = set(names), set()
-    while open_:
-        path = folder / f"{open_.pop()}.py"
-        out.add(path)
-        text = path.read_text()
-        found = re.findall(r"from ceilvo\.daemon\.(\w+) import", text)
-        for together in re.findall(r"from ceilvo\.daemon import (.+)", text):
-            found += together.split(", ")
-        open_ |= {n for n in found if folder / f"{n}.py" not in out}
-    return out
+def rooms(daemon: Path) -> list[Path]:
+    """Every source in the daemon's rooms that make up a filter and its state machine."""
+    return sorted(p for room in ROOMS for p in (daemon / room).rglob("*.py"))
 
 
 def run_all(
