@@ -22,7 +22,7 @@ from ceilvo.errors import CeilvoError
 
 Key = TypeVar("Key")
 Result = dict[str, Any]
-FILTERS_AND_STATES = {"relocalisation.filters", "integrity.states"}
+ROOMS = ("odometry", "slam", "relocalisation", "integrity")
 INTERRUPTED = 130
 """Exit code of shells for a program ended by Ctrl-C: 128 + SIGINT."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -89,33 +89,19 @@ def _parsed(line: str) -> Result | None:
 
 
 def fingerprint(bench_files: Sequence[str], *more: str) -> str:
-    """Of the filters and the state machine with all they import of the daemon, the named files of bench, and more."""
+    """Of the rooms that the filters and the state machine load, the named files of bench, and more."""
     digest = hashlib.sha256()
     daemon, bench = (Path(p.__path__[0]) for p in (ceilvo.daemon, ceilvo.bench))
-    for path in [*sorted(imported(daemon, FILTERS_AND_STATES)), *(bench / name for name in bench_files)]:
+    for path in [*rooms(daemon), *(bench / name for name in bench_files)]:
         digest.update(path.relative_to(daemon.parent).as_posix().encode() + b"\0" + path.read_bytes())
     for text in more:
         digest.update(text.encode() + b"\0")
     return digest.hexdigest()[:16]
 
 
-def imported(daemon: Path, modules: set[str]) -> set[Path]:
-    """Files of the daemon's modules, such as "slam.pfcf", with their packages, and of all that these import of it."""
-    open_, out = set(modules), set[Path]()
-    while open_:
-        name = open_.pop()
-        package, _, _ = name.rpartition(".")
-        path = daemon.joinpath(*name.split("."))
-        path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        if path in out or not path.exists():  # a name that is no module, or the compiled kernel
-            continue
-        out.add(path)
-        open_ |= {package} if package else set()
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ceilvo.daemon."):
-                module = str(node.module).removeprefix("ceilvo.daemon.")
-                open_ |= {module, *(f"{module}.{a.name}" for a in node.names)}
-    return out
+def rooms(daemon: Path) -> list[Path]:
+    """Every source in the daemon's rooms that make up a filter and its state machine."""
+    return sorted(p for room in ROOMS for p in (daemon / room).rglob("*.py"))
 
 
 def run_all(

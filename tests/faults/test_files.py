@@ -29,8 +29,8 @@ WRITER = """
 import sys, numpy as np
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
-from test_faults_files import estimate, landmarks
-from ceilvo.daemon.store import Store
+from test_files import estimate, landmarks
+from ceilvo.daemon.map.store import Store
 store = Store(Path(sys.argv[1]))
 loaded = store.load()
 n = 0 if loaded is None else int(loaded[1].stamp_ns)
