@@ -24,8 +24,11 @@ from ceilvo.drivers.ports import Publisher
 from ceilvo.types import Array, Depletion, Estimate, State
 
 _PATH_POINTS = 400
+"""Of the path on the screen; chosen: 20 m of it."""
 _PATH_STEP_M = 0.05
+"""Between them; chosen: a character of the plot is more."""
 _MOVING_MPS, _MOVING_RADPS = 0.02, 0.05
+"""A slower robot stands; chosen: above the noise of a standing robot's twist, below any drive."""
 
 Truth = Callable[[int], Array]
 
@@ -36,7 +39,7 @@ def _moving(estimate: Estimate) -> bool:
     return bool(np.hypot(vx, vy) > _MOVING_MPS or abs(omega) > _MOVING_RADPS)
 
 
-class Report:
+class Telemetry:
     """Reads everybody's counters; owns the statistics. Thread-safe."""
 
     def __init__(

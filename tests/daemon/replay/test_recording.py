@@ -110,11 +110,11 @@ def busy(daemon: Watched, count: int) -> None:
     if "unplugged" in (daemon.said[-1].motion.failure or "") and isinstance(camera, Stumbling):
         camera.back.set()
     if count == 45:
-        daemon._estimator.assume(np.array([1.0, 1.2, 0.1]), np.array([0.1, 0.1, 0.05]), "said by a test")
+        daemon._estimator.set_pose(np.array([1.0, 1.2, 0.1]), np.array([0.1, 0.1, 0.05]), "said by a test")
     if count == 60:
         daemon._estimator.reset(keep_map=True)
     if count == 70:
-        daemon._estimator.search()
+        daemon._estimator.relocalise()
     if count == 80:
         daemon._estimator.reset(keep_map=False)
     if count >= 110:
