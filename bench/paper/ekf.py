@@ -8,6 +8,7 @@ landmark once.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,9 @@ FORGET_UPDATES = 20
 
 class EkfNearestNeighbour:
     """PoseFilter; a landmark is shown from its third sighting, and dropped when not confirmed within 20 updates."""
+
+    state: Any = None
+    """It is never stored."""
 
     def __init__(self, gate: float = GATE) -> None:
         self._gate = gate

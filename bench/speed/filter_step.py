@@ -30,7 +30,7 @@ from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
-from ceilvo.types import Array, Landmarks, Motion, Observations
+from ceilvo.types import Array, Displacement, Landmarks, Motion, Observations
 
 METHODS = ("pf", "pfcf_paper", "pfcf", "ukf")
 PARTICLES = (20, 50, 100, 200, 500, 1000, 3000, 10_000, 30_000, 100_000)
@@ -143,7 +143,7 @@ def stepper(method: str, particles: int, m: Landmarks, near: Array, known: bool)
 
 def standing(f: PoseFilter, near: Array) -> Callable[[], None]:
     rng = _rng()
-    motion = Motion(np.zeros(3), np.diag([4e-4, 4e-4, 1e-4]), 10, 0.0)
+    motion = Motion(Displacement(np.zeros(3)), np.diag([4e-4, 4e-4, 1e-4]), 10, 0.0)
     label, variance = np.arange(len(near), dtype=np.int64), np.full((len(near), 2), SIGMA_M**2)
 
     def step() -> None:

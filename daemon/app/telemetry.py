@@ -25,8 +25,11 @@ from ceilvo.json_values import json_value
 from ceilvo.types import Array, Estimate, FilterHealth, State
 
 _PATH_POINTS = 400
+"""Of the path on the screen; chosen: 20 m of it."""
 _PATH_STEP_M = 0.05
+"""Between them; chosen: a character of the plot is more."""
 _MOVING_MPS, _MOVING_RADPS = 0.02, 0.05
+"""A slower robot stands; chosen: above the noise of a standing robot's twist, below any drive."""
 
 Truth = Callable[[int], Array]
 
@@ -37,7 +40,7 @@ def _moving(estimate: Estimate) -> bool:
     return bool(np.hypot(vx, vy) > _MOVING_MPS or abs(omega) > _MOVING_RADPS)
 
 
-class Report:
+class Telemetry:
     """Reads everybody's counters; owns the statistics. Thread-safe."""
 
     def __init__(
@@ -166,6 +169,7 @@ class Report:
             truth=None if self._truth is None else self._truth(last.stamp_ns),
             ess_ratio=d.ess / max(d.particles, 1),
             unique_ancestors=d.unique_ancestors,
+            mode_weight=d.mode_weight,
             particles=d.particles,
             nis=d.nis,
             crossings=last.crossings,

@@ -18,7 +18,7 @@ from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.snapshot import restore
 from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, WheelMotion
+from ceilvo.types import Array, Crossings, Displacement, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class LoadMap:
 
     landmarks: Landmarks
     map_axis_rad: float
-    pose: Array
+    pose: Pose
     cov: Array
 
 
@@ -52,7 +52,7 @@ class LoadMap:
 class SetPose:
     """A pose (3,) with cov (3, 3) that somebody says."""
 
-    pose: Array
+    pose: Pose
     cov: Array
     why: str
 
@@ -201,15 +201,15 @@ def _wheels(wheels: WheelMotion | None) -> dict[str, Any] | None:
 def _read_wheels(body: Mapping[str, Any] | None) -> WheelMotion | None:
     if body is None:
         return None
-    return WheelMotion(_array(body["prev_from_curr"], (3,)), _array(body["cov"], (3, 3)))
+    return WheelMotion(Displacement(_array(body["prev_from_curr"], (3,))), _array(body["cov"], (3, 3)))
 
 
 def _belief(pose: Array, cov: Array) -> dict[str, Any]:
     return {"pose": pose.tolist(), "cov": cov.tolist()}
 
 
-def _read_belief(body: Mapping[str, Any]) -> tuple[Array, Array]:
-    return _array(body["pose"], (3,)), _array(body["cov"], (3, 3))
+def _read_belief(body: Mapping[str, Any]) -> tuple[Pose, Array]:
+    return Pose(_array(body["pose"], (3,))), _array(body["cov"], (3, 3))
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Array:

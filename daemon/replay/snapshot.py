@@ -183,7 +183,9 @@ def _array(node: Any, args: tuple[Any, ...]) -> np.ndarray[Any, Any]:
     dtype = np.dtype(name)
     (wanted,) = get_args(args[1])
     _expect(name, np.issubdtype(dtype, wanted), np.dtype(wanted).str)
-    return np.frombuffer(bytearray(base64.b64decode(data, validate=True)), dtype).reshape(shape, order=order)
+    flat: np.ndarray[Any, Any] = np.frombuffer(bytearray(base64.b64decode(data, validate=True)), dtype)
+    out: np.ndarray[Any, Any] = flat.reshape(shape, order=order)
+    return out
 
 
 def _expect(found: Any, holds: bool, expected: Any) -> None:

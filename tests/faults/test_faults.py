@@ -21,8 +21,8 @@ import pytest
 from ceilvo.bench.soak.faulty_camera import FaultyCamera
 from ceilvo.bench.soak.parts import STEM, Listener, PoseRow, free_port, set_base_fault
 from ceilvo.config import Config
-from ceilvo.daemon.app import process as app
 from ceilvo.daemon.app.process import Daemon, Plan
+from ceilvo.daemon.app.signals import watch_threads
 from ceilvo.drivers.bus.requests import Requests
 from ceilvo.drivers.camera.mock_camera import MockCamera
 from ceilvo.drivers.host.systemd_notify import Notifier
@@ -279,7 +279,7 @@ def test_any_thread_that_raises_ends_the_process(caplog: pytest.LogCaptureFixtur
     def fail() -> None:
         raise RuntimeError("a fault in somebody's thread")
 
-    with app.hear_of_dead_threads(daemon._crash):
+    with watch_threads(daemon._crash):
         thread = threading.Thread(target=fail)
         thread.start()
         thread.join()

@@ -114,7 +114,7 @@ def busy(daemon: Watched, count: int) -> None:
     if count == 60:
         daemon._estimator.reset(keep_map=True)
     if count == 70:
-        daemon._estimator.search()
+        daemon._estimator.relocalise()
     if count == 80:
         daemon._estimator.reset(keep_map=False)
     if count >= 110:
