@@ -13,7 +13,7 @@ from ceilvo.bench.faults.crossing_log import RATE_HZ, CrossingLog
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.base.wheel_track import WheelNoise
-from ceilvo.types import Array, Crossings, Estimate, State, WheelMotion
+from ceilvo.types import Array, Crossings, Estimate, Pose, State, WheelMotion
 
 Kind = Literal[
     "dark", "silent", "stale picture", "slip", "no wheels", "restart", "carried", "dark and slip", "dark, no wheels"
@@ -69,7 +69,7 @@ class Tally:
 
 
 class Drive:
-    """One robot on one tape."""
+    """One robot on one log."""
 
     def __init__(self, log: CrossingLog, config: Config, seed: int, kinds: tuple[Kind, ...] = KINDS) -> None:
         self._log, self._config, self._kinds = log, config, kinds

@@ -13,7 +13,7 @@ import numpy as np
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.replay.overlay import draw_overlay
-from ceilvo.daemon.replay.recording import Tape
+from ceilvo.daemon.replay.recording import RecordingTap
 from ceilvo.daemon.vision.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages
@@ -40,7 +40,7 @@ class Outputs:
         base: BaseLink | None,
         bus: Publisher | None,
         clock: Callable[[], int],
-        recording: Tape | None = None,
+        recording: RecordingTap | None = None,
     ) -> None:
         self._robot, self._calibration, self._estimator = robot, calibration, estimator
         self._base, self._bus, self._clock, self._recording = base, bus, clock, recording

@@ -34,7 +34,7 @@ from ceilvo.daemon.app.signals import stop_on_signals, watch_threads
 from ceilvo.daemon.app.telemetry import Telemetry, Truth
 from ceilvo.daemon.map.store import Store
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.recording import TapedBase, tape_of
+from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
@@ -100,7 +100,7 @@ class Daemon:
         self._first_frame_ns: int | None = None
         self._camera_reason = "camera not opened yet"
         self._store = Store.choose(config.service.state_dir)
-        self._recording = tape_of(
+        self._recording = recording_of(
             config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
         )
         self._base = BaseLink(config.base, self._port(), clock, self._crash) if config.base.enabled else None
@@ -238,7 +238,7 @@ class Daemon:
 
     def _port(self) -> Base:
         port = ModbusBase(self._config.base)
-        return port if self._recording is None else TapedBase(port, self._recording)
+        return port if self._recording is None else RecordedBase(port, self._recording)
 
     # -- other threads
 

@@ -42,7 +42,7 @@ _SILENT_BASE_S = 1.0
 Note = Callable[[str], None]
 
 
-class Tape:
+class RecordingTap:
     """Turns what happens in the daemon into messages for a recorder. Thread-safe; no method waits or raises."""
 
     def __init__(
@@ -147,11 +147,11 @@ class Tape:
         return Message(mcap_file.INPUT, estimate.stamp_ns, data, number)
 
 
-class TapedBase:
+class RecordedBase:
     """A Base whose telegrams are recorded."""
 
-    def __init__(self, base: Base, tape: Tape) -> None:
-        self._base, self._tape = base, tape
+    def __init__(self, base: Base, tap: RecordingTap) -> None:
+        self._base, self._tap = base, tap
 
     @property
     def is_open(self) -> bool:
@@ -164,9 +164,9 @@ class TapedBase:
         try:
             status = self._base.exchange(telegram)
         except BaseLinkError as e:
-            self._tape.exchange(telegram, None, str(e))
+            self._tap.exchange(telegram, None, str(e))
             raise
-        self._tape.exchange(telegram, status, "")
+        self._tap.exchange(telegram, status, "")
         return status
 
     def close(self) -> None:
@@ -184,9 +184,9 @@ def faults_in(counters: Mapping[str, object]) -> frozenset[str]:
     return frozenset(name for name, holds in found.items() if holds)
 
 
-def tape_of(
+def recording_of(
     config: Config, calibration: Calibration, state_dir: Path | None, file: Path | None, clock: Clock, note: Note
-) -> Tape | None:
+) -> RecordingTap | None:
     """The recording that a run makes: a file if one is named, else the flight recorder if it has a place, else none.
 
     Args:
@@ -203,13 +203,13 @@ def tape_of(
             storage = SingleFile(file, head, clock(), settings.reserve_bytes)
         except OSError as e:
             raise FileFormatError(f"{file}: cannot be recorded to: {e.strerror}; name another file") from e
-        return Tape(Recorder(storage, clock, note), clock, "lossless")
+        return RecordingTap(Recorder(storage, clock, note), clock, "lossless")
     if not settings.enabled or state_dir is None:
         return None
     head = _head(config, calibration, clock, "flight", settings.frames)
     recorder = Recorder(Ring(state_dir / "recorder", settings, head), clock, note)
     features = settings.features and settings.frames != "lossless"
-    return Tape(recorder, clock, settings.frames, features, settings.jpeg_rate_hz)
+    return RecordingTap(recorder, clock, settings.frames, features, settings.jpeg_rate_hz)
 
 
 def versions() -> dict[str, str]:
