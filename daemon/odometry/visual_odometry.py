@@ -178,7 +178,7 @@ class VisualOdometry:
         return ""
 
     def _after_failure(self, crossings: Crossings, motion: Motion) -> Motion:
-        """After several frames that do not fit the reference, go on from here; the covariance counts what that costs."""
+        """After several frames that do not fit the reference, go on from here; the covariance grows accordingly."""
         self.state.failed_frames += 1
         if self.state.failed_frames < _MAX_FAILED_FRAMES:
             return motion
