@@ -1,4 +1,4 @@
-"""The process: stages joined to drivers, threads, signals, and the way it ends.
+"""The process: stages joined to drivers, threads, signals, and its end.
 
     capture thread -> estimator thread -> base (its own thread), Zenoh (does not block)
     main thread: screen, health, saving, systemd, end
@@ -72,7 +72,7 @@ class Plan:
         camera: not opened.
         truth: map_from_base (3,) at a stamp, where a simulator knows it.
         room_m: x_min, y_min, x_max, y_max for the screen's plot.
-        seconds: end this long after the first frame; None = run until told to stop.
+        seconds: end this long after the first frame; None = run until stopped.
         summary_file: where to write the run's figures as JSON.
         screen: draw the live screen.
         record: write a recording to this file.
@@ -174,7 +174,7 @@ class Daemon:
     # -- main thread
 
     def _supervise(self, screen: Screen | None) -> None:
-        """Everything slow and periodic, until somebody says stop."""
+        """Everything slow and periodic, until the end is asked for."""
         health = save = self._clock()
         trim = health + _TRIM_NS
         reported: State | None = None

@@ -17,7 +17,7 @@ LEAVE_RATIO = 0.8
 ESS_REFERENCE = 0.1
 """Effective sample sizes below this fraction of the particles lower the quality; chosen (docs/states.md)."""
 _ESS_WEIGHT = 0.2
-"""By this at most; chosen: pose and NIS say more."""
+"""By this at most; chosen: sigma and NIS matter more."""
 _NIS_CAP = 2.0
 """Times nis_lost, what one update counts in the mean NIS at most; chosen: the mean comes back from a wild one."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
@@ -155,7 +155,7 @@ class StateMachine:
         if e.motion_ok or s.vision_ns is None:
             s.vision_ns = e.stamp_ns
         s.vision_frames = s.vision_frames + 1 if e.motion_ok else 0
-        if e.motion_ok:  # without a motion the count says nothing that the failure does not say better
+        if e.motion_ok:  # without a motion the failure is the better reason
             n = cfg.degraded_inliers
             text = f"{e.inliers} inliers of {e.crossings} crossings, fewer than {n}"
             self._set("inliers", e.inliers < n, e.inliers * LEAVE_RATIO >= n, text)

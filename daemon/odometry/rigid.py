@@ -50,8 +50,8 @@ def rigid_motion(a: Array, b: Array) -> Array:
     da, db = a - a_mean, b - b_mean  # eq. 11
     sine = float(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]))
     cosine = float(np.sum(da * db))
-    theta = float(np.arctan2(sine, cosine))  # eq. 15, in the right quadrant
-    t = b_mean - rotation(theta) @ a_mean  # eq. 12
+    theta = float(np.arctan2(sine, cosine))  # eq. 15: the minimum of eq. 14, in the right quadrant
+    t = b_mean - rotation(theta) @ a_mean  # eqs. 10, 12
     return np.array([t[0], t[1], theta])
 
 
@@ -69,7 +69,7 @@ def robust_rigid_motion(
     Args:
         starts: (3,) b_from_a each, other motions to judge the first residuals by than the fit to all points, which
             gross outliers pull; the result that explains the points best is returned, or the first that explains most.
-        sigma_m: what the points themselves say of their error; no residual below a few of it is rejected.
+        sigma_m: standard deviation of the points by their own covariances; no residual below a few of it is rejected.
     """
     if len(a) < max(min_points, 2):
         return None
@@ -112,10 +112,10 @@ def _refined(
 
 
 def with_known_rotation(fit: RigidFit, a: Array, b: Array, theta_rad: float, theta_sigma_rad: float) -> RigidFit:
-    """The fit with a rotation that is known better than points tell it: the translation of eq. 12 for that rotation.
+    """The fit with a rotation that is known better than from the points: the translation of eq. 12 for that rotation.
 
     Crossings of lines hold no more of the rotation than the lines' common direction does. What their residuals seem to
-    say of it is noise, or points of another height, and adds up over a drive; errors of the direction do not.
+    add is noise, or points of another height, and adds up over a drive; errors of the direction do not.
     """
     centre = rotation(theta_rad) @ a[fit.used].mean(axis=0)
     t = b[fit.used].mean(axis=0) - centre  # eq. 12

@@ -92,7 +92,7 @@ class VisualOdometry:
             missing: why there are no crossings, for the failure.
 
         Returns:
-            A Motion; where it failed, prev_from_curr is the prediction and cov says how little that is worth. A
+            A Motion; where it failed, prev_from_curr is the prediction and cov is the variance of that. A
             good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
         predicted = wheels.prev_from_curr if wheels is not None else self._decayed_twist() * dt_s
@@ -179,7 +179,7 @@ class VisualOdometry:
         return ""
 
     def _after_failure(self, crossings: Crossings, motion: Motion) -> Motion:
-        """After several frames that do not fit the reference, go on from here; covariance tells what that costs."""
+        """After several frames that do not fit the reference, go on from here; the covariance grows accordingly."""
         self.state.failed_frames += 1
         if self.state.failed_frames < _MAX_FAILED_FRAMES:
             return motion

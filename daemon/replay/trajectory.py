@@ -29,7 +29,13 @@ Ints = NDArray[np.int64]
 
 Alignment = Literal["none", "first", "se2"]
 SCHEMA = 1
+"""Of the lines of JSON, their key "v"."""
 _STILL_M = 1e-6
+"""A robot that moved less stands; chosen: above floating-point noise, below any drive."""
+_QUATERNION_TOLERANCE = 1e-2
+"""Of a quaternion's length against 1; chosen: takes files with three digits."""
+_MATCH_S = 0.01
+"""Stamps of one moment differ by this at most; chosen: a third of a frame at 30 Hz."""
 
 
 def tum_line(stamp_ns: int, pose: Array) -> str:
@@ -181,7 +187,7 @@ def _parse(line: str) -> tuple[int, tuple[float, float, float]]:
     if not all(map(math.isfinite, (x, y, qx, qy, qz, qw))) or abs(stamp) >= 2**63:
         raise ValueError(f"{line[:60]!r} has a value that is not finite or too large")
     norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-    if abs(norm - 1.0) > 1e-2:
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
         raise ValueError(f"quaternion of length {norm:.3g}")
     return stamp, (x, y, math.atan2(2.0 * (qw * qz + qx * qy), norm * norm - 2.0 * (qy * qy + qz * qz)))
 
@@ -206,7 +212,9 @@ class TrajectoryError:
     reference_from_estimated: Array
 
 
-def compare(estimated: Path, reference: Path, align: Alignment = "none", tolerance_s: float = 0.01) -> TrajectoryError:
+def compare(
+    estimated: Path, reference: Path, align: Alignment = "none", tolerance_s: float = _MATCH_S
+) -> TrajectoryError:
     """Compare two TUM files; raises FileFormatError when either is bad or no stamps match."""
     est, ref = read_tum(estimated), read_tum(reference)
     i, j = match_stamps(est.stamp_ns, ref.stamp_ns, round(tolerance_s * 1e9))

@@ -1,6 +1,6 @@
-"""Stages 1 and 2 when the last frame tells where to look: edges only near predicted ones (predict and verify).
+"""Stages 1 and 2 when the last frame shows where to look: edges only near predicted ones (predict and verify).
 
-A sparse look along every predicted edge tells by how much the whole picture is off: the scene is rigid, so two shifts,
+A sparse look along every predicted edge shows by how much the whole picture is off: the scene is rigid, so two shifts,
 a turn and a tilt do for all edges. A close look there finds the same edge points that a full detection would, and they
 go into the same joint least squares. When too few of the predicted edges are there, or they fit worse than lately, the
 answer is None and the caller looks at the whole frame.
@@ -166,7 +166,7 @@ def _ends(line: Int32s, edges: EdgeSet) -> Ends:
 
 
 def _oriented(edges: EdgeSet) -> Array:
-    """(E, 5) rows of kernel.follow: cos and sin of the way brightness rises, offset, start, end."""
+    """(E, 5) rows of kernel.follow: cos and sin of the direction in which brightness rises, offset, start, end."""
     sign = np.where(edges.rising, 1.0, -1.0)
     angle = edges.psi_rad + 0.5 * np.pi * edges.axis
     start, end = (

@@ -1,4 +1,4 @@
-"""Which way to find lines: everywhere at the start, now and then and on doubt; else where the last frame says."""
+"""Lines of every frame: searched everywhere at the start, now and then and on doubt; else near the last frame's."""
 
 from __future__ import annotations
 

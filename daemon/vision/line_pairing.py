@@ -19,7 +19,7 @@ _SUPPORT_RATIO = 0.5
 _MIN_SUPPORT = 4.0
 """Fewest edge points of an edge, however few of a frame were kept; chosen: offset and spread need more than 2."""
 _NARROW_PX = 1.0
-"""Gaps below this count alike when sides of grooves are chosen; chosen: less than edge points scatter says nothing."""
+"""Gaps below this count alike when sides of grooves are chosen; chosen: edge points scatter by up to this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def pair_edges(
 
     Args:
         fraction: of the edge points there may be, how many were looked at; fewer make a line then.
-        free: tilt as this frame alone says it.
+        free: tilt from this frame alone.
         uniform: the points looked at are uniformly spaced along their lines, not anywhere.
 
     Returns:

@@ -34,7 +34,7 @@ class TiltPrior:
 
 @dataclass(slots=True)
 class TiltState:
-    """What the frames so far said of the tilt about base x and y.
+    """The tilt about base x and y in the frames so far.
 
     Attributes:
         weight: sum of the frames' weights, each at most 1.
@@ -55,7 +55,7 @@ class TiltTracker:
         self.state = TiltState() if state is None else state
 
     def update(self, lines: Lines) -> None:
-        """Take in what one frame alone said; one that can hardly tell counts little."""
+        """Take in the tilt of one frame alone; an uncertain one counts little."""
         s, noise = self.state, lines.free_tilt_sigma_rad**2
         weight = 1.0 / (1.0 + float(np.max(noise)) / _FAIR_SIGMA_RAD**2)
         s.weight += weight
