@@ -75,7 +75,7 @@ cdef Picture picture_of(const int16_t[:, ::1] dx, const int16_t[:, ::1] dy, cons
 cdef inline float degrees(float y, float x) noexcept nogil:
     """Angle of (x, y), [0, 360); minimax polynomial of the arc tangent, within 0.001 degrees."""
     cdef float ax = fabsf(x), ay = fabsf(y), two = 2, turn = 360
-    cdef float low = ax if ax < ay else ay, high = ay if ax < ay else ax
+    cdef float low = ax if ax < ay else ay, high = ax if ax > ay else ay
     cdef float t = low / high if high > 0 else <float>0, q = t * t
     cdef float a = t * (<float>0.99997726 + q * (<float>-0.33262347 + q * (<float>0.19354346 + q * (
         <float>-0.11643287 + q * (<float>0.05265332 + q * <float>-0.01172120)))))
