@@ -58,9 +58,9 @@ bench-filter: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.speed.filter_step
 
 bench-calib: $(VENV)/.installed
-	$(BIN)/python -m ceilvo.calib.practice.study sigma --count 100
-	$(BIN)/python -m ceilvo.calib.practice.study drive --count 8
-	$(BIN)/python -m ceilvo.calib.practice.study rigs --count 50
+	$(BIN)/python -m ceilvo.calib.study sigma --count 100
+	$(BIN)/python -m ceilvo.calib.study drive --count 8
+	$(BIN)/python -m ceilvo.calib.study rigs --count 50
 
 soak: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.soak --hours $(or $(HOURS),1)

@@ -135,3 +135,10 @@ def mount_rotation(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0
         @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     )
     return np.asarray(base_from_camera.T)
+
+
+def mount_angles(camera_from_base: Array) -> tuple[float, float, float]:
+    """yaw, roll, pitch [rad] from which mount_rotation makes the matrix (3, 3)."""
+    b = np.asarray(camera_from_base).T
+    yaw, roll = np.arctan2(b[1, 0], b[0, 0]), np.arctan2(b[2, 1], b[2, 2])
+    return float(yaw), float(roll), float(-np.arcsin(np.clip(b[2, 0], -1.0, 1.0)))

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from ceilvo import yaml_nodes
 from ceilvo.calibration import Calibration, NoiseCurves
 from ceilvo.calibration_check import DISTORTION_COUNTS, check_fits, value_problems
 from ceilvo.camera import CameraModel
-from ceilvo.config import yaml_nodes
 from ceilvo.errors import CalibrationError
 from ceilvo.files import write_atomic
 

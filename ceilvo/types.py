@@ -10,12 +10,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
+from typing import NewType
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+Pose = NewType("Pose", NDArray[np.float64])
+"""(3,) [m, m, rad]: where one frame of reference is in another, map_from_base unless said otherwise."""
+Displacement = NewType("Displacement", NDArray[np.float64])
+"""(3,) [m, m, rad]: prev_from_curr, how a frame of reference moved in an interval."""
+Twist = NewType("Twist", NDArray[np.float64])
+"""(3,) [m/s, m/s, rad/s] in base."""
 
 
 class LineKind(IntEnum):
@@ -130,7 +138,7 @@ class Motion:
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
     """
 
-    prev_from_curr: Array
+    prev_from_curr: Displacement
     cov: Array
     inliers: int
     rms_m: float
@@ -146,7 +154,7 @@ class Motion:
 class WheelMotion:
     """Displacement that the base reports between two frames, prev_from_curr (3,) [m, m, rad] with cov (3, 3)."""
 
-    prev_from_curr: Array
+    prev_from_curr: Displacement
     cov: Array
 
 
@@ -236,15 +244,15 @@ class Estimate:
 
     seq: int
     stamp_ns: int
-    pose: Array
+    pose: Pose
     cov: Array
-    odom: Array
-    twist: Array
+    odom: Pose
+    twist: Twist
     state: State
     quality: float
     reason: str
     motion: Motion
-    depletion: FilterHealth
+    health: FilterHealth
     crossings: int
     landmarks: int
     latency_ms: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

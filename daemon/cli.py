@@ -22,7 +22,6 @@ from ceilvo.config.reader import calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
 from ceilvo.daemon.app.watch import watch_robots
-from ceilvo.daemon.app_experiment import EXPERIMENTS, run_experiment
 from ceilvo.daemon.doctor.examination import examine
 from ceilvo.daemon.replay.command import replay_recording
 from ceilvo.daemon.replay.replay import Outputs
@@ -36,6 +35,10 @@ if TYPE_CHECKING:
 
 DEFAULT_CONFIG = Path("/etc/ceilvo/config.yaml")
 DEFAULT_SUMMARY = Path("build/run-summary.json")
+WRONG_USE = 2
+"""Exit code of argparse, and ours, for words that are no command."""
+BENCHES = {"paper": "paper", "mrclam": "mrclam", "speed": "speed.filter_step"}
+"""What `ceilvod experiment` ran by the first word, now a module of ceilvo.bench."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -191,15 +194,14 @@ def _add_doctor(commands: Commands) -> None:
 
 
 def _add_experiment(commands: Commands) -> None:
-    p = _command(
-        commands,
-        "experiment",
-        "compare the filters: the paper's experiment, recorded robots, speed",
-        "ceilvod experiment mrclam DIR --train 1,2 --test 3,4,5 --json F",
-    )
-    p.add_argument("name", choices=tuple(EXPERIMENTS), help="; ".join(f"{k}: {v}" for k, v in EXPERIMENTS.items()))
-    p.add_argument("arguments", nargs=argparse.REMAINDER, metavar="...", help="its own; --help lists them")
+    """Not listed: it only says where the benches have gone."""
+    p = commands.add_parser("experiment", description=f"Moved: {_bench_command(*BENCHES)}.")
+    p.add_argument("words", nargs=argparse.REMAINDER, metavar="...")
     p.set_defaults(do=_experiment)
+
+
+def _bench_command(*names: str) -> str:
+    return ", ".join(f"python -m ceilvo.bench.{BENCHES[name]}" for name in names)
 
 
 # -- what they do
@@ -266,7 +268,9 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def _experiment(options: argparse.Namespace) -> int:
-    return run_experiment(options.name, options.arguments)
+    name = next(iter(options.words), "")
+    print(f"ceilvod: experiment is now {_bench_command(*([name] if name in BENCHES else BENCHES))}", file=sys.stderr)
+    return WRONG_USE
 
 
 def _config(options: argparse.Namespace) -> Config:

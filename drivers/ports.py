@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
-from ceilvo.drivers.bus.messages import Topic
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.types import Frame
 
 
@@ -72,6 +72,22 @@ class Base(Protocol):
 
     def close(self) -> None:
         """Idempotent, never raises."""
+
+
+class Topic(str, Enum):
+    """What is published; the value is the last part of the key."""
+
+    POSE = "pose"
+    ODOM = "odom"
+    HEALTH = "health"
+    EVENT = "event"
+    LANDMARKS = "landmarks"
+    PARTICLES = "particles"
+    IMAGE = "image"
+
+
+ON_DEMAND = (Topic.LANDMARKS, Topic.PARTICLES, Topic.IMAGE)
+"""Made only while somebody subscribes."""
 
 
 class Publisher(Protocol):

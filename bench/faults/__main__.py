@@ -15,8 +15,8 @@ from pathlib import Path
 
 import cv2
 
+from ceilvo.bench.faults.crossing_log import record
 from ceilvo.bench.faults.drive import KINDS, Drive, Tally
-from ceilvo.bench.faults.line_log import record
 from ceilvo.config import Config
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
@@ -42,8 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     begun_s = time.process_time() - before_s
     result: dict[str, object] = {"ok": False}
     while (left_s := 3600.0 * a.hours - total.seconds) > 1.0:
-        tape = record(a.seed + leg, ROOMS_M[leg % len(ROOMS_M)], config.features)
-        total.add(Drive(tape, config, a.seed + leg, kinds).run(min(_LEG_S, left_s)))
+        log = record(a.seed + leg, ROOMS_M[leg % len(ROOMS_M)], config.features)
+        total.add(Drive(log, config, a.seed + leg, kinds).run(min(_LEG_S, left_s)))
         leg += 1
         result = summary(total, a.method, leg, time.process_time() - begun_s) | {"seed": a.seed}
         write_atomic(a.out, json.dumps(result, indent=2) + "\n")

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.faults.line_log import RATE_HZ, Tape, TapeFinder
+from ceilvo.bench.faults.crossing_log import RATE_HZ, CrossingLog
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.base.wheel_track import WheelNoise
-from ceilvo.types import Array, Estimate, Frame, Lines, State, WheelMotion
+from ceilvo.types import Array, Crossings, Estimate, Pose, State, WheelMotion
 
 Kind = Literal[
     "dark", "silent", "stale picture", "slip", "no wheels", "restart", "carried", "dark and slip", "dark, no wheels"
@@ -28,7 +28,6 @@ _HELP_AFTER_S = 60.0
 _MEAN_BETWEEN_S = 30.0
 _PERIOD_NS = round(1e9 / RATE_HZ)
 _COAST = 1
-_EMPTY = np.zeros((2, 2), np.uint8)
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 _SAVED_EVERY_S = 10.0
 _NEWS = 8
@@ -70,13 +69,13 @@ class Tally:
 
 
 class Drive:
-    """One robot on one tape."""
+    """One robot on one log."""
 
-    def __init__(self, tape: Tape, config: Config, seed: int, kinds: tuple[Kind, ...] = KINDS) -> None:
-        self._tape, self._config, self._kinds = tape, config, kinds
+    def __init__(self, log: CrossingLog, config: Config, seed: int, kinds: tuple[Kind, ...] = KINDS) -> None:
+        self._log, self._config, self._kinds = log, config, kinds
         self._rng = np.random.default_rng([seed, 6])
         self._seed = seed
-        self._k = int(self._rng.integers(tape.frames))
+        self._k = int(self._rng.integers(log.frames))
         self._take = 0
         self._ns = 10**9
         self._fault: Kind | None = None
@@ -87,7 +86,7 @@ class Drive:
         self._was_wrong = self._blind = False
         self._state = State.INIT
         self._news: deque[str] = deque(maxlen=_NEWS)
-        self._saved: tuple[Array, Array] | None = None
+        self._saved: tuple[Pose, Array] | None = None
         self._saved_ns = 0
         self._wheel_k = self._k
         self.tally = Tally()
@@ -100,20 +99,17 @@ class Drive:
         return self.tally
 
     def _fresh(self) -> Pipeline:
-        pipeline = Pipeline(self._tape.calibration, self._config, self._rng.spawn(1)[0])
-        self._finder = TapeFinder()
-        pipeline._lines = self._finder  # type: ignore[assignment]
-        return pipeline
+        return Pipeline(self._log.calibration, self._config, self._rng.spawn(1)[0])
 
     def _at_truth(self) -> None:
         self._pipeline.reset(keep_map=False)
-        following = self._tape.truth[(self._k + 1) % self._tape.frames]  # its first frame is the next one
-        self._pipeline.assume(following, np.diag([1e-6, 1e-6, 1e-6]), "put right")
+        following = self._log.truth[(self._k + 1) % self._log.frames]  # its first frame is the next one
+        self._pipeline.set_pose(following, np.diag([1e-6, 1e-6, 1e-6]), "put right")
         self._state, self._trouble_ns, self._was_wrong = State.INIT, None, False
         self._wheel_k = self._k
 
     def _truth(self) -> Array:
-        return np.asarray(self._tape.truth[self._k])
+        return np.asarray(self._log.truth[self._k])
 
     def _tick(self) -> None:
         """One frame period."""
@@ -127,31 +123,30 @@ class Drive:
             self.tally.seconds += 1.0 / RATE_HZ
             return
         if self._fault == "silent":
-            estimate = self._pipeline.coast(self._ns, "the camera gives no frames", wheels)
+            estimate = self._pipeline.step_crossings(self._ns, None, wheels, missing="the camera gives no frames")
         else:
-            self._finder.show(None if dark else self._seen())
-            estimate = self._pipeline.step(Frame(0, self._ns, _EMPTY), wheels)
+            estimate = self._pipeline.step_crossings(self._ns, None if dark else self._seen(), wheels)
         self._wheel_k = self._k
         self._count(estimate)
-        if self._ns - self._saved_ns > _SAVED_EVERY_S * 1e9 and len(self._pipeline.landmarks()):
+        if self._ns - self._saved_ns > _SAVED_EVERY_S * 1e9 and len(self._pipeline.filter.landmarks()):
             self._saved, self._saved_ns = (estimate.pose, estimate.cov), self._ns
 
     def _move(self) -> None:
         self._k += 1
-        if self._k == self._tape.frames:
-            self._k, self._take = 0, int(self._rng.integers(len(self._tape.lines)))
+        if self._k == self._log.frames:
+            self._k, self._take = 0, int(self._rng.integers(len(self._log.crossings)))
 
-    def _seen(self) -> Lines | None:
+    def _seen(self) -> Crossings | None:
         k = self._k
         if self._fault == "stale picture" and self._rng.random() < 0.15:
-            k = (k - int(self._rng.integers(3, 20))) % self._tape.frames
-        return self._tape.lines[self._take][k]
+            k = (k - int(self._rng.integers(3, 20))) % self._log.frames
+        return self._log.crossings[self._take][k]
 
     def _wheels(self) -> WheelMotion | None:
         """What a base reports of the way since the last estimate, errors included."""
         if self._fault in ("no wheels", "dark, no wheels"):
             return None
-        here = self._tape.truth[self._wheel_k] if self._fault != "carried" else self._truth()
+        here = self._log.truth[self._wheel_k] if self._fault != "carried" else self._truth()
         true = se2.between(here, self._truth())
         length, n = float(np.hypot(true[0], true[1])), WheelNoise()
         var_xy = n.slip_m2_per_m * length + 1e-10
@@ -182,14 +177,14 @@ class Drive:
         kind, self._fault = self._fault, None
         self._next_ns = self._ns + round(1e9 * float(self._rng.exponential(_MEAN_BETWEEN_S))) + 5 * 10**9
         if kind == "carried":
-            self._k = int(self._rng.integers(self._tape.frames))
+            self._k = int(self._rng.integers(self._log.frames))
             self._wheel_k = self._k
         elif kind == "restart":
             self._restart()
 
     def _restart(self) -> None:
         """Another process with the stored map and the stored pose, which may be 10 s old."""
-        landmarks, axis = self._pipeline.landmarks(), self._pipeline.map_axis_rad
+        landmarks, axis = self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
         self._pipeline = self._fresh()
         self._wheel_k = self._k
         self._state = State.INIT
@@ -197,7 +192,7 @@ class Drive:
             self._at_truth()
             return
         pose, cov = self._saved
-        self._pipeline.know_map(landmarks, axis, pose, cov + np.diag(_RESTART_SIGMA**2))
+        self._pipeline.load_map(landmarks, axis, pose, cov + np.diag(_RESTART_SIGMA**2))
 
     def _count(self, e: Estimate) -> None:
         t, dt = self.tally, 1.0 / RATE_HZ

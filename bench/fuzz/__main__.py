@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _in_own_process(name: str, seconds: float) -> dict[str, object]:
     begun = time.monotonic()
-    args = [sys.executable, "-m", "ceilvo.bench.fuzz.__main__", "--one", name, "--seconds", str(seconds)]
+    args = [sys.executable, "-m", "ceilvo.bench.fuzz", "--one", name, "--seconds", str(seconds)]
     done = subprocess.run(args, capture_output=True, text=True, check=False)
     lines = (done.stdout + done.stderr).splitlines()
     runs = [line for line in lines if "Done " in line or line.startswith("runs ")]

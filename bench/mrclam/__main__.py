@@ -1,4 +1,4 @@
-"""Real robots in the UTIAS multi-robot format: `make bench-mrclam`, `ceilvod experiment mrclam DIR`.
+"""Real robots in the UTIAS multi-robot format: `make bench-mrclam DATA=DIR`.
 
 Noise is fitted on the training robots, everything else is measured on the test robots.
 """
@@ -24,12 +24,13 @@ from ceilvo.bench.mrclam import peers
 from ceilvo.bench.mrclam import run as runs
 from ceilvo.bench.mrclam.data import Run, World, read_run, read_world
 from ceilvo.bench.mrclam.noise import Bias, Noise, bias_of, fit, inflated, without
-from ceilvo.bench.results.bars import Bar, as_json, plain, table
-from ceilvo.bench.results.store import Store, fingerprint, run_all
-from ceilvo.errors import CeilvoError, ConfigError
+from ceilvo.bench.results.bars import Bar, as_json, table
+from ceilvo.bench.results.store import Store, exit_code, fingerprint, run_all
+from ceilvo.errors import ConfigError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
-FILES = ("mrclam_data.py", "mrclam_noise.py", "mrclam_run.py", "mrclam_peers.py", "mrclam_stonesoup.py")
+FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
 TASKS = ("localise", "slam", "start", "kidnap")
 RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "pfcf")
@@ -63,26 +64,16 @@ class Job:
 def main(arguments: Sequence[str] | None = None) -> int:
     """0 whether or not the bars are met; without a data set it says so and is 0 too."""
     args = parser().parse_args(arguments)
-    try:
-        folder = args.folder or default_folder()
-        if folder is None:
-            print("bench.mrclam: skipped, no data set: give its folder, or set CEILVO_DATA to the folder that holds")
-            print(f"  {DATASET}")
-            return 0
-        experiment(args, folder)
-    except CeilvoError as e:
-        print(f"bench.mrclam: {e}", file=sys.stderr)
-        return e.exit_code
-    except KeyboardInterrupt:
-        print("bench.mrclam: stopped; the same command goes on from here", file=sys.stderr)
-        return 130
-    return 0
+    folder = args.folder or default_folder()
+    if folder is None:
+        print("bench.mrclam: skipped, no data set: give its folder, or set CEILVO_DATA to the folder that holds")
+        print(f"  {DATASET}")
+        return 0
+    return exit_code("mrclam", lambda: experiment(args, folder))
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m ceilvo.bench.mrclam.__main__", description="Filters on recorded robots."
-    )
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.mrclam", description="Filters on recorded robots.")
     p.add_argument("folder", type=Path, nargs="?", metavar="DIR", help=f"data set (default: $CEILVO_DATA/{DATASET})")
     p.add_argument("--train", default="1,2", metavar="N,N", help="robots that noise is fitted on (%(default)s)")
     p.add_argument("--test", default="3,4,5", metavar="N,N", help="robots that are evaluated (%(default)s)")
@@ -102,7 +93,7 @@ def parser() -> argparse.ArgumentParser:
 
 def default_folder() -> Path | None:
     """$CEILVO_DATA, else a folder shared/data beside the repository."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
     folder = Path(os.environ.get("CEILVO_DATA") or beside) / DATASET
     return folder if folder.is_dir() else None
 
@@ -316,7 +307,7 @@ def _report(
         "bars": as_json(bars(results)),
         "skipped": skipped,
     }
-    console.print_json(json.dumps(plain({"data": document["data"], "settings": document["settings"]})), indent=1)
+    console.print_json(json.dumps(json_value({"data": document["data"], "settings": document["settings"]})), indent=1)
     for title, key in (
         (f"Known map, start at the truth, mean over robots {args.test}", "localise"),
         ("SLAM, no map", "slam"),
@@ -331,7 +322,7 @@ def _report(
     for line in verdicts(results):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     args.json.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(args.json, json.dumps(plain({**document, "text": verdicts(results)}), indent=1) + "\n")
+    write_atomic(args.json, json.dumps(json_value({**document, "text": verdicts(results)}), indent=1) + "\n")
     console.print(f"figures in {args.json}")
 
 

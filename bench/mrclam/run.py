@@ -22,7 +22,7 @@ from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.se2 import between, transform
-from ceilvo.types import Array, Ints, Landmarks, Motion, Observations
+from ceilvo.types import Array, Displacement, Ints, Landmarks, Motion, Observations
 
 GRID_S = 0.5
 """Between observations the filters predict this often."""
@@ -95,7 +95,7 @@ def make(name: str, particles: int, seed: int) -> PoseFilter:
 
 def step(f: PoseFilter, event: Event, noise: Noise) -> None:
     """Predict to the moment of an event, then update with its observations, one after the other."""
-    f.predict(Motion(event.motion, noise.motion_cov(event.motion, event.seconds), 0, 0.0))
+    f.predict(Motion(Displacement(event.motion), noise.motion_cov(event.motion, event.seconds), 0, 0.0))
     turned = 0.0
     for i, bearing in enumerate(event.bearing_rad):
         kind = event.subject[i : i + 1].astype(np.int64)
@@ -127,7 +127,7 @@ def _expected_m(f: PoseFilter, known: Landmarks, label: int) -> float:
 
 
 def _turn(f: PoseFilter, angle_rad: float) -> None:
-    f.predict(Motion(np.array([0.0, 0.0, angle_rad]), np.zeros((3, 3)), 0, 0.0))
+    f.predict(Motion(Displacement(np.array([0.0, 0.0, angle_rad])), np.zeros((3, 3)), 0, 0.0))
 
 
 def follow(f: PoseFilter, moments: Sequence[Event], noise: Noise) -> Iterator[tuple[Event, Array, Array, float]]:

@@ -1,4 +1,4 @@
-"""The paper's section 3 with its rivals: `make bench-paper`, `ceilvod experiment paper`.
+"""The paper's section 3 with its rivals: `make bench-paper`.
 
 Runs are stored one by one in build/bench/paper.jsonl; what is there is not run again unless the code changed.
 """
@@ -36,14 +36,15 @@ from ceilvo.bench.paper.world import (
     VENT_SHARE,
     VIEW_M,
 )
-from ceilvo.bench.results.bars import Bar, as_json, plain
+from ceilvo.bench.results.bars import Bar, as_json
 from ceilvo.bench.results.bars import table as bar_table
-from ceilvo.bench.results.store import Store, fingerprint, run_all
-from ceilvo.errors import CeilvoError, ConfigError
+from ceilvo.bench.results.store import Store, exit_code, fingerprint, run_all
+from ceilvo.errors import ConfigError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
 PARTICLES = (20, 50, 100, 200, 500)
-FILES = ("paper_world.py", "paper_filters.py", "paper_ekf.py", "paper_run.py")
+FILES = ("paper/world.py", "paper/filters.py", "paper/ekf.py", "paper/run.py")
 _WIDTH = 200
 
 
@@ -69,22 +70,11 @@ PLANS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """0 whether or not the bars are met: they are in the tables and in the JSON."""
     args = parser().parse_args(arguments)
-    try:
-        cells = chosen(args)
-        report(args, measured(args, cells))
-    except CeilvoError as e:
-        print(f"bench.paper: {e}", file=sys.stderr)
-        return e.exit_code
-    except KeyboardInterrupt:
-        print("bench.paper: stopped; the same command goes on from here", file=sys.stderr)
-        return 130
-    return 0
+    return exit_code("paper", lambda: report(args, measured(args, chosen(args))))
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m ceilvo.bench.paper.__main__", description="The paper's experiment, with rivals."
-    )
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.paper", description="The paper's experiment, with rivals.")
     p.add_argument("--seeds", type=int, default=100, metavar="N", help="paired seeds (100); recoveries use 40 or 60")
     p.add_argument("--first-seed", type=int, default=1000, metavar="N")
     p.add_argument("--experiments", default=",".join(EXPERIMENTS), metavar="A,B", help="default: %(default)s")
@@ -151,7 +141,7 @@ def report(args: argparse.Namespace, results: tables.Results) -> None:
         console.print(line, highlight=False, soft_wrap=True)
     out = {**as_document(results), "settings": stated, "bars": as_json(bars), "text": tables.verdicts(results)}
     args.json.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(args.json, json.dumps(plain(out), indent=1) + "\n")
+    write_atomic(args.json, json.dumps(json_value(out), indent=1) + "\n")
     console.print(summary(bars))
     if not args.no_pictures:
         for path in plots_paper.draw(results, args.pictures, args.first_seed):

@@ -8,12 +8,13 @@ landmark once.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from ceilvo.daemon.slam.pose_filter import COUNTERS
 from ceilvo.se2 import rotation, transform, wrap
-from ceilvo.types import Array, Depletion, Ints, Landmarks, Motion, Observations
+from ceilvo.types import Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
 GATE = 11.83
 """Chi-square of two degrees of freedom, 99.73 %."""
@@ -27,6 +28,9 @@ FORGET_UPDATES = 20
 
 class EkfNearestNeighbour:
     """PoseFilter; a landmark is shown from its third sighting, and dropped when not confirmed within 20 updates."""
+
+    state: Any = None
+    """It is never stored."""
 
     def __init__(self, gate: float = GATE) -> None:
         self._gate = gate
@@ -75,8 +79,8 @@ class EkfNearestNeighbour:
             self._forget()
         self._nis /= max(self._dof, 1)
 
-    def estimate(self) -> tuple[Array, Array, Depletion]:
-        return self._x[:3].copy(), self._p[:3, :3].copy(), Depletion(1, 1.0, 1, float("nan"), self._nis, self._dof)
+    def estimate(self) -> tuple[Array, Array, FilterHealth]:
+        return self._x[:3].copy(), self._p[:3, :3].copy(), FilterHealth(1, 1.0, 1, float("nan"), self._nis, self._dof)
 
     def landmarks(self) -> Landmarks:
         show = np.flatnonzero(self._sightings >= CONFIRMED)

@@ -12,8 +12,9 @@ from ceilvo.bench.paper.filters import WITHOUT_PARTICLES, make
 from ceilvo.bench.paper.run import START_SIGMA, Cell, observed
 from ceilvo.bench.paper.world import ROOM_M, SETTINGS, Recording, record, room_scene
 from ceilvo.daemon.slam.paper import curve_fit
+from ceilvo.daemon.slam.pose_filter import systematic
 from ceilvo.errors import CeilvoError
-from ceilvo.types import Array, Landmarks, Motion
+from ceilvo.types import Array, Displacement, Landmarks, Motion
 
 COLOURS = {
     "ukf": "tab:gray",
@@ -92,7 +93,7 @@ def _resampling(folder: Path, seed: int) -> Path:
     below.plot(x, np.zeros(60), "o", mfc="none", color="tab:blue")
     if drawn is not None:
         below.plot(drawn[0][:, 0], np.ones(60), "o", mfc="none", color="tab:red")
-    below.plot(x[curve_fit.systematic(weights, rng)], np.full(60, 2.0), "o", mfc="none", color="tab:orange")
+    below.plot(x[systematic(weights, rng)], np.full(60, 2.0), "o", mfc="none", color="tab:orange")
     below.set_yticks([0, 1, 2], ["before", "along the curve", "systematic"])
     below.set_ylim(-0.5, 2.5)
     below.set_xlabel("x (m)")
@@ -150,7 +151,7 @@ def _followed(recording: Recording, name: str, seed: int) -> tuple[Array, Landma
     path = []
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks())
-        f.predict(Motion(step.told, step.told_cov, len(step.seen), 0.0))
+        f.predict(Motion(Displacement(step.told), step.told_cov, len(step.seen), 0.0))
         f.update(observations)
         path.append(f.estimate()[0])
     return np.array(path), f.landmarks()

@@ -23,7 +23,18 @@ from ceilvo.bench.paper.world import (
 from ceilvo.config import States
 from ceilvo.daemon.integrity.states import Evidence, StateMachine
 from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter, chi_square_bounds
-from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Depletion, Ints, Landmarks, Motion, Observations, State
+from ceilvo.types import (
+    NO_LANDMARK,
+    UNLABELLED,
+    Array,
+    Displacement,
+    FilterHealth,
+    Ints,
+    Landmarks,
+    Motion,
+    Observations,
+    State,
+)
 
 START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 """m, m, rad: the start is known."""
@@ -82,7 +93,7 @@ def mapping(f: PoseFilter, recording: Recording, labelled: bool) -> Figures:
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks() if labelled else None)
         begun = time.process_time()
-        f.predict(Motion(step.told, step.told_cov, len(step.seen), 0.0))
+        f.predict(Motion(Displacement(step.told), step.told_cov, len(step.seen), 0.0))
         f.update(observations)
         pose, cov, depletion = f.estimate()
         elapsed += time.process_time() - begun
@@ -129,7 +140,7 @@ def on_a_map(f: PoseFilter, recording: Recording, anywhere: bool) -> Figures:
     f.reset(start, cov, known_map(scene.xy_m, scene.kind), known=True)
     machine, errors, claimed, health = StateMachine(States()), [], [], Health()
     for i, step in enumerate(recording.steps):
-        f.predict(Motion(step.told, step.told_cov, len(step.seen), 0.0))
+        f.predict(Motion(Displacement(step.told), step.told_cov, len(step.seen), 0.0))
         f.update(observed(step, scene, None))
         errors.append(float(np.hypot(*(f.estimate()[0] - step.truth)[:2])))
         health.add(f.estimate()[2])
@@ -153,11 +164,11 @@ class Health:
     def __init__(self) -> None:
         self._rows: list[tuple[float, ...]] = []
 
-    def add(self, d: Depletion) -> None:
+    def add(self, d: FilterHealth) -> None:
         low, high = chi_square_bounds(d.nis_dof)
         inside = float(low <= d.nis <= high) if d.nis_dof else float("nan")
         nis = d.nis if d.nis_dof else float("nan")
-        kept = d.unique_ancestors / d.particles
+        kept = float("nan") if d.unique_ancestors is None else d.unique_ancestors / d.particles
         self._rows.append((d.ess / d.particles, kept, d.fit_residual, nis, inside, d.mode_weight))
 
     def figures(self, f: PoseFilter) -> Figures:

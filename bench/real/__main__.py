@@ -1,6 +1,6 @@
 """Recordings of real ceilings, which are not part of this repository: the same code as `ceilvod replay`, and pictures.
 
-python -m ceilvo.bench.real.__main__ DATA_DIR
+python -m ceilvo.bench.real DATA_DIR
 
 DATA_DIR holds `ceiling_lamps` (100 frames of an upward fisheye camera on a car, lamps only, with another tracker's
 output; github.com/a1k0n/cycloid) and `ceiling_still` (a photo of a tiled ceiling with its lens calibration;
@@ -55,7 +55,7 @@ LAMP_BARS = {"distance_median_m": 0.15, "distance_max_m": 0.4, "heading_max_deg"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.real.__main__", description="Recordings of real ceilings.")
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.real", description="Recordings of real ceilings.")
     p.add_argument("data", type=Path, metavar="DATA_DIR", help="folder that holds ceiling_lamps and ceiling_still")
     p.add_argument("--out", type=Path, default=Path("build/real"), metavar="DIR", help="(default %(default)s)")
     p.add_argument("--json", type=Path, default=Path("build/bench/real.json"), metavar="FILE")

@@ -45,14 +45,3 @@ def table(bars: list[Bar], title: str) -> Table:
 
 def as_json(bars: list[Bar]) -> list[dict[str, Any]]:
     return [{"name": b.name, "value": b.value, "text": b.text, "bar": b.wanted, "verdict": b.verdict} for b in bars]
-
-
-def plain(value: Any) -> Any:
-    """The same for JSON: null for what is not finite."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, float) and not (float("-inf") < value < float("inf")):
-        return None
-    return value

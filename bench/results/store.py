@@ -6,7 +6,7 @@ import hashlib
 import json
 import multiprocessing
 import os
-import re
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -17,9 +17,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import ceilvo.bench
 import ceilvo.daemon
+from ceilvo.errors import CeilvoError
 
 Key = TypeVar("Key")
 Result = dict[str, Any]
+ROOMS = ("odometry", "slam", "relocalisation", "integrity")
+INTERRUPTED = 130
+"""Exit code of shells for a program ended by Ctrl-C: 128 + SIGINT."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -47,6 +51,25 @@ class Store(Generic[Key]):
             file.write(("" if _ends_well(self._path) else "\n") + line + "\n")
 
 
+def exit_code(name: str, work: Callable[[], None]) -> int:
+    """Of a bench that keeps its results: 0 when all is done; our own errors and Ctrl-C are one line."""
+    try:
+        work()
+    except CeilvoError as e:
+        print(f"bench.{name}: {e}", file=sys.stderr)
+        return e.exit_code
+    except KeyboardInterrupt:
+        print(f"bench.{name}: stopped; the same command goes on from here", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def one_thread() -> None:
+    """BLAS on one thread in this process and its children, unless the caller said otherwise; before the first use."""
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
+
+
 def _ends_well(path: Path) -> bool:
     """Whether the file is empty or ends with a line's end."""
     with path.open("rb") as file:
@@ -65,28 +88,19 @@ def _parsed(line: str) -> Result | None:
 
 
 def fingerprint(bench_files: Sequence[str], *more: str) -> str:
-    """Of the filters and the state machine with all they import of the daemon, the named files of bench, and more."""
+    """Of the rooms that the filters and the state machine load, the named files of bench, and more."""
     digest = hashlib.sha256()
     daemon, bench = (Path(p.__path__[0]) for p in (ceilvo.daemon, ceilvo.bench))
-    for path in [*sorted(imported(daemon, {"filters", "states"})), *(bench / name for name in bench_files)]:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for path in [*rooms(daemon), *(bench / name for name in bench_files)]:
+        digest.update(path.relative_to(daemon.parent).as_posix().encode() + b"\0" + path.read_bytes())
     for text in more:
         digest.update(text.encode() + b"\0")
     return digest.hexdigest()[:16]
 
 
-def imported(folder: Path, names: set[str]) -> set[Path]:
-    """Files of the daemon's modules `names`, and of all modules of the daemon that these import."""
-    open_, out = set(names), set()
-    while open_:
-        path = folder / f"{open_.pop()}.py"
-        out.add(path)
-        text = path.read_text()
-        found = re.findall(r"from ceilvo\.daemon\.(\w+) import", text)
-        for together in re.findall(r"from ceilvo\.daemon import (.+)", text):
-            found += together.split(", ")
-        open_ |= {n for n in found if folder / f"{n}.py" not in out}
-    return out
+def rooms(daemon: Path) -> list[Path]:
+    """Every source in the daemon's rooms that make up a filter and its state machine."""
+    return sorted(p for room in ROOMS for p in (daemon / room).rglob("*.py"))
 
 
 def run_all(
@@ -98,8 +112,7 @@ def run_all(
 ) -> None:
     """Run what the store does not hold yet, with a progress bar; work must be importable where jobs > 1."""
     todo = [k for k in keys if k not in store.results]
-    for variable in THREADS:
-        os.environ.setdefault(variable, "1")
+    one_thread()
     bars = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*bars, console=Console(stderr=True)) as progress:
         task = progress.add_task("runs", total=len(todo))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,14 +21,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ceilvo.bench.paper.run import known_map
-from ceilvo.bench.results.bars import Bar, as_json, plain, table
+from ceilvo.bench.results.bars import Bar, as_json, table
+from ceilvo.bench.results.store import one_thread
 from ceilvo.bench.speed import filter_step_peers as peers
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
-from ceilvo.types import Array, Landmarks, Motion, Observations
+from ceilvo.json_values import json_value
+from ceilvo.types import Array, Displacement, Landmarks, Motion, Observations
 
 METHODS = ("pf", "pfcf_paper", "pfcf", "ukf")
 PARTICLES = (20, 50, 100, 200, 500, 1000, 3000, 10_000, 30_000, 100_000)
@@ -49,8 +50,7 @@ _WIDTH = 140
 
 def main(arguments: Sequence[str] | None = None) -> int:
     args = parser().parse_args(arguments)
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
+    one_thread()
     try:
         document = measured(args)
     except CeilvoError as e:
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = bars(document)
     console.print(table(found, "What it must show"))
     args.json.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(args.json, json.dumps(plain({**document, "bars": as_json(found)}), indent=1) + "\n")
+    write_atomic(args.json, json.dumps(json_value({**document, "bars": as_json(found)}), indent=1) + "\n")
     console.print(f"figures in {args.json}")
     return 0
 
@@ -143,7 +143,7 @@ def stepper(method: str, particles: int, m: Landmarks, near: Array, known: bool)
 
 def standing(f: PoseFilter, near: Array) -> Callable[[], None]:
     rng = _rng()
-    motion = Motion(np.zeros(3), np.diag([4e-4, 4e-4, 1e-4]), 10, 0.0)
+    motion = Motion(Displacement(np.zeros(3)), np.diag([4e-4, 4e-4, 1e-4]), 10, 0.0)
     label, variance = np.arange(len(near), dtype=np.int64), np.full((len(near), 2), SIGMA_M**2)
 
     def step() -> None:

@@ -1,13 +1,12 @@
 """The vision bench: every condition of vision_conditions on exact truth, as a table, JSON and a picture each.
 
-python -m ceilvo.bench.vision.__main__ [--conditions base,tilt] [--quick]
+python -m ceilvo.bench.vision [--conditions base,tilt] [--quick]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import multiprocessing
 import os
 import queue
@@ -26,6 +25,7 @@ from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
 QUICK_S = 6.0
 _REPORT_EVERY = 15
@@ -75,9 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(
-        prog="python -m ceilvo.bench.vision.__main__", description="Front end against exact truth."
-    )
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.vision", description="Front end against exact truth.")
     p.add_argument("--conditions", metavar="A,B", help="names, separated by commas (default: all)")
     p.add_argument("--quick", action="store_true", help=f"{QUICK_S:g} s of each condition instead of a lap")
     p.add_argument("--seconds", type=float, metavar="S", help="world time of each condition instead of a lap")
@@ -182,7 +180,7 @@ def as_json(chosen: list[Condition], results: list[dict[str, float]], seconds: f
         "conditions": {
             c.name: {
                 "about": c.about,
-                "figures": {k: v if math.isfinite(v) else None for k, v in figures.items()},
+                "figures": json_value(figures),
                 "bars": {
                     k: {"sense": b.sense, "value": b.value, "pass": b.met(figures[k])}
                     for k, b in c.bars.items()

@@ -88,8 +88,8 @@ def run(
         times.start()
         cv2.Canny(gray, 30, 70, L2gradient=True)
         times.lap("canny")
-        estimate = pipeline.step(Frame(k, 1_000_000_000 + round(t_s * 1e9), gray), lap=times.lap)
-        view = pipeline.view
+        estimate = pipeline.step(Frame(k, 1_000_000_000 + round(t_s * 1e9), gray), on_stage_done=times.lap)
+        view = pipeline.vision.view
         if not _dark(condition, t_s / seconds, seconds):
             crossings.add(view.crossings if view else None, true, tilt)
         motions.add(estimate.motion, true)

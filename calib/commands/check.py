@@ -5,20 +5,18 @@ from __future__ import annotations
 import argparse
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ceilvo.calib.commands.sigma import stands
 from ceilvo.calib.evaluate.check import Check, check
-from ceilvo.calib.session.common import bench_of, calibration_of, conclude, session_options, source_options
+from ceilvo.calib.session.common import Subcommands, add_step, bench_of, calibration_of, conclude
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import collect, moved
+from ceilvo.calibration import mount_angles
 from ceilvo.calibration_check import check_fits
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "check"
 _PICTURES = 12
@@ -26,17 +24,16 @@ _GO_ON_S = 600.0
 """An interrupted check goes on for so long; later the camera may have been knocked in between."""
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="6. is a calibration still good? in less than a minute",
         description="Push the robot about under the tiled ceiling; a dozen pictures are compared with the file.",
         epilog="example: calib check --config /etc/ceilvo/config.yaml --calibration /etc/ceilvo/calibration.yaml",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--calibration", type=Path, metavar="FILE", help="default: the session's calibration.yaml")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,9 +44,7 @@ def run(args: argparse.Namespace) -> int:
     if args.force or session.samples_age_s(STEP) > _GO_ON_S:
         session.set_aside(STEP)
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
-    from ceilvo.calib.cli import mount_angles
-
-    _, roll, pitch = mount_angles(calibration)
+    _, roll, pitch = mount_angles(calibration.camera_from_base)
     got = collect(
         args, session, STEP, calibration.camera, bench, tilt_rad=(roll, pitch), wanted=moved,
         enough=lambda c: len(c.seen) >= _PICTURES,

@@ -16,7 +16,7 @@ from ceilvo.calib.solve.sigma import MIN_CIRCLES, MIN_PER_CIRCLE, Errors
 from ceilvo.calib.solve.station import in_base
 from ceilvo.calib.targets.ceiling_view import CeilingReader
 from ceilvo.calib.targets.sources import Picture, Source
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -135,8 +135,7 @@ def look(calibration: Calibration, reader: CeilingReader, picture: Picture, pose
             "rejected": f"the nearest crossing is {d[k]:.2f} m from where the feature was measured, "
             f"{_NEAR_M:g} allowed: are x, y and heading right?"
         }
-    b = calibration.camera_from_base.T
-    psi = view.psi_rad + float(np.arctan2(b[1, 0], b[0, 0]))
+    psi = view.psi_rad + mount_angles(calibration.camera_from_base)[0]
     return {
         "x_m": float(pose[0]), "y_m": float(pose[1]), "theta_rad": float(pose[2]),
         "seen_x_m": float(xy[k, 0]), "seen_y_m": float(xy[k, 1]), "psi_rad": psi,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,13 +12,13 @@ from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import intrinsics_result, update_file
 from ceilvo.calib.session.common import (
     Progress,
+    Subcommands,
+    add_step,
     bench_of,
     check_size,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.intrinsics import (
@@ -28,18 +28,15 @@ from ceilvo.calib.solve.intrinsics import (
     Intrinsics,
     Shot,
     board_pose,
-    camera_of,
     coverage,
     coverage_picture,
     fit_best,
     problems,
 )
+from ceilvo.calib.solve.lens import camera_of
 from ceilvo.calib.targets.board import Board, BoardFinder, other_board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "intrinsics"
 _SIMULATED = 26
@@ -48,15 +45,15 @@ _LIVE_FRAMES = 20_000
 _NEW_VIEW = 0.12
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="1. the lens, from pictures of a chessboard or ChArUco board",
         description="Hold the board everywhere in the picture, leaning every way, near and far, 15 to 30 pictures.",
         epilog="example: calib intrinsics --device /dev/video0 --board chessboard --columns 9 --rows 6 --square-mm 25",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--board", choices=("chessboard", "charuco"), default="chessboard")
     p.add_argument("--columns", type=int, default=9, help="inner corners; of ChArUco: squares (%(default)s)")
     p.add_argument("--rows", type=int, default=6, help="(%(default)s)")
@@ -66,7 +63,6 @@ def add(commands: Commands) -> None:
     p.add_argument("--model", choices=("auto", *MODELS), default="auto", help="lens model (%(default)s)")
     p.add_argument("--window-px", type=int, help="half side of a corner's window; default: as the squares allow")
     p.add_argument("--keep-all", action="store_true", help="drop no picture, however large its residual")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

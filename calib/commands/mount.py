@@ -6,14 +6,21 @@ import argparse
 import copy
 import sys
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import lens_so_far, update_file
-from ceilvo.calib.session.common import Progress, bench_of, conclude, session_of, session_options, source_options
+from ceilvo.calib.session.common import (
+    Progress,
+    Subcommands,
+    add_step,
+    bench_of,
+    conclude,
+    session_of,
+)
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, collect, moved
 from ceilvo.calib.session.wheels import LiveWheels, Wheels, live_base, no_wheels, recorded
@@ -23,9 +30,6 @@ from ceilvo.camera import CameraModel
 from ceilvo.config import Base
 from ceilvo.config.reader import load_config
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 Array = NDArray[np.float64]
 
@@ -41,9 +45,11 @@ _ASK = {
 }
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="3. where the camera sits on the robot, from a turn on the spot and a straight run",
         description=f"First turn the robot {_TURNS} times round on the spot (its wandering averages out; once does), "
         "then drive it two metres straight ahead.",
@@ -51,10 +57,7 @@ def add(commands: Commands) -> None:
         "recorded: --images DIR with folders spin/ and run/ in it, each with wheels.csv where there are wheels: "
         "name,x_m,y_m,theta_rad, a row for each picture",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--units", choices=("m", "mm"), help="of wheels.csv, when it is doubtful")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,20 +6,20 @@ import argparse
 import itertools
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.session.assemble import camera_from, update_file
 from ceilvo.calib.session.common import (
+    Subcommands,
+    add_step,
     bench_of,
     check_size,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import collect, moved
@@ -34,9 +34,6 @@ from ceilvo.calib.targets.points_file import ask_on_terminal, read_points
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
-
 Array = NDArray[np.float64]
 
 STEP = "projection"
@@ -45,16 +42,16 @@ _PICTURES = 20
 _FEW = 5
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="2. tilt and ceiling height, from the tiled ceiling itself or from measured points",
         description="Put the robot under the tiled ceiling in 10 to 20 places, turned differently; or measure points.",
         epilog="example: calib projection --device /dev/video0 --tile-m 0.6; "
         "points: CSV x_m,y_m,z_m,u_px,v_px, x and y in base, z 0 on the ceiling and negative below, raw pixels",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--tile-m", type=float, help="side of the ceiling's tiles; simulated: 0.6")
     p.add_argument(
         "--height-m", type=float, help="ceiling above the camera by tape, to a tenth; decides where two grids fit"
@@ -70,7 +67,6 @@ def add(commands: Commands) -> None:
     p.add_argument(
         "--size", metavar="WxH", help="points without 'calib intrinsics', of a lens without distortion: the picture, px"
     )
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -82,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         camera, cov = camera_from(session.need("intrinsics", "the projection"))
         measured = args.points or args.marks
         found, extra = _points(args, session, camera, cov) if measured else _grid(args, session, camera, cov)
-    bad = plausible(found, (camera.width_px, camera.height_px)) + extra.pop("problems", [])
+    bad = plausible(found) + extra.pop("problems", [])
     session.save(STEP, _result(found) | extra | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
     print(update_file(session))
     return conclude(STEP, _rows(found, extra), bad, args)

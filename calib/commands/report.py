@@ -8,15 +8,13 @@ import html
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ceilvo.calib.session.common import session_options
+from ceilvo.calib.commands.calibration_file import describe
+from ceilvo.calib.session.common import Subcommands, add_step
 from ceilvo.calib.session.session import STEPS, Session
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "report"
 _SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera", "lens")
@@ -29,15 +27,16 @@ _STYLE = (
 )
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    add_step(
+        commands,
         STEP,
+        run,
         help="7. one HTML file with everything, for the record",
         description="Writes SESSION/report.html.",
         epilog="example: calib report --session commissioning",
+        pictures=False,
     )
-    session_options(p)
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -100,8 +99,6 @@ def _summary(results: Mapping[str, Mapping[str, Any] | None]) -> str:
 def _file(session: Session) -> str:
     if not session.calibration_file.exists():
         return "<p>No calibration.yaml yet.</p>"
-    from ceilvo.calib.cli import describe
-
     try:
         text = describe(read_calibration(session.calibration_file))
     except CalibrationError as e:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import assemble, update_file
 from ceilvo.calib.session.common import (
     Progress,
+    Subcommands,
+    add_step,
     bench_of,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, Seen, collect
@@ -29,11 +29,8 @@ from ceilvo.calib.solve.station import Stand, errors_against_grid
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calib.targets.points_file import ask_on_terminal, in_metres, read_table
 from ceilvo.calib.targets.sources import Picture
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
 
 STEP = "sigma"
 _STANDS, _LOOKS = 18, 4
@@ -42,9 +39,11 @@ _ERRORS = ("r_m", "dx_m", "dy_m", "dtheta_rad")
 _POSES = ("x_m", "y_m", "theta_rad", "seen_x_m", "seen_y_m", "seen_theta_rad")
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="4. observation noise against distance: sigma_x(r), sigma_y(r), sigma_theta",
         description="Either measured poses on three or more circles about a feature (--csv), or nothing but standing: "
         "put the robot in 12 to 20 places, turned differently, and let it stand for a second in each.",
@@ -52,15 +51,12 @@ def add(commands: Commands) -> None:
         "CSV: x_m,y_m,theta_rad (measured pose, the feature at the origin),seen_x_m,seen_y_m,seen_theta_rad "
         "(the feature as seen in base, the heading as estimated), or r_m,dx_m,dy_m,dtheta_rad",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument(
         "--circles", action="store_true", help="asks for the robot's measured pose, looks, and asks for the next: "
         "three or more circles about one crossing of joints, which is the origin"
     )  # fmt: skip
     p.add_argument("--csv", type=Path, metavar="FILE", help="the measurements, instead of pictures")
     p.add_argument("--units", choices=("m", "mm"), help="of the CSV, when it is doubtful")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -134,7 +130,7 @@ def _circles(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         prompt = partial(_answer, answers)
     with pictures(args, bench) as source:
         subject = {"source": source.info.name, "size": [calibration.camera.width_px, calibration.camera.height_px]}
-        tilt, take, note = _tilt(calibration), circles.taker(source), Progress(STEP).note
+        tilt, take, note = mount_angles(calibration.camera_from_base)[1:], circles.taker(source), Progress(STEP).note
         samples = circles.collect(calibration, session, subject, take, tilt, prompt, note)
     return circles.errors_of(calibration, samples), f"{len(samples)} measured poses"
 
@@ -162,19 +158,12 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         STEP,
         calibration.camera,
         bench,
-        tilt_rad=_tilt(calibration),
+        tilt_rad=mount_angles(calibration.camera_from_base)[1:],
         wanted=_wanted,
         enough=lambda c: len(stands(c)) > _STANDS,
     )
     whole = [s for s in stands(got) if len(s.views) >= 2]
     return errors_against_grid(calibration, whole, calibration.tile_m), f"standing at {len(whole)} places"
-
-
-def _tilt(calibration: Calibration) -> tuple[float, float]:
-    from ceilvo.calib.cli import mount_angles
-
-    _, roll, pitch = mount_angles(calibration)
-    return roll, pitch
 
 
 def stands(c: Collection) -> list[Stand]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,14 +13,14 @@ from ceilvo.calib.evaluate.survey import Survey, flicker
 from ceilvo.calib.session.assemble import identity, update_file
 from ceilvo.calib.session.common import (
     Progress,
+    Subcommands,
+    add_step,
     bench_of,
     calibration_of,
     check_size,
     conclude,
     pictures,
     session_of,
-    session_options,
-    source_options,
 )
 from ceilvo.calib.session.session import Session
 from ceilvo.calibration import Calibration
@@ -30,25 +30,21 @@ from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.errors import CalibrationError
 from ceilvo.types import Frame
 
-if TYPE_CHECKING:
-    from ceilvo.calib.cli import Commands
-
 STEP = "survey"
 _SIMULATED = 240
 
 
-def add(commands: Commands) -> None:
-    p = commands.add_parser(
+def add(commands: Subcommands) -> None:
+    p = add_step(
+        commands,
         STEP,
+        run,
         help="5. is the ceiling good enough? drive through the room once",
         description="Drive or push the robot once through all of the room; Ctrl-C ends it and gives the verdict.",
         epilog="example: calib survey --config /etc/ceilvo/config.yaml",
     )
-    session_options(p)
-    source_options(p)
     p.add_argument("--calibration", type=Path, metavar="FILE", help="default: the session's calibration.yaml")
     p.add_argument("--seconds", type=float, default=300.0, help="longest live drive (%(default)s)")
-    p.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -98,7 +94,7 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
                     continue
                 first_ns, last_ns = first_ns or picture.stamp_ns, picture.stamp_ns
                 estimate = pipeline.step(Frame(len(survey.path), picture.stamp_ns, picture.gray))
-                view = pipeline.view
+                view = pipeline.vision.view
                 ok = estimate.motion.ok or not survey.path
                 survey.add(picture.gray, estimate, view.crossings if view else None, ok)
                 progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.solve.grid import from_grid
 from ceilvo.calib.solve.station import Stand, errors_against_grid
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.daemon.slam.association import sigma
 
 Array = NDArray[np.float64]
@@ -45,8 +45,7 @@ def check(calibration: Calibration, stands: list[Stand]) -> Check:
         CalibrationError: fewer than six pictures show the grid, or it is not regular.
     """
     tile_m = calibration.tile_m or 0.6
-    b = calibration.camera_from_base.T
-    roll, pitch = float(np.arctan2(b[2, 1], b[2, 2])), float(-np.arcsin(np.clip(b[2, 0], -1, 1)))
+    _, roll, pitch = mount_angles(calibration.camera_from_base)
     now, _ = from_grid(calibration.camera, [s.views[0] for s in stands], tile_m, (roll, pitch))
     errors = errors_against_grid(calibration, stands, tile_m, now.height_m)
     sx, sy = sigma(calibration.noise, errors.r_m)

@@ -91,8 +91,8 @@ class Survey:
         cell.failed += int(not motion_ok)
         self.path.append(pose)
         self.light.append((1e-9 * estimate.stamp_ns, level))
-        if estimate.depletion.nis_dof > 0 and np.isfinite(estimate.depletion.nis):
-            self.nis.append((1e-9 * estimate.stamp_ns, estimate.depletion.nis))
+        if estimate.health.nis_dof > 0 and np.isfinite(estimate.health.nis):
+            self.nis.append((1e-9 * estimate.stamp_ns, estimate.health.nis))
         if crossings is not None and n:
             r = np.hypot(*(crossings.xy_base_m - self._calibration.mount_xy_m).T)
             self.densities.append(float(np.sum(r <= self._reach_m)) / self._seen_m2)

@@ -1,1 +1,1 @@
-"""A virtual bench to practise on, and what commissioning is worth on it."""
+"""A virtual bench to practise on: every step of commissioning without any hardware."""

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.calib.session.session import Session, plain
-from ceilvo.calib.solve.intrinsics import Intrinsics, camera_of
+from ceilvo.calib.session.session import Session
+from ceilvo.calib.solve.intrinsics import Intrinsics
+from ceilvo.calib.solve.lens import camera_of
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import read_calibration, write_calibration
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
+from ceilvo.json_values import json_value
 
 Array = NDArray[np.float64]
 
@@ -127,7 +129,7 @@ def assemble(session: Session) -> Calibration | None:
         camera_id=str(lens.get("camera_id", "")),
         created=date.today().isoformat(),
         tile_m=projection.get("tile_m"),
-        meta=plain({**meta, "session": "calib"}),
+        meta=json_value({**meta, "session": "calib"}),
     )
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.session.session import CALIBRATION, Session
@@ -18,19 +19,37 @@ from ceilvo.config import Camera as CameraConfig
 from ceilvo.config.reader import load_config
 from ceilvo.errors import CalibrationError
 
+Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
 DEFAULT_SESSION = Path("commissioning")
 FAILED = 1
 _ORDER = ("intrinsics", "projection", "mount", "sigma", "survey", "check", "report")
 
 
-def session_options(p: argparse.ArgumentParser) -> None:
+def add_step(
+    commands: Subcommands,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    *,
+    help: str,
+    description: str,
+    epilog: str,
+    pictures: bool = True,
+) -> argparse.ArgumentParser:
+    """A command with what all steps have: the session, force and, unless it reads results only, where pictures come
+    from."""
+    p = commands.add_parser(name, help=help, description=description, epilog=epilog)
+    p.set_defaults(run=run)
     p.add_argument(
         "--session", type=Path, default=DEFAULT_SESSION, metavar="DIR", help="where all of it is kept (%(default)s)"
     )
     p.add_argument("--force", action="store_true", help="do it again: replace the earlier result and keep it as .bak")
+    if pictures:
+        _source_options(p)
+    return p
 
 
-def source_options(p: argparse.ArgumentParser) -> None:
+def _source_options(p: argparse.ArgumentParser) -> None:
     group = p.add_argument_group("pictures from (one of)")
     group.add_argument("--config", type=Path, metavar="FILE", help="the camera of this config.yaml, live")
     group.add_argument("--device", metavar="DEV", help="this camera, live, for example /dev/video0")

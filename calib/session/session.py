@@ -19,10 +19,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ceilvo.errors import CalibrationError
 from ceilvo.files import write_atomic
+from ceilvo.json_values import json_value
 
 STEPS = ("intrinsics", "projection", "mount", "sigma", "survey", "check")
 CALIBRATION = "calibration.yaml"
@@ -88,7 +87,7 @@ class Session:
             self.folder.mkdir(parents=True, exist_ok=True)
             if path.exists():
                 write_atomic(path.with_name(path.name + ".bak"), path.read_bytes())
-            write_atomic(path, json.dumps(plain(result), indent=1, allow_nan=False) + "\n")
+            write_atomic(path, json.dumps(json_value(result), indent=1, allow_nan=False) + "\n")
         return path
 
     def write(self, name: str, data: bytes | str) -> Path:
@@ -118,7 +117,7 @@ class Session:
         except OSError as e:
             raise CalibrationError(f"{path}: cannot be read ({e.strerror})") from None
         records = list(_whole_lines(lines))
-        wanted = plain(subject)
+        wanted = json_value(subject)
         if records and records[0] == wanted:
             return records[1:]
         if len(records) > 1 and not self.force:
@@ -134,7 +133,7 @@ class Session:
 
     def add_sample(self, step: str, sample: Mapping[str, Any]) -> None:
         """Kept on disk before anything else happens to it."""
-        self._append(self._samples_file(step), plain(sample))
+        self._append(self._samples_file(step), json_value(sample))
 
     def samples_age_s(self, step: str) -> float:
         """Since the last sample; infinite when there is none."""
@@ -145,7 +144,7 @@ class Session:
 
     def log(self, name: str, record: Mapping[str, Any]) -> None:
         """A line more in a file of which nothing is ever taken away."""
-        self._append(self.folder / f"{name}.jsonl", plain(record))
+        self._append(self.folder / f"{name}.jsonl", json_value(record))
 
     def set_aside(self, step: str) -> None:
         """Keep the samples so far as .bak and start without."""
@@ -186,18 +185,3 @@ def _whole_lines(lines: list[str]) -> Iterator[dict[str, Any]]:
             continue
         if isinstance(value, dict):
             yield value
-
-
-def plain(value: Any) -> Any:
-    """A copy in JSON's types; numbers that are not finite become null."""
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value

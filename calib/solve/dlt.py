@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
-from ceilvo.calib.solve.intrinsics import camera_of
-from ceilvo.calib.solve.projection import Mounting, dlt, points_residual
+from ceilvo.calib.solve.lens import camera_of
+from ceilvo.calib.solve.projection import Mounting, points_residual
+from ceilvo.calibration import mount_angles
 from ceilvo.camera import CameraModel
 
 Array = NDArray[np.float64]
@@ -50,7 +51,58 @@ def _start(m: Array) -> Array:
     signs = np.diag(np.sign(np.diag(k)))
     k, rot = k @ signs / abs(k[2, 2]), signs @ rot
     position = -np.linalg.solve(m[:, :3], m[:, 3])
-    b = rot.T
-    pitch = -np.arcsin(np.clip(b[2, 0], -1.0, 1.0))
-    angles = (np.arctan2(b[2, 1], b[2, 2]), pitch, -position[2], np.arctan2(b[1, 0], b[0, 0]))
-    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *angles, *position[:2]])
+    yaw, roll, pitch = mount_angles(rot)
+    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], roll, pitch, -position[2], yaw, *position[:2]])
+
+
+def dlt(xyz_m: Array, uv_px: Array) -> Array:
+    """(3, 4) M from six or more points that are not in one plane, normalised DLT and Gauss-Newton on pixels.
+
+    Args:
+        xyz_m: (N, 3) in base, Z = 0 on the ceiling.
+        uv_px: (N, 2) undistorted pixels.
+
+    Returns:
+        M with a unit third row of its left block and positive depth. Check the layout first (calib.degeneracy).
+    """
+    t, x = _normalising(xyz_m)
+    u, p = _normalising(uv_px)
+    homogeneous = np.column_stack([x, np.ones(len(x))])
+    zero = np.zeros_like(homogeneous)
+    rows = np.concatenate(
+        [
+            np.column_stack([homogeneous, zero, -p[:, :1] * homogeneous]),
+            np.column_stack([zero, homogeneous, -p[:, 1:] * homogeneous]),
+        ]
+    )
+    m = np.linalg.svd(rows)[2][-1].reshape(3, 4)
+    m = _refined(np.linalg.inv(u) @ m @ t, xyz_m, uv_px)
+    m = m / np.linalg.norm(m[2, :3])
+    depth = np.column_stack([xyz_m, np.ones(len(xyz_m))]) @ m[2]
+    return np.asarray(m * (1.0 if np.median(depth) > 0 else -1.0))
+
+
+def _normalising(points: Array) -> tuple[Array, Array]:
+    """Homogeneous transform to zero mean and unit spread, and the transformed points."""
+    d = points.shape[1]
+    mean = points.mean(axis=0)
+    scale = np.sqrt(d) / max(float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1)))), 1e-300)
+    t = np.eye(d + 1)
+    t[:d, :d] *= scale
+    t[:d, d] = -scale * mean
+    return t, np.asarray((points - mean) * scale)
+
+
+def _refined(m: Array, xyz_m: Array, uv_px: Array) -> Array:
+    """Least squares on pixels in normalised units, the last entry's scale free (the step is a minimum-norm one)."""
+    t, x = _normalising(xyz_m)
+    u, p = _normalising(uv_px)
+    n = u @ m @ np.linalg.inv(t)
+    n = n / np.linalg.norm(n)
+
+    def residuals(_: int, q: Array, __: Array) -> Array:
+        s = np.column_stack([x, np.ones(len(x))]) @ q.reshape(3, 4).T
+        return np.asarray((s[:, :2] / s[:, 2:] - p).ravel())
+
+    fit = bundle.solve(residuals, n.ravel(), np.zeros((1, 0)))
+    return np.asarray(np.linalg.inv(u) @ fit.shared.reshape(3, 4) @ t)

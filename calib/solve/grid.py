@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.joint import refine
 from ceilvo.calib.solve.lattice import Lattice, Spacing, spacings, to_lattice
-from ceilvo.calib.solve.projection import HEIGHTS_M, Mounting, lens_of, with_lens_error
+from ceilvo.calib.solve.lens import lens_of, with_lens_error
+from ceilvo.calib.solve.projection import HEIGHTS_M, Mounting
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calibration import mount_rotation
 from ceilvo.camera import CameraModel

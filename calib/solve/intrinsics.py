@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
+from ceilvo.calib.solve.lens import camera_of
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -65,17 +65,6 @@ class Intrinsics:
     residual_px: Array
     uv_px: Array
     poses: Array
-
-
-def camera_of(model: str, p: Array, size: tuple[int, int]) -> CameraModel:
-    """The camera of a parameter vector fx, fy, cx, cy, distortion."""
-    kind: Literal["pinhole", "fisheye"] = "fisheye" if model == "fisheye" else "pinhole"
-    fx, fy, cx, cy = (float(v) for v in p[:4])
-    return CameraModel(kind, size[0], size[1], fx, fy, cx, cy, tuple(float(k) for k in p[4:]))
-
-
-def parameters_of(camera: CameraModel) -> Array:
-    return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
 
 
 def calibrate(shots: list[Shot], size: tuple[int, int], model: str, *, keep_all: bool = False) -> Intrinsics:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
-from ceilvo.calib.solve.projection import lens_of
+from ceilvo.calib.solve.lens import lens_of
 from ceilvo.camera import CameraModel
 
 Array = NDArray[np.float64]

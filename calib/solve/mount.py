@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.grid import GridSample, grid_residual, grid_residuals, grid_samples
-from ceilvo.calib.solve.projection import lens_of, with_lens_error
+from ceilvo.calib.solve.lens import lens_of, with_lens_error
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError

@@ -1,81 +1,23 @@
-"""The 3x4 matrix M of eq. 5 from point correspondences, and what a mounting is."""
+"""The pose of a known lens from point correspondences, and what a mounting is."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
-from ceilvo.calib.solve.intrinsics import camera_of, parameters_of
-from ceilvo.calibration import mount_rotation
+from ceilvo.calib.solve.joint import Joint
+from ceilvo.calib.solve.lens import lens_of, with_lens_error
+from ceilvo.calibration import mount_angles, mount_rotation
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
-
-if TYPE_CHECKING:
-    from ceilvo.calib.solve.joint import Joint
 
 Array = NDArray[np.float64]
 
 HEIGHTS_M = (0.3, 30.0)
-_MODEL_OF = {("fisheye", 4): "fisheye", ("pinhole", 8): "pinhole8", ("pinhole", 5): "pinhole"}
-
-
-def dlt(xyz_m: Array, uv_px: Array) -> Array:
-    """(3, 4) M from six or more points that are not in one plane, normalised DLT and Gauss-Newton on pixels.
-
-    Args:
-        xyz_m: (N, 3) in base, Z = 0 on the ceiling.
-        uv_px: (N, 2) undistorted pixels.
-
-    Returns:
-        M with a unit third row of its left block and positive depth. Check the layout first (calib.degeneracy).
-    """
-    t, x = _normalising(xyz_m)
-    u, p = _normalising(uv_px)
-    homogeneous = np.column_stack([x, np.ones(len(x))])
-    zero = np.zeros_like(homogeneous)
-    rows = np.concatenate(
-        [
-            np.column_stack([homogeneous, zero, -p[:, :1] * homogeneous]),
-            np.column_stack([zero, homogeneous, -p[:, 1:] * homogeneous]),
-        ]
-    )
-    m = np.linalg.svd(rows)[2][-1].reshape(3, 4)
-    m = _refined(np.linalg.inv(u) @ m @ t, xyz_m, uv_px)
-    m = m / np.linalg.norm(m[2, :3])
-    depth = np.column_stack([xyz_m, np.ones(len(xyz_m))]) @ m[2]
-    return np.asarray(m * (1.0 if np.median(depth) > 0 else -1.0))
-
-
-def _normalising(points: Array) -> tuple[Array, Array]:
-    """Homogeneous transform to zero mean and unit spread, and the transformed points."""
-    d = points.shape[1]
-    mean = points.mean(axis=0)
-    scale = np.sqrt(d) / max(float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1)))), 1e-300)
-    t = np.eye(d + 1)
-    t[:d, :d] *= scale
-    t[:d, d] = -scale * mean
-    return t, np.asarray((points - mean) * scale)
-
-
-def _refined(m: Array, xyz_m: Array, uv_px: Array) -> Array:
-    """Least squares on pixels in normalised units, the last entry's scale free (the step is a minimum-norm one)."""
-    t, x = _normalising(xyz_m)
-    u, p = _normalising(uv_px)
-    n = u @ m @ np.linalg.inv(t)
-    n = n / np.linalg.norm(n)
-
-    def residuals(_: int, q: Array, __: Array) -> Array:
-        s = np.column_stack([x, np.ones(len(x))]) @ q.reshape(3, 4).T
-        return np.asarray((s[:, :2] / s[:, 2:] - p).ravel())
-
-    fit = bundle.solve(residuals, n.ravel(), np.zeros((1, 0)))
-    return np.asarray(np.linalg.inv(u) @ fit.shared.reshape(3, 4) @ t)
 
 
 @dataclass(frozen=True)
@@ -162,33 +104,14 @@ def _point_starts(camera: CameraModel, xyz_m: Array, uv_px: Array) -> list[Array
         except cv2.error:
             continue
         for rvec, tvec in zip(rvecs, tvecs, strict=True):
-            rot = cv2.Rodrigues(rvec)[0]
+            rot = np.asarray(cv2.Rodrigues(rvec)[0], np.float64)
             position = -rot.T @ np.ravel(tvec)
-            b = rot.T
-            pitch = -np.arcsin(np.clip(b[2, 0], -1, 1))
-            out.append(
-                np.array(
-                    [np.arctan2(b[2, 1], b[2, 2]), pitch, -position[2], np.arctan2(b[1, 0], b[0, 0]), *position[:2]]
-                )
-            )
+            yaw, roll, pitch = mount_angles(rot)
+            out.append(np.array([roll, pitch, -position[2], yaw, *position[:2]]))
     return out
 
 
-def lens_of(camera: CameraModel) -> tuple[Callable[[Array], CameraModel], Array] | None:
-    """The camera as a function of its parameters, and those; None when its model is none of calib's."""
-    model = _MODEL_OF.get((camera.kind, len(camera.distortion)))
-    if model is None:
-        return None
-    size = (camera.width_px, camera.height_px)
-    return (lambda p: camera_of(model, p, size)), parameters_of(camera)
-
-
-def with_lens_error(cov: Array, response: Array, lens_cov: Array) -> Array:
-    """cov plus what the lens' own uncertainty (K, K) does to the parameters, which move by response (P, K)."""
-    return np.asarray(cov + response @ lens_cov @ response.T)
-
-
-def plausible(m: Mounting, size: tuple[int, int], limit_px: float = 1.0) -> list[str]:
+def plausible(m: Mounting, limit_px: float = 1.0) -> list[str]:
     """What keeps the mounting from a PASS, with what to do."""
     out = []
     tilt = float(np.degrees(np.hypot(m.roll_rad, m.pitch_rad)))

@@ -11,7 +11,7 @@ from ceilvo import se2
 from ceilvo.calib.solve.lattice import to_lattice
 from ceilvo.calib.solve.sigma import Errors
 from ceilvo.calib.targets.ceiling_view import GridView
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.vision.crossings import to_ceiling
 from ceilvo.errors import CalibrationError
@@ -95,8 +95,6 @@ def _one(calibration: Calibration, stand: Stand, share: float, tile_m: float) ->
     if n < 6:
         return None
     psi = np.mean([np.exp(4j * v.psi_rad) for v in stand.views])
-    b = calibration.camera_from_base.T
-    yaw = np.arctan2(b[1, 0], b[0, 0])
-    direction = float(np.angle(psi)) / 4.0 + float(yaw)
+    direction = float(np.angle(psi)) / 4.0 + mount_angles(calibration.camera_from_base)[0]
     turn = float(np.angle(np.exp(4j * (direction - fit[2])))) / 4.0
     return xy[good], off[good] * np.sqrt(2 * n / (2 * n - 3)), turn

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Base, Camera, Config, Recorder, Zenoh
 from ceilvo.config.serial_budget import wire_budget
+from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer, segment_problem
 from ceilvo.errors import ConfigError
-
-_FORBIDDEN_IN_SEGMENT = re.compile(r"[/*$#?\s]")
-_ENDPOINT = re.compile(r"[a-z][a-z0-9_+-]*/\S+")
-_LOOPBACK = re.compile(r"[a-z0-9_+-]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost)(:\d+)?([?#].*)?")
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,7 @@ def notes(config: Config) -> tuple[str, ...]:
             f"base.rate_hz: {base.rate_hz:g} is above camera.rate_hz {camera.rate_hz:g}; "
             "poses between frames repeat the last one with a greater age"
         )
-    open_ends = [e for e in zenoh.listen if not _LOOPBACK.fullmatch(e)]
+    open_ends = [e for e in zenoh.listen if not on_this_computer(e)]
     if zenoh.enabled and open_ends and not zenoh.config_file:
         out.append(
             f"zenoh.listen: {', '.join(open_ends)} may be reached from the network, by anybody and unencrypted; "
@@ -73,15 +69,8 @@ def notes(config: Config) -> tuple[str, ...]:
 
 def _names(config: Config) -> Iterator[Conflict]:
     for key, value in (("robot.name", config.robot.name), ("zenoh.prefix", config.zenoh.prefix)):
-        bad = _FORBIDDEN_IN_SEGMENT.search(value)
-        if value and not bad and not value.startswith("@"):
-            continue
-        why = "nothing" if not value else repr(value)
-        yield Conflict(
-            (key,),
-            f"found {why}, expected one segment of a Zenoh key: not empty, none of / * $ # ? or blanks, "
-            "no @ in front; try letters, digits, - and _",
-        )
+        if problem := segment_problem(value):
+            yield Conflict((key,), problem)
 
 
 def _camera(camera: Camera) -> Iterator[Conflict]:
@@ -170,16 +159,7 @@ def _base(base: Base) -> Iterator[Conflict]:
 def _zenoh(zenoh: Zenoh) -> Iterator[Conflict]:
     if not zenoh.enabled:
         return
-    for key, ends in (("zenoh.listen", zenoh.listen), ("zenoh.connect", zenoh.connect)):
-        for end in ends:
-            if not _ENDPOINT.fullmatch(end):
-                yield Conflict((key,), f"found {end!r}, expected protocol/address; for example tcp/192.168.0.2:7447")
-    if zenoh.mode == "client" and not (zenoh.connect or zenoh.multicast or zenoh.config_file):
-        yield Conflict(
-            ("zenoh.connect", "zenoh.mode", "zenoh.multicast"),
-            "found nothing, expected a router, which zenoh.mode: client needs when zenoh.multicast is off; "
-            "name its endpoint, for example tcp/192.168.0.2:7447",
-        )
+    yield from (Conflict(keys, problem) for keys, problem in endpoint_problems(zenoh))
 
 
 def _recorder(recorder: Recorder) -> Iterator[Conflict]:

@@ -18,7 +18,7 @@ from typing import Any, TypeGuard, get_args, get_type_hints
 
 import yaml
 
-from ceilvo.config import yaml_nodes
+from ceilvo import yaml_nodes
 from ceilvo.config.checks import conflicts, cross_check, notes
 from ceilvo.config.schema import SECTIONS, Config
 from ceilvo.errors import ConfigError

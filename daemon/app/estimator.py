@@ -10,19 +10,24 @@ from types import MappingProxyType
 import numpy as np
 
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
-from ceilvo.daemon.pipeline import Lap, Pipeline, View, no_lap
-from ceilvo.daemon.replay.inputs import Assumption, FrameInput, Input, KnownMap, Reset, Silence, apply
-from ceilvo.types import Array, Estimate, Frame, Landmarks, WheelMotion
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
+from ceilvo.daemon.vision.crossing_finder import OnStageDone, View, ignore
+from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 Clock = Callable[[], int]
 Wheels = Callable[[int, int], WheelMotion | None]
-Tap = Callable[[Input, Estimate | None, Pipeline], None]
-"""Told of every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
+InputListener = Callable[[Input, Estimate | None, Pipeline], None]
+"""Gets every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
+"""m, m, rad, added to a stored pose; chosen: a robot that is switched off may be nudged."""
 _SEARCH_SIGMA = np.array([0.3, 0.3, 0.1])
-_LAG_KEPT = 0.9
+"""m, m, rad, of a search that was asked for; chosen: half a tile, and far less than the 45 deg of another quarter."""
+_LAG_DECAY = 0.9
+"""Per frame, of the delay of frames; chosen: the slowest of the last ten or so counts."""
 _MAX_LAG_NS = 1_000_000_000
+"""A frame that came later than this is not typical; chosen: it has stood in a queue."""
 
 
 def no_wheels(stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
@@ -31,7 +36,7 @@ def no_wheels(stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class Display:
     """What pictures and maps are made from; nothing in it changes any more."""
 
     view: View | None
@@ -40,18 +45,20 @@ class Shown:
     landmarks: Landmarks
 
 
-def no_tap(given: Input, estimate: Estimate | None, pipeline: Pipeline) -> None:
+def no_listener(given: Input, estimate: Estimate | None, pipeline: Pipeline) -> None:
     """For runs that nobody records."""
 
 
 class Estimator:
     """Thread-safe. Frames come from one thread, commands and questions from any."""
 
-    def __init__(self, pipeline: Pipeline, clock: Clock, wheels: Wheels = no_wheels, tap: Tap = no_tap) -> None:
+    def __init__(
+        self, pipeline: Pipeline, clock: Clock, wheels: Wheels = no_wheels, listener: InputListener = no_listener
+    ) -> None:
         self._pipeline = pipeline
         self._clock = clock
         self._wheels = wheels
-        self._tap = tap
+        self._listener = listener
         self._lock = threading.Lock()
         self._last: Estimate | None = None
         self._late = 0
@@ -70,26 +77,26 @@ class Estimator:
         """The estimate at a frame, None when the frame is older than the last estimate."""
         start_ns = mark_ns = self._clock()
         age_ns = start_ns - frame.stamp_ns
-        laps: dict[str, float] = {"queue": 1e-6 * age_ns}
+        stage_times_ms: dict[str, float] = {"queue": 1e-6 * age_ns}
 
-        def lap(stage: str) -> None:
+        def on_stage_done(stage: str) -> None:
             nonlocal mark_ns
             now_ns = self._clock()
-            laps[stage] = 1e-6 * (now_ns - mark_ns)
+            stage_times_ms[stage] = 1e-6 * (now_ns - mark_ns)
             mark_ns = now_ns
 
         with self._lock:
-            self._lag_ns = min(max(age_ns, round(_LAG_KEPT * self._lag_ns)), _MAX_LAG_NS)
-            before_ns = self._pipeline.stamp_ns
+            self._lag_ns = min(max(age_ns, round(_LAG_DECAY * self._lag_ns)), _MAX_LAG_NS)
+            before_ns = self._pipeline.dead_reckoning.state.stamp_ns
             if before_ns is not None and frame.stamp_ns <= before_ns:
                 self._late += 1
                 return None
             wheels = None if before_ns is None else self._wheels(before_ns, frame.stamp_ns)
-            estimate = self._do(FrameInput(frame, wheels), lap)
+            estimate = self._do(FrameInput(frame, wheels), on_stage_done)
         if estimate is None:
             return None
-        laps["step"] = 1e-6 * (self._clock() - start_ns)
-        self._last = replace(estimate, latency_ms=MappingProxyType(laps))
+        stage_times_ms["step"] = 1e-6 * (self._clock() - start_ns)
+        self._last = replace(estimate, latency_ms=MappingProxyType(stage_times_ms))
         return self._last
 
     def silence(self, reason: str) -> Estimate | None:
@@ -99,29 +106,29 @@ class Estimator:
         than the interval between two calls would be late.
         """
         with self._lock:
-            before_ns = self._pipeline.stamp_ns
+            before_ns = self._pipeline.dead_reckoning.state.stamp_ns
             if before_ns is None:
                 return None
             now_ns = max(self._clock() - self._lag_ns, before_ns + 1)
             self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns)))
             return self._last
 
-    def start_from(self, stored_map: StoredMap, state: StoredState) -> None:
+    def load_map(self, stored_map: StoredMap, state: StoredState) -> None:
         """Begin on the map of an earlier run; its last pose is a hypothesis."""
         with self._lock:
             cov = state.cov + np.diag(_RESTART_SIGMA**2)
-            self._do(KnownMap(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov))
+            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov))
 
-    def assume(self, pose: Array, sigma: Array, why: str) -> None:
-        """Continue from a pose that somebody says, with standard deviations (3,)."""
+    def set_pose(self, pose: Pose, sigma: Array, why: str) -> None:
+        """Continue from a pose given from outside, (3,) map_from_base with standard deviations (3,)."""
         with self._lock:
-            self._do(Assumption(pose, np.diag(np.square(sigma)), why))
+            self._do(SetPose(pose, np.diag(np.square(sigma)), why))
 
-    def search(self) -> Array:
+    def relocalise(self) -> Array:
         """Spread the particles around the last pose and let landmarks confirm it; returns the (3,) sigma used."""
         with self._lock:
-            pose = np.zeros(3) if self._last is None else self._last.pose
-            self._do(Assumption(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for"))
+            pose = Pose(np.zeros(3)) if self._last is None else self._last.pose
+            self._do(SetPose(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for"))
         return _SEARCH_SIGMA
 
     def reset(self, keep_map: bool) -> None:
@@ -129,22 +136,22 @@ class Estimator:
         with self._lock:
             self._do(Reset(keep_map))
 
-    def _do(self, given: Input, lap: Lap = no_lap) -> Estimate | None:
+    def _do(self, given: Input, on_stage_done: OnStageDone = ignore) -> Estimate | None:
         """The one way to change the pipeline, so that a recording has all that a replay needs; under the lock."""
-        estimate = apply(self._pipeline, given, lap)
-        self._tap(given, estimate, self._pipeline)
+        estimate = apply(self._pipeline, given, on_stage_done)
+        self._listener(given, estimate, self._pipeline)
         return estimate
 
-    def shown(self) -> Shown:
+    def display(self) -> Display:
         with self._lock:
-            particles, weights = self._pipeline.particles()
-            return Shown(self._pipeline.view, particles, weights, self._pipeline.landmarks())
+            particles, weights = self._pipeline.filter.particles()
+            return Display(self._pipeline.vision.view, particles, weights, self._pipeline.filter.landmarks())
 
     def counters(self) -> Mapping[str, int]:
         """Of the filter, see particles.COUNTERS."""
         with self._lock:
-            return self._pipeline.counters()
+            return self._pipeline.filter.counters()
 
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:
-            return self._pipeline.landmarks(), self._pipeline.map_axis_rad
+            return self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad

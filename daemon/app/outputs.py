@@ -12,20 +12,21 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.pipeline import View
 from ceilvo.daemon.replay.overlay import draw_overlay
-from ceilvo.daemon.replay.recording import Tape
+from ceilvo.daemon.replay.recording import RecordingTap
+from ceilvo.daemon.vision.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
-from ceilvo.drivers.bus import messages as wire
-from ceilvo.drivers.bus.messages import ON_DEMAND, Topic
-from ceilvo.drivers.ports import Publisher
+from ceilvo.drivers.bus import messages
+from ceilvo.drivers.ports import ON_DEMAND, Publisher, Topic
 from ceilvo.errors import CeilvoError
 from ceilvo.types import Estimate, State
 
 log = logging.getLogger("ceilvo")
 
 _EVENTS = 20
+"""Latest events kept; chosen: the screen shows 3 of them."""
 _JPEG_QUALITY = 80
+"""Of 100, for pictures on the bus; chosen: as in recordings."""
 
 
 class Outputs:
@@ -39,38 +40,38 @@ class Outputs:
         base: BaseLink | None,
         bus: Publisher | None,
         clock: Callable[[], int],
-        tape: Tape | None = None,
+        recording: RecordingTap | None = None,
     ) -> None:
         self._robot, self._calibration, self._estimator = robot, calibration, estimator
-        self._base, self._bus, self._clock, self._tape = base, bus, clock, tape
-        self._told: State | None = None
+        self._base, self._bus, self._clock, self._recording = base, bus, clock, recording
+        self._reported: State | None = None
         self.events: deque[str] = deque(maxlen=_EVENTS)
 
     def publish(self, estimate: Estimate) -> None:
-        """To the base, then to Zenoh; neither blocks."""
+        """To the base, then to Zenoh and the recorder; none of them blocks."""
         if self._base is not None:
             self._base.submit(estimate)
         if self._bus is not None:
             now_ns = self._clock()
-            stamp = wire.Stamp(estimate.stamp_ns, time.time_ns() - (now_ns - estimate.stamp_ns))
-            self._bus.put(Topic.POSE, wire.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns))
-            self._bus.put(Topic.ODOM, wire.encode_odom(self._robot, estimate, stamp.unix_ns))
+            stamp = messages.Stamp(estimate.stamp_ns, time.time_ns() - (now_ns - estimate.stamp_ns))
+            self._bus.put(Topic.POSE, messages.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns))
+            self._bus.put(Topic.ODOM, messages.encode_odom(self._robot, estimate, stamp.unix_ns))
             self._offer(self._bus, estimate.seq, stamp)
-        if self._tape is not None:
-            self._tape.published(estimate)
-        if estimate.state is not self._told:
-            before = "start" if self._told is None else self._told.name
-            self._told = estimate.state
+        if self._recording is not None:
+            self._recording.published(estimate)
+        if estimate.state is not self._reported:
+            before = "start" if self._reported is None else self._reported.name
+            self._reported = estimate.state
             level = logging.INFO if estimate.state is State.TRACKING else logging.WARNING
             self.event("state", f"{before} -> {estimate.state.name}: {estimate.reason}", level)
 
-    def _offer(self, bus: Publisher, seq: int, stamp: wire.Stamp) -> None:
+    def _offer(self, bus: Publisher, seq: int, stamp: messages.Stamp) -> None:
         """What costs work to make, only while somebody subscribes."""
         if not any(bus.wanted(topic) for topic in ON_DEMAND):
             return
-        shown, robot = self._estimator.shown(), self._robot
-        bus.offer(Topic.LANDMARKS, lambda: wire.encode_landmarks(robot, stamp, shown.landmarks))
-        bus.offer(Topic.PARTICLES, lambda: wire.encode_particles(robot, seq, stamp, shown.particles, shown.weights))
+        shown, robot = self._estimator.display(), self._robot
+        bus.offer(Topic.LANDMARKS, lambda: messages.encode_landmarks(robot, stamp, shown.landmarks))
+        bus.offer(Topic.PARTICLES, lambda: messages.encode_particles(robot, seq, stamp, shown.particles, shown.weights))
         view = shown.view
         if view is not None:
             bus.offer(Topic.IMAGE, lambda: self._jpeg(view))
@@ -86,17 +87,17 @@ class Outputs:
         """Something that happened once: in the log, on the screen and on Zenoh."""
         log.log(level, "%s", text)
         self.events.append(text)
-        if self._tape is not None:
-            self._tape.event(level, name, text)
+        if self._recording is not None:
+            self._recording.event(level, name, text)
         if self._bus is not None:
-            stamp = wire.Stamp(self._clock(), time.time_ns())
+            stamp = messages.Stamp(self._clock(), time.time_ns())
             severity = logging.getLevelName(level).lower()
-            self._bus.put(Topic.EVENT, wire.encode_event(self._robot, stamp, name, severity, text))
+            self._bus.put(Topic.EVENT, messages.encode_event(self._robot, stamp, name, severity, text))
 
     def health(self, state: State, uptime_s: float, counters: Mapping[str, object]) -> None:
-        stamp = wire.Stamp(self._clock(), time.time_ns())
-        payload = wire.encode_health(self._robot, stamp, uptime_s, state, counters)
+        stamp = messages.Stamp(self._clock(), time.time_ns())
+        payload = messages.encode_health(self._robot, stamp, uptime_s, state, counters)
         if self._bus is not None:
             self._bus.put(Topic.HEALTH, payload)
-        if self._tape is not None:
-            self._tape.health(payload, counters)
+        if self._recording is not None:
+            self._recording.health(payload, counters)

@@ -1,4 +1,4 @@
-"""The process: stages joined to drivers, threads, signals, and the way it ends.
+"""The process: stages joined to drivers, threads, signals, and its end.
 
     capture thread -> estimator thread -> base (its own thread), Zenoh (does not block)
     main thread: screen, health, saving, systemd, end
@@ -11,15 +11,13 @@ from __future__ import annotations
 import json
 import logging
 import queue
-import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import cv2
@@ -28,14 +26,15 @@ import numpy as np
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
-from ceilvo.daemon.app.estimator import Estimator, no_tap, no_wheels
+from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
 from ceilvo.daemon.app.screen import Screen
-from ceilvo.daemon.app.telemetry import Report, Truth
+from ceilvo.daemon.app.signals import stop_on_signals, watch_threads
+from ceilvo.daemon.app.telemetry import Telemetry, Truth
 from ceilvo.daemon.map.store import Store
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.recording import TapedBase, tape_of
+from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
@@ -53,10 +52,15 @@ from ceilvo.types import State
 log = logging.getLogger("ceilvo")
 
 _TICK_S = 0.05
+"""Period of the main thread; chosen: a change of state is in systemd's status this soon (docs/faults.md)."""
 _SILENT_FRAMES = 3.0
-_COAST_PERIOD_S = 0.1
+"""Frame intervals without a frame that make a slow camera silent; chosen: two frames lost in a row are not news."""
+_SILENT_PERIOD_S = 0.1
+"""Between estimates of a silent camera; chosen: often enough to be seen."""
 _STOP_S = 1.0
+"""Patience with each thread at the end; chosen: SIGTERM to exit within 2 s, with the recorder's part."""
 _TRIM_NS = 60 * 10**9
+"""Between returns of free memory to the system; chosen: so seldom it costs nothing."""
 _SILENT = "the camera gives no frames"
 
 
@@ -68,7 +72,7 @@ class Plan:
         camera: not opened.
         truth: map_from_base (3,) at a stamp, where a simulator knows it.
         room_m: x_min, y_min, x_max, y_max for the screen's plot.
-        seconds: end this long after the first frame; None = run until told to stop.
+        seconds: end this long after the first frame; None = run until stopped.
         summary_file: where to write the run's figures as JSON.
         screen: draw the live screen.
         record: write a recording to this file.
@@ -96,21 +100,23 @@ class Daemon:
         self._first_frame_ns: int | None = None
         self._camera_reason = "camera not opened yet"
         self._store = Store.choose(config.service.state_dir)
-        self._tape = tape_of(config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop)
+        self._recording = recording_of(
+            config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
+        )
         self._base = BaseLink(config.base, self._port(), clock, self._crash) if config.base.enabled else None
         self._estimator = Estimator(
             Pipeline(plan.calibration, config, np.random.default_rng(config.service.seed)),
             clock,
             self._base.wheels.between if self._base is not None and config.base.use_wheels else no_wheels,
-            no_tap if self._tape is None else self._tape.input,
+            no_listener if self._recording is None else self._recording.input,
         )
         answers = handlers(config, plan.calibration, self._estimator, self._store, self._save)
         self._bus = ZenohBus(config.zenoh, config.robot.name, answers) if config.zenoh.enabled else None
         self._outputs = Outputs(
-            config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock, self._tape
+            config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock, self._recording
         )
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
-        self._report = Report(
+        self._telemetry = Telemetry(
             self._estimator,
             self._capture,
             self._base,
@@ -136,14 +142,14 @@ class Daemon:
         """
         stored = self._store.load()
         if stored is not None:
-            self._estimator.start_from(*stored)
+            self._estimator.load_map(*stored)
             self._outputs.event("map", "stored map loaded; its last pose is a hypothesis until landmarks confirm it")
         with ExitStack() as ending:
             ending.enter_context(stop_on_signals(self._stop))
-            ending.enter_context(hear_of_dead_threads(self._crash))
-            if self._tape is not None:
-                ending.callback(lambda tape: tape.stop(crashed=not self._crashes.empty()), self._tape)
-                self._tape.start()
+            ending.enter_context(watch_threads(self._crash))
+            if self._recording is not None:
+                ending.callback(lambda recording: recording.stop(crashed=not self._crashes.empty()), self._recording)
+                self._recording.start()
             if self._bus is not None:
                 ending.callback(self._bus.close)
                 self._bus.open()
@@ -155,7 +161,7 @@ class Daemon:
             self._notifier.ready("waiting for the camera")
             with Screen() if self._plan.screen else nullcontext() as screen:
                 self._supervise(screen)
-            summary = self._report.summary()
+            summary = self._telemetry.summary()
         summary |= self._recorder_counters()
         if not self._crashes.empty():
             raise self._crashes.get()
@@ -168,20 +174,20 @@ class Daemon:
     # -- main thread
 
     def _supervise(self, screen: Screen | None) -> None:
-        """Everything slow and periodic, until somebody says stop."""
+        """Everything slow and periodic, until the end is asked for."""
         health = save = self._clock()
         trim = health + _TRIM_NS
-        told: State | None = None
+        reported: State | None = None
         while not self._stop.wait(_TICK_S):
             now, last = self._clock(), self._estimator.last
             if not self._crashes.empty() or self._is_over(now):
                 break
-            if last is not None and last.state is not told:
-                told = last.state
-                self._tell_status(told)
+            if last is not None and last.state is not reported:
+                reported = last.state
+                self._report_status(reported)
             if now >= health:
                 health = now + int(1e9 * self._config.zenoh.health_period_s)
-                self._tell_health()
+                self._report_health()
             if now >= save:
                 save = now + int(1e9 * self._config.service.state_period_s)
                 self._save()
@@ -191,7 +197,7 @@ class Daemon:
             if screen is not None:
                 title = f"ceilvo {self._config.robot.name}"
                 events, room = self.events, self._plan.room_m
-                screen.update(lambda: self._report.snapshot(title, self._camera_reason, room, events))  # noqa: B023
+                screen.update(lambda: self._telemetry.snapshot(title, self._camera_reason, room, events))  # noqa: B023
 
     def _is_over(self, now_ns: int) -> bool:
         if self._capture.finished and not self._thread.is_alive():
@@ -200,14 +206,14 @@ class Daemon:
         return seconds is not None and first is not None and now_ns - first >= int(1e9 * seconds)
 
     def _end(self) -> None:
-        """Stop, flush, persist; the base hears of it in a last telegram."""
+        """Stop, flush, persist; a last telegram reports it to the base."""
         self._notifier.stopping("stopping")
         self._stop.set()
         self._capture.stop(_STOP_S)
         if self._thread.ident is not None:
             self._thread.join(_STOP_S)
         self._save()
-        self._tell_health(State.STOPPED)
+        self._report_health(State.STOPPED)
         if self._base is not None:
             self._base.stop()
 
@@ -215,22 +221,24 @@ class Daemon:
         last = self._estimator.last
         return last is not None and self._store.save(*self._estimator.map(), last)
 
-    def _tell_health(self, state: State | None = None) -> None:
+    def _report_health(self, state: State | None = None) -> None:
         if state is None:
             last = self._estimator.last
             state = State.INIT if last is None else last.state
-        self._tell_status(state)
-        self._outputs.health(state, self._report.uptime_s, {**self._report.counters(), **self._recorder_counters()})
+        self._report_status(state)
+        self._outputs.health(
+            state, self._telemetry.uptime_s, {**self._telemetry.counters(), **self._recorder_counters()}
+        )
 
-    def _tell_status(self, state: State) -> None:
-        self._notifier.status(self._report.status_line(state, self._camera_reason))
+    def _report_status(self, state: State) -> None:
+        self._notifier.status(self._telemetry.status_line(state, self._camera_reason))
 
     def _recorder_counters(self) -> dict[str, object]:
-        return {} if self._tape is None else {"recorder": asdict(self._tape.counters())}
+        return {} if self._recording is None else {"recorder": asdict(self._recording.counters())}
 
     def _port(self) -> Base:
         port = ModbusBase(self._config.base)
-        return port if self._tape is None else TapedBase(port, self._tape)
+        return port if self._recording is None else RecordedBase(port, self._recording)
 
     # -- other threads
 
@@ -255,12 +263,12 @@ class Daemon:
 
     def _estimate(self) -> None:
         try:
-            while not self._stop.is_set() and self._one():
+            while not self._stop.is_set() and self._step():
                 self._notifier.watchdog()
         except Exception as e:
             self._crash(e)
 
-    def _one(self) -> bool:
+    def _step(self) -> bool:
         """One frame, or one look at a camera that is silent; False at the end of a recording."""
         frame = self._capture.take(self._patience_s())
         if frame is None:
@@ -278,14 +286,14 @@ class Daemon:
         estimate = self._estimator.frame(frame)
         if estimate is not None:
             self._outputs.publish(estimate)
-            self._report.count(estimate)
+            self._telemetry.count(estimate)
         return True
 
     def _patience_s(self) -> float:
         """How long a frame may be late before that is news; once it is, the news is repeated often."""
         last, info = self._estimator.last, self._capture.info
         if last is not None and last.motion.failure == self._camera_reason:
-            return _COAST_PERIOD_S
+            return _SILENT_PERIOD_S
         rate_hz = info.rate_hz if info is not None and info.rate_hz > 0 else self._config.camera.rate_hz
         return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES / rate_hz)
 
@@ -319,37 +327,3 @@ def run(plan: Plan) -> int:
     if plan.seconds is not None or plan.summary_file is not None or plan.record is not None:
         sys.stdout.write(format_summary(summary))
     return 0
-
-
-@contextmanager
-def hear_of_dead_threads(crash: Callable[[BaseException], None]) -> Iterator[None]:
-    """Whatever thread dies of an exception, a library's too, is a crash of the process."""
-    before = threading.excepthook
-
-    def tell(args: threading.ExceptHookArgs) -> None:
-        if args.exc_value is not None:
-            crash(args.exc_value)
-
-    threading.excepthook = tell
-    try:
-        yield
-    finally:
-        threading.excepthook = before
-
-
-@contextmanager
-def stop_on_signals(stop: threading.Event) -> Iterator[None]:
-    """SIGTERM and SIGINT set the event; only in the main thread, where Python allows it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        stop.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -13,6 +13,7 @@ from ceilvo.daemon.map.store import Store
 from ceilvo.drivers.bus import commands
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.errors import CeilvoError
+from ceilvo.types import Pose
 
 
 def handlers(
@@ -22,13 +23,13 @@ def handlers(
 
     def initial_pose(c: commands.InitialPose) -> Result:
         sigma = np.array([c.sigma_m, c.sigma_m, c.sigma_theta_rad])
-        estimator.assume(np.array([c.x_m, c.y_m, c.theta_rad]), sigma, "initial pose given")
+        estimator.set_pose(Pose(np.array([c.x_m, c.y_m, c.theta_rad])), sigma, "initial pose given")
         return {"did": "pose taken as a hypothesis; TRACKING once landmarks confirm it"}
 
     def relocalise(c: commands.Relocalise) -> Result:
         if not len(estimator.map()[0]):
             raise CeilvoError("no map to find the pose in: drive first, or restore map.json and restart")
-        sigma = estimator.search()
+        sigma = estimator.relocalise()
         reach = f"{sigma[0]:.1f} m and {np.degrees(sigma[2]):.0f} deg (1 sigma)"
         return {"did": f"searching within {reach} of the last pose"}
 

@@ -23,12 +23,25 @@ from ceilvo.types import State
 Array = NDArray[np.float64]
 
 REDRAW_S = 0.25
+"""Between pictures; chosen: figures that change faster cannot be read."""
 PLAIN_PERIOD_S = 5.0
+"""Between lines where there is no terminal; chosen: for logs."""
 WIDTH, HEIGHT = 80, 23
+"""Characters: the smallest usual terminal, 80x24, without its last line."""
 _LEFT, _LABEL, _RIGHT = 44, 11, 34
+"""Characters of the figures, of their labels, and of the plot: WIDTH - 1 with a space between."""
 _PLOT_ROWS = 17
+"""Lines of the plot: HEIGHT without headline, rule, events and the last line."""
 _EVENTS = 3
+"""Latest events shown."""
 _CELL_ASPECT = 2.0
+"""Height of a character over its width, as usual fonts have it."""
+_TITLE = 26
+"""Characters of the title at most; chosen: leaves half of the line to the reason."""
+_EXTENT_MARGIN_M = 0.2
+"""Around all that is plotted; chosen: nothing stands on the frame."""
+_LEAST_M_PER_COLUMN = 1e-6
+"""Of the plot, where everything is in one place."""
 _STYLE = {
     State.INIT: "bold cyan",
     State.TRACKING: "bold green",
@@ -79,7 +92,8 @@ class Snapshot:
     drops: int = 0
     latency_ms: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
     ess_ratio: float = 1.0
-    unique_ancestors: int = 0
+    unique_ancestors: int | None = None
+    mode_weight: float = 1.0
     particles: int = 0
     nis: float = 0.0
     landmarks: int = 0
@@ -194,10 +208,17 @@ def _ascii(text: str) -> str:
 def _headline(s: Snapshot) -> Text:
     minutes, seconds = divmod(int(s.uptime_s), 60)
     clock = f"{minutes // 60:d}:{minutes % 60:02d}:{seconds:02d}"
-    line = Text(f"{_clip(s.title, 26)}  ")
+    line = Text(f"{_clip(s.title, _TITLE)}  ")
     line.append(f"{s.state.name:<14}", style=_STYLE[s.state])
     room = WIDTH - 1 - line.cell_len - len(clock) - 1
     return line.append(f"{_clip(s.reason, room):<{room}} {clock}")
+
+
+def _belief(s: Snapshot) -> str:
+    """Ancestors where particles have them, else how much of the belief is in this place."""
+    if s.unique_ancestors is not None:
+        return f"{s.unique_ancestors} of {s.particles} kept"
+    return f"{100 * s.mode_weight:.0f} % in one place"
 
 
 def _figures(s: Snapshot, unicode: bool) -> list[Text]:
@@ -211,7 +232,7 @@ def _figures(s: Snapshot, unicode: bool) -> list[Text]:
         _row("quality", f"{s.quality:9.2f}"),
         _row("camera", f"{s.fps:6.1f} fps, {s.drops} dropped"),
         _row("vision", f"{s.crossings:6d} crossings, {s.inliers} inliers"),
-        _row("filter", f"{100 * s.ess_ratio:6.0f} % ESS, {s.unique_ancestors} of {s.particles} kept"),
+        _row("filter", f"{100 * s.ess_ratio:6.0f} % ESS, {_belief(s)}"),
         _row("map", f"{s.landmarks:6d} landmarks, NIS {s.nis:.2f}"),
         _row("base", _base(s.base)),
         _row("zenoh", "   off" if s.zenoh_samples is None else f"{s.zenoh_samples:6d} samples"),
@@ -279,7 +300,7 @@ def plot(s: Snapshot, width: int, rows: int, signs: Mapping[str, str] = _UNICODE
 def _view(s: Snapshot, columns: int, rows: int) -> Callable[[float, float], tuple[int, int]]:
     """Map metres to a character cell with the same scale along x and y (a cell is twice as high as wide)."""
     x0, y0, x1, y1 = s.room_m if s.room_m is not None else _extent(s)
-    scale = max((x1 - x0) / columns, (y1 - y0) / (rows * _CELL_ASPECT), 1e-6)  # metres a column
+    scale = max((x1 - x0) / columns, (y1 - y0) / (rows * _CELL_ASPECT), _LEAST_M_PER_COLUMN)  # metres a column
     cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
 
     def cell(x: float, y: float) -> tuple[int, int]:
@@ -300,5 +321,5 @@ def _extent(s: Snapshot) -> tuple[float, float, float, float]:
     points = points[np.all(np.isfinite(points), axis=1)]
     if not len(points):
         return -1.0, -1.0, 1.0, 1.0
-    low, high = np.floor(points.min(axis=0) - 0.2), np.ceil(points.max(axis=0) + 0.2)
+    low, high = np.floor(points.min(axis=0) - _EXTENT_MARGIN_M), np.ceil(points.max(axis=0) + _EXTENT_MARGIN_M)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])

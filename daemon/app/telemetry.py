@@ -21,11 +21,15 @@ from ceilvo.daemon.slam.pose_filter import chi_square_bounds
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.camera.capture import CaptureLoop
 from ceilvo.drivers.ports import Publisher
-from ceilvo.types import Array, Depletion, Estimate, State
+from ceilvo.json_values import json_value
+from ceilvo.types import Array, Estimate, FilterHealth, State
 
 _PATH_POINTS = 400
+"""Of the path on the screen; chosen: 20 m of it."""
 _PATH_STEP_M = 0.05
+"""Between them; chosen: a character of the plot is more."""
 _MOVING_MPS, _MOVING_RADPS = 0.02, 0.05
+"""A slower robot stands; chosen: above the noise of a standing robot's twist, below any drive."""
 
 Truth = Callable[[int], Array]
 
@@ -36,7 +40,7 @@ def _moving(estimate: Estimate) -> bool:
     return bool(np.hypot(vx, vy) > _MOVING_MPS or abs(omega) > _MOVING_RADPS)
 
 
-class Report:
+class Telemetry:
     """Reads everybody's counters; owns the statistics. Thread-safe."""
 
     def __init__(
@@ -73,7 +77,7 @@ class Report:
             if estimate.state in UNUSABLE:
                 self._staleness.reset()
             elif estimate.motion.ok and _moving(estimate):
-                self._staleness.add(estimate.stamp_ns, estimate.depletion.nis, estimate.depletion.nis_dof)
+                self._staleness.add(estimate.stamp_ns, estimate.health.nis, estimate.health.nis_dof)
         if not self._path or np.hypot(*(estimate.pose - self._path[-1])[:2]) > _PATH_STEP_M:
             self._path.append(estimate.pose)
 
@@ -98,10 +102,10 @@ class Report:
             "store_error": "" if self._store is None else self._store.error,
             "calibration_stale": stale.stale,
             "calibration_stale_reason": stale.reason,
-            "calibration_mean_nis": stale.mean_nis if np.isfinite(stale.mean_nis) else None,
+            "calibration_mean_nis": json_value(stale.mean_nis),
             "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
         }
-        out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.depletion))
+        out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.health))
         if self._base is not None:
             link = self._base.snapshot()
             out |= {
@@ -154,7 +158,7 @@ class Report:
         return shown if last is None else self._with_estimate(shown, last)
 
     def _with_estimate(self, shown: Snapshot, last: Estimate) -> Snapshot:
-        d = last.depletion
+        d = last.health
         return replace(
             shown,
             state=last.state,
@@ -165,6 +169,7 @@ class Report:
             truth=None if self._truth is None else self._truth(last.stamp_ns),
             ess_ratio=d.ess / max(d.particles, 1),
             unique_ancestors=d.unique_ancestors,
+            mode_weight=d.mode_weight,
             particles=d.particles,
             nis=d.nis,
             crossings=last.crossings,
@@ -183,15 +188,15 @@ class Report:
             )
 
 
-def _health(d: Depletion) -> dict[str, float | None]:
-    """Depletion and consistency of the last estimate; NIS is of chance between its bounds."""
+def _health(d: FilterHealth) -> dict[str, float | None]:
+    """FilterHealth and consistency of the last estimate; NIS is of chance between its bounds."""
     low, high = chi_square_bounds(d.nis_dof)
     known = d.nis_dof > 0
     return {
         "particles": d.particles,
         "ess": d.ess,
         "unique_ancestors": d.unique_ancestors,
-        "fit_residual": d.fit_residual if np.isfinite(d.fit_residual) else None,
+        "fit_residual": json_value(d.fit_residual),
         "nis": d.nis if known else None,
         "nis_low": low if known else None,
         "nis_high": high if known else None,

@@ -6,7 +6,7 @@ import sys
 import threading
 
 from ceilvo.config import Zenoh
-from ceilvo.daemon.app.process import stop_on_signals
+from ceilvo.daemon.app.signals import stop_on_signals
 from ceilvo.drivers.bus.watch import WatchOptions, watch
 
 

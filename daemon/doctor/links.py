@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ceilvo.config import Config
+from ceilvo.config.zenoh_names import endpoint_address
 from ceilvo.daemon.doctor.findings import Finding, Patient, fine, note, wrong
 from ceilvo.drivers.base.modbus import ModbusBase
-from ceilvo.drivers.bus.zenoh_session import endpoint_address, session_config
+from ceilvo.drivers.bus.zenoh_session import session_config
 from ceilvo.errors import BaseLinkError, BusError
 
 _CONNECT_S = 1.0

@@ -12,18 +12,25 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from ceilvo.daemon.integrity.states import LEAVE_RATIO
+
 WINDOW_S = 60.0
+"""The mean is taken over this time of driving; chosen: innovations are correlated over seconds."""
 HOLD_S = 20.0
+"""The mean must be above the bound for so long; chosen: a bad lens is noticed after some 30 s (docs/calibration.md)."""
 STRETCH_S = 15.0
+"""Part of the survey's drive whose mean NIS is the expected one; chosen: a robot may stay where it was worst."""
 HIGH = 1.6
-"""Times the expected NIS."""
+"""Bound over the expected NIS; chosen: 1600 h resampled had 1.12 at most (`make bench-calib`, docs/calibration.md)."""
 UNMEASURED_NIS = 4.0
 """Expected where no survey has measured it: as the worst rigs of docs/calibration.md have, so only much is noticed."""
-LEAVE_RATIO = 0.8
 CAP = 4.0
+"""Over the expected NIS, what one update counts at most; chosen: a wrong association must not decide."""
 MIN_UPDATES = 60
-_LEAST_NIS = 0.1
-_NS = 1e-9
+"""Fewest updates that a mean is taken of; chosen: with 2 degrees of freedom each it is known to 0.13."""
+_LEAST_EXPECTED = 0.1
+"""Least expected NIS, whatever a survey had; chosen: a map can explain its own noise."""
+_NS = 1e-9  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +87,7 @@ class StalenessMonitor:
     def __init__(
         self, expected: float | None = None, high: float = HIGH, window_s: float = WINDOW_S, hold_s: float = HOLD_S
     ) -> None:
-        self._expected = UNMEASURED_NIS if expected is None else max(expected, _LEAST_NIS)
+        self._expected = UNMEASURED_NIS if expected is None else max(expected, _LEAST_EXPECTED)
         self._high, self._window_ns, self._hold_ns = high, round(window_s / _NS), round(hold_s / _NS)
         self.state = StalenessState()
 

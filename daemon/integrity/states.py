@@ -13,16 +13,20 @@ from ceilvo.config import States
 from ceilvo.types import State
 
 LEAVE_RATIO = 0.8
-"""A condition entered beyond a threshold is left only within this share of it."""
+"""A condition entered beyond a threshold is left only within this fraction of it; chosen (docs/states.md)."""
 ESS_REFERENCE = 0.1
-"""Effective sample sizes below this share of the particles lower the quality (by a fifth at most)."""
+"""Effective sample sizes below this fraction of the particles lower the quality; chosen (docs/states.md)."""
+_ESS_WEIGHT = 0.2
+"""By this at most; chosen: sigma and NIS matter more."""
+_NIS_CAP = 2.0
+"""Times nis_lost, what one update counts in the mean NIS at most; chosen: the mean comes back from a wild one."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
 """States in which the pose must not be used; their quality is 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one frame says about the pose.
+    """What one frame shows of the pose.
 
     Attributes:
         stamp_ns: the frame's.
@@ -117,13 +121,13 @@ class StateMachine:
     def reset(self, reason: str) -> None:
         """Back to INIT (a pose was set from outside, or the map was dropped); the next step reports the change."""
         self._enter(State.INIT, "reset", reason)
-        self._forget()
+        self._drop_evidence()
 
     def step(self, evidence: Evidence) -> Verdict:
         s = self.state
-        self._weigh(evidence)
+        self._update(evidence)
         if evidence.relocalising:
-            self._forget()
+            self._drop_evidence()
         state, cause, reason = self._decide(evidence)
         if state is not s.current or cause not in ("", s.cause):
             self._enter(state, cause, reason)
@@ -134,7 +138,7 @@ class StateMachine:
     def _enter(self, state: State, cause: str, reason: str) -> None:
         self.state.current, self.state.cause, self.state.reason = state, cause, reason
 
-    def _forget(self) -> None:
+    def _drop_evidence(self) -> None:
         """Innovations and good frames of a pose that is no longer believed say nothing about the next one."""
         s = self.state
         s.nis_high, s.nis_lost = Votes(), Votes()
@@ -143,7 +147,7 @@ class StateMachine:
         s.good_frames = 0
         s.confirmed = False
 
-    def _weigh(self, e: Evidence) -> None:
+    def _update(self, e: Evidence) -> None:
         """Update the conditions that hold, the counts and the smoothed scores with this frame."""
         cfg, s = self._cfg, self.state
         elapsed_s = 0.0 if s.stamp_ns is None else max(e.stamp_ns - s.stamp_ns, 0) / 1e9
@@ -151,17 +155,17 @@ class StateMachine:
         if e.motion_ok or s.vision_ns is None:
             s.vision_ns = e.stamp_ns
         s.vision_frames = s.vision_frames + 1 if e.motion_ok else 0
-        if e.motion_ok:  # without a motion the count says nothing that the failure does not say better
+        if e.motion_ok:  # without a motion the failure is the better reason
             n = cfg.degraded_inliers
             text = f"{e.inliers} inliers of {e.crossings} crossings, fewer than {n}"
-            self._hold("inliers", e.inliers < n, e.inliers * LEAVE_RATIO >= n, text)
-        self._hold_below("sigma", e.position_sigma_m, cfg.degraded_sigma_m, "position sigma {:.3f} m, above {:g} m")
+            self._set("inliers", e.inliers < n, e.inliers * LEAVE_RATIO >= n, text)
+        self._set_above("sigma", e.position_sigma_m, cfg.degraded_sigma_m, "position sigma {:.3f} m, above {:g} m")
         heading_deg = math.degrees(e.heading_sigma_rad)
-        self._hold_below("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
-        self._hold_below("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
+        self._set_above("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
+        self._set_above("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
         text = f"{e.unconfirmed}, not confirmed by landmarks yet"
-        self._hold("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
-        self._weigh_nis(e)
+        self._set("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
+        self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
         s.confirmed |= not e.relocalising and e.landmarks_matched > 0
@@ -169,22 +173,22 @@ class StateMachine:
         now = _score(cfg.degraded_inliers, e.inliers) if e.motion_ok else 0.0
         s.vision_score = max(now, s.vision_score * hold)
 
-    def _weigh_nis(self, e: Evidence) -> None:
+    def _update_nis(self, e: Evidence) -> None:
         cfg, s = self._cfg, self.state
         if e.nis_dof > 0:
             nis = e.nis if math.isfinite(e.nis) else math.inf
             s.nis_high.add(nis > cfg.nis_high, nis < LEAVE_RATIO * cfg.nis_high, cfg.nis_frames)
             s.nis_lost.add(nis > cfg.nis_lost, nis < LEAVE_RATIO * cfg.nis_lost, cfg.nis_frames)
-            s.nis_mean += (min(nis, 2.0 * cfg.nis_lost) - s.nis_mean) / cfg.nis_frames
+            s.nis_mean += (min(nis, _NIS_CAP * cfg.nis_lost) - s.nis_mean) / cfg.nis_frames
         text = f"NIS per degree of freedom {e.nis:.1f}, above {{:g}} for {cfg.nis_frames} updates"
         for name, votes, limit in (("nis", s.nis_high, cfg.nis_high), ("lost_nis", s.nis_lost, cfg.nis_lost)):
-            self._hold(name, votes.holds, not votes.holds, text.format(limit))
+            self._set(name, votes.holds, not votes.holds, text.format(limit))
 
-    def _hold_below(self, name: str, value: float, limit: float, text: str) -> None:
+    def _set_above(self, name: str, value: float, limit: float, text: str) -> None:
         """A condition entered above the limit; a value that is not a number is above it."""
-        self._hold(name, not value <= limit, value < LEAVE_RATIO * limit, text.format(value, limit))
+        self._set(name, not value <= limit, value < LEAVE_RATIO * limit, text.format(value, limit))
 
-    def _hold(self, name: str, enter: bool, leave: bool, text: str) -> None:
+    def _set(self, name: str, enter: bool, leave: bool, text: str) -> None:
         if enter:
             self.state.conditions.setdefault(name, text)
         elif leave:
@@ -241,8 +245,13 @@ class StateMachine:
         sigma = _score(e.position_sigma_m, cfg.degraded_sigma_m)
         heading = _score(math.degrees(e.heading_sigma_rad), cfg.degraded_heading_deg)
         nis = _score(self.state.nis_mean, cfg.nis_high)
-        ess = 0.8 + 0.2 * min(max(e.ess_ratio, 0.0) / ESS_REFERENCE, 1.0) if math.isfinite(e.ess_ratio) else 0.8
+        ess = 1.0 - _ESS_WEIGHT + _ESS_WEIGHT * _ess_score(e.ess_ratio)
         return sigma * heading * nis * self.state.vision_score * ess
+
+
+def _ess_score(ratio: float) -> float:
+    """In [0, 1], 0 for what is not finite."""
+    return min(max(ratio, 0.0) / ESS_REFERENCE, 1.0) if math.isfinite(ratio) else 0.0
 
 
 def _score(value: float, reference: float) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ceilvo.crossing_types import CROSSING_KINDS
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import Landmarks, State, frozen
+from ceilvo.types import Landmarks, Pose, State, frozen
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -51,7 +51,7 @@ class StoredState:
     The stamp is CLOCK_MONOTONIC of the boot it was written in: it orders saves, it does not tell the time since.
     """
 
-    pose: Array
+    pose: Pose
     cov: Array
     state: State
     stamp_ns: int
@@ -204,7 +204,7 @@ def _read_state(content: Any) -> StoredState:
     if not isinstance(name, str) or name not in State.__members__:
         raise _Damage(f"state is {_shown(name)}, expected one of {', '.join(State.__members__)}")
     stamp = _ints([content["stamp_ns"]], "stamp_ns", 0, _MAX_INT)
-    return StoredState(values, cov, State[name], int(stamp[0]))
+    return StoredState(Pose(values), cov, State[name], int(stamp[0]))
 
 
 def _keys(value: Any, expected: set[str], where: str) -> None:

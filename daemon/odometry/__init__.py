@@ -1,1 +1,1 @@
-"""From crossings of two frames to the robot's motion, and the way over frames that gave none."""
+"""From crossings of two frames to the robot's motion, and the prediction over frames that gave none."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ceilvo.se2 import wrap
 
 _AGREE_SIGMAS = 3.0
+"""Lines and points agree within this, in standard deviations of their difference: 99.7 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +22,7 @@ class Turn:
 
 @dataclass(slots=True)
 class HeadingState:
-    """By how much the heading of the lines is ahead of the sum of reported rotations, and the variance of that sum."""
+    """By how much the lines' heading is ahead of the sum of reported rotations, and the variance of that sum."""
 
     deferred_rad: float = 0.0
     deferred_var_rad2: float = 0.0

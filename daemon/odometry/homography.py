@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _MIN_POINTS = 5
+"""Fewest correspondences that can contradict a homography: four determine it."""
+_MIN_SPREAD = 1e-12
+"""px or m; points closer together count as one, and are not divided by 0."""
 
 
 def least_squares(xy: Array, uv: Array) -> Array:
@@ -36,7 +39,7 @@ def least_squares(xy: Array, uv: Array) -> Array:
 
 
 def consistent(xy: Array, uv: Array, threshold_px: float) -> Bools:
-    """(N,) which correspondences one homography explains; all of them when there are too few to tell."""
+    """(N,) which correspondences (N, 2) one homography explains; all of them when there are too few to tell."""
     everything = np.ones(len(xy), bool)
     if len(xy) < _MIN_POINTS:
         return everything
@@ -51,8 +54,8 @@ def consistent(xy: Array, uv: Array, threshold_px: float) -> Bools:
 
 
 def residual_px(h: Array, xy: Array, uv: Array) -> Array:
-    """(N,) distance of uv from H xy (eq. 1)."""
-    p = xy @ h[:, :2].T + h[:, 2]
+    """(N,) distance of uv from H xy."""
+    p = xy @ h[:, :2].T + h[:, 2]  # eq. 1
     return np.asarray(np.hypot(p[:, 0] / p[:, 2] - uv[:, 0], p[:, 1] / p[:, 2] - uv[:, 1]))
 
 
@@ -60,4 +63,4 @@ def _normaliser(p: Array) -> tuple[float, float, float]:
     """Scale to a mean distance of sqrt(2) from the centre, and that centre (Hartley 1997)."""
     x, y = p.mean(axis=0).tolist()
     spread = float(np.mean(np.hypot(p[:, 0] - x, p[:, 1] - y)))
-    return math.sqrt(2.0) / max(spread, 1e-12), x, y
+    return math.sqrt(2.0) / max(spread, _MIN_SPREAD), x, y

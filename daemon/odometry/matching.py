@@ -10,7 +10,10 @@ Ints = NDArray[np.int64]
 
 
 def mutual_nearest(a: Array, kind_a: Ints, b: Array, kind_b: Ints, radius: float) -> tuple[Ints, Ints]:
-    """Index pairs (i, j) of points (N, 2) and (M, 2) that are each other's nearest of their kind within a radius."""
+    """Index pairs (i, j) of points (N, 2) and (M, 2) that are each other's nearest of their kind within a radius.
+
+    Points and radius are in one unit; kinds are (N,) and (M,).
+    """
     if len(a) == 0 or len(b) == 0:
         none = np.zeros(0, np.int64)
         return none, none

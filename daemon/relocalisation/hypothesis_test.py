@@ -17,7 +17,7 @@ from ceilvo.daemon.relocalisation.place_search import ReachableRegion
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array
 
-# Counts and fractions were chosen on the simulated laps of python -m ceilvo.bench.faults; docs/faults.md has the figures.
+# Counts and fractions were chosen on the laps of python -m ceilvo.bench.faults; docs/faults.md has the figures.
 MARGIN, JUMP_MARGIN = 12, 24
 """Features that a pose must explain more than every alternative: to be believed; for an alternative to replace it."""
 EXPLAINED_FRACTION, EXPLAINED_FRACTION_LONG, EXPLAINED_FRACTION_AT_ONCE = 0.85, 0.93, 0.97

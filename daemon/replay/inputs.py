@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.daemon.pipeline import Lap, Pipeline, no_lap
+from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.snapshot import restore
+from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, WheelMotion
+from ceilvo.types import Array, Crossings, Displacement, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,20 +39,20 @@ class Silence:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownMap:
+class LoadMap:
     """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at."""
 
     landmarks: Landmarks
     map_axis_rad: float
-    pose: Array
+    pose: Pose
     cov: Array
 
 
 @dataclass(frozen=True, slots=True)
-class Assumption:
+class SetPose:
     """A pose (3,) with cov (3, 3) that somebody says."""
 
-    pose: Array
+    pose: Pose
     cov: Array
     why: str
 
@@ -77,21 +78,21 @@ class Continuation:
     state: Any
 
 
-Input = FrameInput | Sighting | Silence | KnownMap | Assumption | Reset | Continuation
+Input = FrameInput | Sighting | Silence | LoadMap | SetPose | Reset | Continuation
 
 
-def apply(pipeline: Pipeline, given: Input, lap: Lap = no_lap) -> Estimate | None:
+def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore) -> Estimate | None:
     """Do what an input says; an estimate from frames, sightings and silences, None from the others."""
     if isinstance(given, FrameInput):
-        return pipeline.step(given.frame, given.wheels, lap)
+        return pipeline.step(given.frame, given.wheels, on_stage_done)
     if isinstance(given, Sighting):
-        return pipeline.follow(given.stamp_ns, given.crossings, given.wheels)
+        return pipeline.step_crossings(given.stamp_ns, given.crossings, given.wheels)
     if isinstance(given, Silence):
-        return pipeline.coast(given.stamp_ns, given.reason, given.wheels)
-    if isinstance(given, KnownMap):
-        pipeline.know_map(given.landmarks, given.map_axis_rad, given.pose, given.cov)
-    elif isinstance(given, Assumption):
-        pipeline.assume(given.pose, given.cov, given.why)
+        return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
+    if isinstance(given, LoadMap):
+        pipeline.load_map(given.landmarks, given.map_axis_rad, given.pose, given.cov)
+    elif isinstance(given, SetPose):
+        pipeline.set_pose(given.pose, given.cov, given.why)
     elif isinstance(given, Continuation):
         restore(pipeline, given.state)
     else:
@@ -115,10 +116,10 @@ def input_json(given: Input, number: int) -> bytes:
             "reason": given.reason,
             "wheels": _wheels(given.wheels),
         }
-    elif isinstance(given, KnownMap):
+    elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
         body["landmarks"] = {k: getattr(given.landmarks, k).tolist() for k in _LANDMARKS}
-    elif isinstance(given, Assumption):
+    elif isinstance(given, SetPose):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
     elif isinstance(given, Continuation):
         body = {"input": "continuation", "state": given.state}
@@ -166,11 +167,11 @@ def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     columns: dict[str, Any] = {k: np.array(m[k], dtype).reshape(shape) for k, (dtype, shape) in _LANDMARKS.items()}
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")
-    return KnownMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body))
+    return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body))
 
 
 def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
-    return Assumption(*_read_belief(body), str(body["why"]))
+    return SetPose(*_read_belief(body), str(body["why"]))
 
 
 def _read_reset(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
@@ -200,15 +201,15 @@ def _wheels(wheels: WheelMotion | None) -> dict[str, Any] | None:
 def _read_wheels(body: Mapping[str, Any] | None) -> WheelMotion | None:
     if body is None:
         return None
-    return WheelMotion(_array(body["prev_from_curr"], (3,)), _array(body["cov"], (3, 3)))
+    return WheelMotion(Displacement(_array(body["prev_from_curr"], (3,))), _array(body["cov"], (3, 3)))
 
 
 def _belief(pose: Array, cov: Array) -> dict[str, Any]:
     return {"pose": pose.tolist(), "cov": cov.tolist()}
 
 
-def _read_belief(body: Mapping[str, Any]) -> tuple[Array, Array]:
-    return _array(body["pose"], (3,)), _array(body["cov"], (3, 3))
+def _read_belief(body: Mapping[str, Any]) -> tuple[Pose, Array]:
+    return Pose(_array(body["pose"], (3,))), _array(body["cov"], (3, 3))
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Array:

@@ -30,11 +30,32 @@ DARK: Colour = (40, 34, 30)
 GREY: Colour = (130, 125, 120)
 
 _AXIS_COLOURS = (ORANGE, SKY)
+_GRID: Colour = (62, 56, 52)
+# sizes in pixels of the picture before it is enlarged, all chosen by eye at 640x480
+_DIMMED = 0.7  # of the frame's brightness, so that what is drawn stands out
+_DISC_PX, _POLYGON_PX = 3.5, 4.5  # radii of crossings
+_SHORTEST_ARROW_PX = 1.5
+_HEAD_PX, _HEAD_PER_THICKNESS, _LONGEST_HEAD, _HEAD_SLOPE = 2.0, 2.5, 0.6, 0.55  # fraction of the arrow; half width
+_DIRECTION_PX = 60.0  # arrows of the dominant directions
+_FONT_SIZE = 0.42  # of cv2's Hershey font: 9 px
+_LANDMARK_PX, _TRUTH_PX, _PARTICLE_PX, _HEADING_PX = 2.0, 7.0, 1.3, 7.0
+_FAINTEST = 0.35  # of a particle's colour, for those of no weight
+_ROBOT_PX = np.array([[11.0, 0.0], [-7.0, 6.5], [-3.5, 0.0], [-7.0, -6.5], [11.0, 0.0]])
+_MOST_GRID_LINES = 12.0
+_FINEST_GRID_M = 1e-2
+_PANEL_MARGIN_M = 0.3
+_ELLIPSE_SIGMAS, _ELLIPSE_POINTS = 2.0, 25
+
 _STEP_PX = 4.0
-_SUPPORT_PX = 10.0
-_SUPPORT_POINTS = 4
+"""Between points of a line that is drawn as a curve; chosen: lenses bend lines by less than a pixel over it."""
+_SUPPORT_PX, _SUPPORT_POINTS = 10.0, 4
+"""A line is drawn where so many of its edge points lie this near; chosen: gaps of lamps and grooves show."""
+_INVERTIBLE_PX = 1.0
+"""The lens sees a level pixel that comes back to within this; chosen: folds are off by far more."""
 _SUBPIXEL_BITS = 4
+"""Of cv2's fixed-point coordinates: 1/16 px."""
 _MARGIN_PX = 2000.0
+"""What is further outside is not drawn; chosen: cv2's 32-bit coordinates hold it, whatever the scale."""
 
 
 def draw_overlay(
@@ -55,7 +76,7 @@ def draw_overlay(
     Returns:
         (scale H, scale W, 3) BGR.
     """
-    image = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) * 0.7, np.uint8)
+    image = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) * _DIMMED, np.uint8)
     canvas = _Canvas(np.repeat(np.repeat(image, scale, axis=0), scale, axis=1), scale)
     if lines is not None:
         for k in range(len(lines.axis)):
@@ -90,7 +111,7 @@ def line_in_raw(lines: Lines, index: int, level_view: LevelView) -> Array:
     raw = level_view.to_raw(seen)
     with np.errstate(invalid="ignore"):
         # past the edge of the lens model its polynomial folds back into the picture
-        bad = ~(np.abs(level_view.from_raw(np.nan_to_num(raw)) - seen).max(axis=1) < 1.0)
+        bad = ~(np.abs(level_view.from_raw(np.nan_to_num(raw)) - seen).max(axis=1) < _INVERTIBLE_PX)
     if len(mine):
         bad |= _support(np.sort(mine), at) < _SUPPORT_POINTS
     raw[bad] = np.nan
@@ -162,19 +183,20 @@ class _Canvas:
             cv2.fillPoly(self.image, [self._fixed(uv).reshape(-1, 1, 2)], colour, cv2.LINE_AA, _SUBPIXEL_BITS)
 
     def arrow(self, tail: Array, tip: Array, colour: Colour, thickness: int = 1) -> None:
-        """A line with a filled head; shorter than a pixel and a half nothing is drawn."""
+        """A line with a filled head; very short ones are left out."""
         d = np.asarray(tip - tail, np.float64)
         length = float(np.hypot(*d))
-        if not length > 1.5:
+        if not length > _SHORTEST_ARROW_PX:
             return
         u, n = d / length, np.array([-d[1], d[0]]) / length
-        head = min(2.0 + 2.5 * thickness, 0.6 * length)
+        head = min(_HEAD_PX + _HEAD_PER_THICKNESS * thickness, _LONGEST_HEAD * length)
         self.curve(np.stack([tail, tip - head * u]), colour, thickness * self._scale)
-        self.polygon(np.stack([tip, tip - head * (u + 0.55 * n), tip - head * (u - 0.55 * n)]), colour)
+        wide = _HEAD_SLOPE * n
+        self.polygon(np.stack([tip, tip - head * (u + wide), tip - head * (u - wide)]), colour)
 
     def text(self, x: int, y: int, text: str, colour: Colour = WHITE) -> None:
         """On a dark plate, so that it reads on any background; (x, y) is its left baseline."""
-        font, size, n = cv2.FONT_HERSHEY_SIMPLEX, 0.42 * self._scale, self._scale
+        font, size, n = cv2.FONT_HERSHEY_SIMPLEX, _FONT_SIZE * self._scale, self._scale
         (width, height), below = cv2.getTextSize(text, font, size, n)
         corners = (x * n - 3 * n, y * n - height - 3 * n), (x * n + width + 3 * n, y * n + below)
         cv2.rectangle(self.image, *corners, DARK, -1)
@@ -186,10 +208,10 @@ def _draw_crossing(canvas: _Canvas, uv: Array, kind: int) -> None:
     edges = int(kind // 3 != 1) + int(kind % 3 != 1)
     colour = (GREEN, YELLOW, VERMILION)[edges]
     if edges == 0:
-        canvas.disc(uv, 3.5, colour)
+        canvas.disc(uv, _DISC_PX, colour)
     else:
         angle = np.arange(2 + edges) * 2.0 * np.pi / (2 + edges) + (0.25 * np.pi if edges == 2 else -0.5 * np.pi)
-        canvas.polygon(uv + 4.5 * np.column_stack([np.cos(angle), np.sin(angle)]), colour)
+        canvas.polygon(uv + _POLYGON_PX * np.column_stack([np.cos(angle), np.sin(angle)]), colour)
 
 
 def _draw_motion(canvas: _Canvas, before: Array, here: Array) -> None:
@@ -203,7 +225,7 @@ def _draw_direction(canvas: _Canvas, lines: Lines, level_view: LevelView) -> Non
     centre = _principal_point(level_view)
     for axis in (0, 1):
         angle = lines.psi_rad + 0.5 * np.pi * axis
-        tip = centre + 60.0 * np.array([np.cos(angle), np.sin(angle)])
+        tip = centre + _DIRECTION_PX * np.array([np.cos(angle), np.sin(angle)])
         raw = level_view.to_raw(tilted(np.stack([centre, tip]), lines.tilt_rad, level_view))
         if np.all(np.isfinite(raw)):
             canvas.arrow(raw[0], raw[1], _AXIS_COLOURS[axis], 3)
@@ -238,12 +260,12 @@ def draw_particles_panel(
     if path_xy_m is not None and len(path_xy_m) > 1:
         canvas.curve(view.pixels(path_xy_m), BLUE, 2)
     for k, uv in enumerate(view.pixels(landmarks_xy_m)):
-        canvas.disc(uv, 2.0, GREEN)
+        canvas.disc(uv, _LANDMARK_PX, GREEN)
         if landmarks_cov_m2 is not None:
             canvas.curve(view.pixels(_ellipse(landmarks_xy_m[k], landmarks_cov_m2[k])), GREEN)
     _draw_particles(canvas, view, poses, weights)
     if truth is not None:
-        canvas.disc(view.pixels(truth[None, :2])[0], 7.0, WHITE, 1)
+        canvas.disc(view.pixels(truth[None, :2])[0], _TRUTH_PX, WHITE, 1)
     _draw_robot(canvas, view, pose)
     return canvas.image
 
@@ -268,20 +290,20 @@ def _bounds(pose: Array, poses: Array, landmarks: Array, path: Array | None) -> 
     points = points[np.all(np.isfinite(points), axis=1)]
     if not len(points):
         return -1.0, -1.0, 1.0, 1.0
-    low, high = np.floor(points.min(axis=0) - 0.3), np.ceil(points.max(axis=0) + 0.3)
+    low, high = np.floor(points.min(axis=0) - _PANEL_MARGIN_M), np.ceil(points.max(axis=0) + _PANEL_MARGIN_M)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def _draw_grid(canvas: _Canvas, view: PanelView) -> None:
     """A line a metre (fewer in large rooms), and what it stands for."""
-    step_m = float(10 ** np.ceil(np.log10(max(view.span_m / 12.0, 1e-2))))
+    step_m = float(10 ** np.ceil(np.log10(max(view.span_m / _MOST_GRID_LINES, _FINEST_GRID_M))))
     half = 0.5 * view.span_m
     for k in (0, 1):
         first = np.ceil((view.centre_m[k] - half) / step_m) * step_m
         for value in np.arange(first, view.centre_m[k] + half + 1e-9, step_m):
             ends = np.stack([view.centre_m - half, view.centre_m + half])
             ends[:, k] = value
-            canvas.curve(view.pixels(ends), (62, 56, 52))
+            canvas.curve(view.pixels(ends), _GRID)
     canvas.text(6, canvas.image.shape[0] - 8, f"grid {step_m:g} m", GREY)
 
 
@@ -291,10 +313,10 @@ def _draw_particles(canvas: _Canvas, view: PanelView, poses: Array, weights: Arr
     uv = view.pixels(poses[:, :2])
     heading = np.column_stack([np.cos(poses[:, 2]), -np.sin(poses[:, 2])])
     for k in np.argsort(strength, kind="stable"):
-        share = 0.35 + 0.65 * float(strength[k])
-        b, g, r = (round(share * o + (1.0 - share) * d) for o, d in zip(ORANGE, DARK, strict=True))
-        canvas.curve(np.stack([uv[k], uv[k] + 7.0 * heading[k]]), (b, g, r))
-        canvas.disc(uv[k], 1.3, (b, g, r))
+        strong = _FAINTEST + (1.0 - _FAINTEST) * float(strength[k])
+        b, g, r = (round(strong * o + (1.0 - strong) * d) for o, d in zip(ORANGE, DARK, strict=True))
+        canvas.curve(np.stack([uv[k], uv[k] + _HEADING_PX * heading[k]]), (b, g, r))
+        canvas.disc(uv[k], _PARTICLE_PX, (b, g, r))
 
 
 def _draw_robot(canvas: _Canvas, view: PanelView, pose: Array) -> None:
@@ -302,17 +324,16 @@ def _draw_robot(canvas: _Canvas, view: PanelView, pose: Array) -> None:
         return
     centre = view.pixels(pose[None, :2])[0]
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    outline = np.array([[11.0, 0.0], [-7.0, 6.5], [-3.5, 0.0], [-7.0, -6.5], [11.0, 0.0]])
-    turned = centre + outline @ np.array([[c, -s], [s, c]]).T * [1.0, -1.0]
+    turned = centre + _ROBOT_PX @ np.array([[c, -s], [s, c]]).T * [1.0, -1.0]
     canvas.curve(turned, WHITE, 1)
 
 
 def _ellipse(centre_m: Array, cov_m2: Array) -> Array:
-    """(25, 2) points of the 2-sigma ellipse."""
+    """(K, 2) points of the 2-sigma ellipse."""
     values, vectors = np.linalg.eigh(cov_m2)
-    angle = np.linspace(0.0, 2.0 * np.pi, 25)
+    angle = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(centre_m + 2.0 * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T, np.float64)
+    return np.asarray(centre_m + _ELLIPSE_SIGMAS * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T, np.float64)
 
 
 def side_by_side(left: Image, right: Image, captions: Mapping[str, str] | None = None) -> Image:

@@ -19,18 +19,19 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
 from ceilvo.config.reader import render_config
-from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.inputs import Assumption, Continuation, FrameInput, Input, input_json
+from ceilvo.daemon.pipeline import Pipeline, PipelineState
+from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose, input_json
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json, half_angle
 from ceilvo.daemon.vision.kernel import COMPILED
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_file import Head, Message
 from ceilvo.drivers.recording.recorder import Recorder, RecorderCounters
 from ceilvo.drivers.recording.storage import Ring, SingleFile
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError, FileFormatError
+from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Frame, State
 
 log = logging.getLogger("ceilvo")
@@ -41,7 +42,7 @@ _SILENT_BASE_S = 1.0
 Note = Callable[[str], None]
 
 
-class Tape:
+class RecordingTap:
     """Turns what happens in the daemon into messages for a recorder. Thread-safe; no method waits or raises."""
 
     def __init__(
@@ -76,7 +77,7 @@ class Tape:
             messages = self._pictures(given.frame, number)
             size = given.frame.gray.nbytes if messages else 0
             if self._features:
-                crossings = None if pipeline.view is None else pipeline.view.crossings
+                crossings = None if pipeline.vision.view is None else pipeline.vision.view.crossings
                 messages.append(Message(mcap_file.FEATURES, stamp_ns, lambda _: value_json(crossings), number))
             given = replace(given, frame=replace(given.frame, gray=given.frame.gray[:0]))
         messages.append(Message(mcap_file.INPUT, stamp_ns, lambda _: input_json(given, number), number))
@@ -118,7 +119,7 @@ class Tape:
         self._faults = faults
 
     def _put(self, channel: mcap_file.Channel, stamp_ns: int, body: Mapping[str, Any]) -> None:
-        self._recorder.put(Message(channel, stamp_ns, lambda _: json.dumps(_finite(body)).encode()))
+        self._recorder.put(Message(channel, stamp_ns, lambda _: json.dumps(json_value(body)).encode()))
 
     def _pictures(self, frame: Frame, number: int) -> list[Message]:
         if self._frames == "lossless":
@@ -138,15 +139,19 @@ class Tape:
     def _state(self, estimate: Estimate, pipeline: Pipeline) -> Message:
         """All that the pipeline knows now, from which a replay of a file that begins here starts."""
         number, self._number = self._number, self._number + 1
-        frozen = freeze(pipeline)
-        return Message(mcap_file.INPUT, estimate.stamp_ns, lambda _: _continuation(frozen, estimate, number), number)
+        frozen, method = freeze(pipeline), pipeline.config.filter.method
+
+        def data(unix_ns: int) -> bytes:
+            return _continuation(frozen, method, estimate, number)
+
+        return Message(mcap_file.INPUT, estimate.stamp_ns, data, number)
 
 
-class TapedBase:
+class RecordedBase:
     """A Base whose telegrams are recorded."""
 
-    def __init__(self, base: Base, tape: Tape) -> None:
-        self._base, self._tape = base, tape
+    def __init__(self, base: Base, tap: RecordingTap) -> None:
+        self._base, self._tap = base, tap
 
     @property
     def is_open(self) -> bool:
@@ -159,9 +164,9 @@ class TapedBase:
         try:
             status = self._base.exchange(telegram)
         except BaseLinkError as e:
-            self._tape.exchange(telegram, None, str(e))
+            self._tap.exchange(telegram, None, str(e))
             raise
-        self._tape.exchange(telegram, status, "")
+        self._tap.exchange(telegram, status, "")
         return status
 
     def close(self) -> None:
@@ -179,9 +184,9 @@ def faults_in(counters: Mapping[str, object]) -> frozenset[str]:
     return frozenset(name for name, holds in found.items() if holds)
 
 
-def tape_of(
+def recording_of(
     config: Config, calibration: Calibration, state_dir: Path | None, file: Path | None, clock: Clock, note: Note
-) -> Tape | None:
+) -> RecordingTap | None:
     """The recording that a run makes: a file if one is named, else the flight recorder if it has a place, else none.
 
     Args:
@@ -198,13 +203,13 @@ def tape_of(
             storage = SingleFile(file, head, clock(), settings.reserve_bytes)
         except OSError as e:
             raise FileFormatError(f"{file}: cannot be recorded to: {e.strerror}; name another file") from e
-        return Tape(Recorder(storage, clock, note), clock, "lossless")
+        return RecordingTap(Recorder(storage, clock, note), clock, "lossless")
     if not settings.enabled or state_dir is None:
         return None
     head = _head(config, calibration, clock, "flight", settings.frames)
     recorder = Recorder(Ring(state_dir / "recorder", settings, head), clock, note)
     features = settings.features and settings.frames != "lossless"
-    return Tape(recorder, clock, settings.frames, features, settings.jpeg_rate_hz)
+    return RecordingTap(recorder, clock, settings.frames, features, settings.jpeg_rate_hz)
 
 
 def versions() -> dict[str, str]:
@@ -228,12 +233,12 @@ def _head(config: Config, calibration: Calibration, clock: Clock, kind: str, fra
     return Head(metadata, files, time.time_ns() - clock(), raw_frames=frames == "lossless")
 
 
-def _continuation(frozen: Pipeline, estimate: Estimate, number: int) -> bytes:
+def _continuation(frozen: PipelineState, method: str, estimate: Estimate, number: int) -> bytes:
     try:
-        return input_json(Continuation(snapshot_json(frozen)), number)
+        return input_json(Continuation(snapshot_json(frozen, method)), number)
     except SnapshotError as e:
         log.error("a recording without its state, from which no replay can start: %s", e)
-        return input_json(Assumption(estimate.pose, np.eye(3), "a recording begins"), number)
+        return input_json(SetPose(estimate.pose, np.eye(3), "a recording begins"), number)
 
 
 def _raw(unix_ns: int, frame: Frame) -> bytes:
@@ -248,12 +253,3 @@ def _jpeg(unix_ns: int, frame: Frame) -> bytes:
 def _pose(unix_ns: int, estimate: Estimate) -> bytes:
     x, y, theta = (float(v) for v in estimate.pose)
     return foxglove.pose_in_frame(unix_ns, "map", x, y, *half_angle(theta))
-
-
-def _finite(value: Any) -> Any:
-    """What JSON can say; nan and infinity become null."""
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value

@@ -74,13 +74,13 @@ def replay(
 
 def picture(pipeline: Pipeline, calibration: Calibration, estimate: Estimate, path: Array, file: Path) -> None:
     """Lines and crossings on the frame beside particles and map, as an image file."""
-    view = pipeline.view
+    view = pipeline.vision.view
     if view is None:
         return
     before = None if view.crossings is None else previous_pixels(view.crossings, estimate.motion, calibration)
     frame = draw_overlay(view.frame.gray, view.lines, view.crossings, calibration.level_view, before, scale=2)
-    particles, weights = pipeline.particles()
-    m = pipeline.landmarks()
+    particles, weights = pipeline.filter.particles()
+    m = pipeline.filter.landmarks()
     panel = draw_particles_panel(
         particles, weights, m.xy_map_m, m.cov_m2, estimate.pose, path[:, :2], size_px=frame.shape[0]
     )

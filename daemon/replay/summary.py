@@ -14,10 +14,11 @@ from ceilvo.types import Estimate
 Array = NDArray[np.float64]
 
 _LOW_MS, _HIGH_MS, _BINS_PER_OCTAVE = 1e-3, 1e5, 40
+"""Range and resolution of latencies: 1 us to 100 s within 2^(1/80), 0.9 %, in 1065 counts."""
 
 
 class Histogram:
-    """Quantiles of positive figures in bounded memory: logarithmic bins, so within 0.9 % from 1 us to 100 s."""
+    """Quantiles of positive figures in bounded memory: logarithmic bins."""
 
     def __init__(self) -> None:
         self._count = np.zeros(math.ceil(math.log2(_HIGH_MS / _LOW_MS) * _BINS_PER_OCTAVE) + 1, np.int64)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.errors import FileFormatError
+from ceilvo.json_values import json_value
 from ceilvo.types import Estimate
 
 Array = NDArray[np.float64]
@@ -28,7 +29,13 @@ Ints = NDArray[np.int64]
 
 Alignment = Literal["none", "first", "se2"]
 SCHEMA = 1
+"""Of the lines of JSON, their key "v"."""
 _STILL_M = 1e-6
+"""A robot that moved less stands; chosen: above floating-point noise, below any drive."""
+_QUATERNION_TOLERANCE = 1e-2
+"""Of a quaternion's length against 1; chosen: takes files with three digits."""
+_MATCH_S = 0.01
+"""Stamps of one moment differ by this at most; chosen: a third of a frame at 30 Hz."""
 
 
 def tum_line(stamp_ns: int, pose: Array) -> str:
@@ -51,46 +58,37 @@ def _seconds(stamp_ns: int) -> str:
 
 def estimate_json(estimate: Estimate) -> str:
     """One line of JSON, keys with units, null for what is not finite; the shortest text that reads back equal."""
-    m, d = estimate.motion, estimate.depletion
+    m, d = estimate.motion, estimate.health
     record = {
         "v": SCHEMA,
         "seq": estimate.seq,
         "stamp_ns": estimate.stamp_ns,
-        "pose_map_from_base": _plain(estimate.pose),
-        "cov": _plain(estimate.cov),
-        "pose_odom_from_base": _plain(estimate.odom),
-        "twist_base": _plain(estimate.twist),
+        "pose_map_from_base": estimate.pose,
+        "cov": estimate.cov,
+        "pose_odom_from_base": estimate.odom,
+        "twist_base": estimate.twist,
         "state": estimate.state.name,
-        "quality": _plain(estimate.quality),
+        "quality": estimate.quality,
         "reason": estimate.reason,
         "motion": {
-            "prev_from_curr": _plain(m.prev_from_curr),
-            "cov": _plain(m.cov),
+            "prev_from_curr": m.prev_from_curr,
+            "cov": m.cov,
             "inliers": m.inliers,
-            "rms_m": _plain(m.rms_m),
+            "rms_m": m.rms_m,
             "failure": m.failure,
         },
         "depletion": {
             "particles": d.particles,
-            "ess": _plain(d.ess),
+            "ess": d.ess,
             "unique_ancestors": d.unique_ancestors,
-            "fit_residual": _plain(d.fit_residual),
-            "nis": _plain(d.nis),
+            "fit_residual": d.fit_residual,
+            "nis": d.nis,
             "nis_dof": d.nis_dof,
         },
         "crossings": estimate.crossings,
         "landmarks": estimate.landmarks,
     }
-    return json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """Nested lists of floats with None for nan and infinity."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list):
-        return [_plain(v) for v in value]
-    return float(value) if math.isfinite(value) else None
+    return json.dumps(json_value(record), separators=(",", ":"), allow_nan=False) + "\n"
 
 
 class _LineWriter:
@@ -189,7 +187,7 @@ def _parse(line: str) -> tuple[int, tuple[float, float, float]]:
     if not all(map(math.isfinite, (x, y, qx, qy, qz, qw))) or abs(stamp) >= 2**63:
         raise ValueError(f"{line[:60]!r} has a value that is not finite or too large")
     norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-    if abs(norm - 1.0) > 1e-2:
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
         raise ValueError(f"quaternion of length {norm:.3g}")
     return stamp, (x, y, math.atan2(2.0 * (qw * qz + qx * qy), norm * norm - 2.0 * (qy * qy + qz * qz)))
 
@@ -214,7 +212,9 @@ class TrajectoryError:
     reference_from_estimated: Array
 
 
-def compare(estimated: Path, reference: Path, align: Alignment = "none", tolerance_s: float = 0.01) -> TrajectoryError:
+def compare(
+    estimated: Path, reference: Path, align: Alignment = "none", tolerance_s: float = _MATCH_S
+) -> TrajectoryError:
     """Compare two TUM files; raises FileFormatError when either is bad or no stamps match."""
     est, ref = read_tum(estimated), read_tum(reference)
     i, j = match_stamps(est.stamp_ns, ref.stamp_ns, round(tolerance_s * 1e9))

@@ -52,7 +52,7 @@ def _tables(curves: NoiseCurves) -> tuple[Array, Array, Array]:
     )
 
 
-def observe(
+def associate(
     crossings: Crossings,
     curves: NoiseCurves,
     mount_xy_m: Array,

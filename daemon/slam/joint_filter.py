@@ -144,6 +144,7 @@ class JointFilter:
         self.settings = settings
         self._rule = rule
         self._state = JointFilterState(rng, JointMap.at(np.zeros(3), np.zeros((3, 3))))
+        self._summary: tuple[Ints, Landmarks] | None = None
         self.reset(np.zeros(3), np.zeros((3, 3)))
 
     @property
@@ -152,7 +153,8 @@ class JointFilter:
 
     @state.setter
     def state(self, state: JointFilterState) -> None:
-        self._state, self._summary = state, None
+        self._state = state
+        self._summary = None
 
     def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
         found = landmarks if landmarks is not None and len(landmarks) else None
@@ -167,7 +169,7 @@ class JointFilter:
         elif found is not None:
             joint.load(found)
         self._state.rule = self._rule.fresh(before.rng)
-        self._summary: tuple[Ints, Landmarks] | None = None
+        self._summary = None
 
     def predict(self, motion: Motion) -> None:
         joint = self._state.joint

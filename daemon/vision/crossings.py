@@ -14,32 +14,42 @@ from ceilvo.types import Crossings, Lines
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_COVERAGE_BIN_PX = 2.0
-_EVEN_BIN_SPACINGS = 1.5  # no bin of a line that is there stays empty
+_BIN_PX = 2.0
+"""Length of line that one edge point covers; chosen: wider bins hide gaps, narrower ones are often empty."""
+_UNIFORM_BIN_SPACINGS = 1.5
+"""The same in spacings of uniformly spaced points; above 1, so that no bin of a line that is there stays empty."""
 _CORNER_PX = 2.0
-_ARM_SHARE = 0.6
-_FEWEST_HITS = 2.0
-_REACH_POINTS = 2.5
+"""An arm may begin this far beyond the crossing; chosen: edges end early at blurred corners."""
+_ARM_FRACTION = 0.6
+"""Least covered fraction of an arm; chosen: above, faint joints lose crossings; below, mere extensions become some."""
+_MIN_BINS = 2.0
+"""Fewest covered bins of an arm; chosen: a single point is noise."""
+_REACH_SPACINGS = 2.5
+"""Shortest arm, in mean distances between edge points that were kept; chosen: _MIN_BINS must be possible on it."""
 
 
 def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings:
-    """Crossings where both lines have edge points nearby; the others are crossings of mere extensions."""
+    """Crossings where both lines have edge points nearby; the others are crossings of mere extensions.
+
+    Returns:
+        M crossings, M may be 0; psi, tilt and their errors are those of the lines.
+    """
     first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
-    reach = max(config.crossing_reach_px, _REACH_POINTS / lines.share)
-    there = _covered(lines, first, 1, lines.offset_px[second], reach) & (
-        _covered(lines, second, 0, lines.offset_px[first], reach).T
+    reach_px = max(config.crossing_reach_px, _REACH_SPACINGS / lines.share)
+    covered = _covered(lines, first, 1, lines.offset_px[second], reach_px) & (
+        _covered(lines, second, 0, lines.offset_px[first], reach_px).T
     )
-    i, j = np.nonzero(there)
+    i, j = np.nonzero(covered)
     a, b = first[i], second[j]
     normals = _normals(lines.psi_rad)
     uv_rel = lines.offset_px[a, None] * normals[0] + lines.offset_px[b, None] * normals[1]
     view = calibration.level_view
     uv = uv_rel + np.array([view.camera.cx_px, view.camera.cy_px])
     metres_per_px = calibration.ceiling_height_m / view.focal_px
-    var = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2
+    var_m2 = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2
     roll, pitch = calibration.ceiling_height_m * lines.tilt_sigma_rad
     common = np.diag([pitch**2, roll**2])
-    cov = np.einsum("mk,ki,kj->mij", var, normals, normals) + common
+    cov = np.einsum("mk,ki,kj->mij", var_m2, normals, normals) + common
     return Crossings(
         uv_px=uv,
         xy_base_m=to_ceiling(calibration.ceiling_from_level, uv),
@@ -60,6 +70,7 @@ def to_ceiling(ceiling_from_level: Array, uv_px: Array) -> Array:
 
 
 def _normals(psi: float) -> Array:
+    """(2, 2) rows: the normals of axes 0 and 1."""
     c, s = np.cos(psi), np.sin(psi)
     return np.array([[c, s], [-s, c]])
 
@@ -68,12 +79,16 @@ def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: floa
     """(len(ids), len(at)): does the line have edge points along most of an arm that begins at a position?
 
     One arm is enough: at the corner of a lamp both lines have but one.
+
+    Args:
+        along_axis: the axis whose normal points along the lines.
+        at: positions along the lines, px.
     """
     if len(ids) == 0 or len(at) == 0:
         return np.zeros((len(ids), len(at)), bool)
     row = np.full(len(lines.axis), -1, np.int32)
     row[ids] = np.arange(len(ids), dtype=np.int32)
-    bin_px = _EVEN_BIN_SPACINGS / lines.share if lines.evenly else _COVERAGE_BIN_PX
+    bin_px = _UNIFORM_BIN_SPACINGS / lines.share if lines.evenly else _BIN_PX
     margin = reach_px + 2.0 * bin_px
     low = float(at.min()) - margin
     bins = int((float(at.max()) - low + margin) / bin_px) + 2
@@ -85,7 +100,7 @@ def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: floa
     cells = [((at + d - low) / bin_px).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)]
     before = total[:, cells[2] + 1] - total[:, cells[0]]
     after = total[:, cells[3] + 1] - total[:, cells[1]]
-    # of the bins along a line that is there
+    # expected of a line that is there: it has an edge point a pixel, of which the fraction `share` was kept
     filled = 1.0 if lines.evenly else 1.0 - (1.0 - lines.share) ** bin_px
-    need = _ARM_SHARE * filled * reach_px / bin_px
-    return np.asarray(np.maximum(before, after) >= max(need, _FEWEST_HITS))
+    need = _ARM_FRACTION * filled * reach_px / bin_px
+    return np.asarray(np.maximum(before, after) >= max(need, _MIN_BINS))

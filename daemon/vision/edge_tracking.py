@@ -1,6 +1,6 @@
-"""Stages 1 and 2 when the last frame tells where to look: edges only near predicted ones.
+"""Stages 1 and 2 when the last frame shows where to look: edges only near predicted ones (predict and verify).
 
-A sparse look along every predicted edge tells by how much the whole picture is off: the scene is rigid, so two shifts,
+A sparse look along every predicted edge shows by how much the whole picture is off: the scene is rigid, so two shifts,
 a turn and a tilt do for all edges. A close look there finds the same edge points that a full detection would, and they
 go into the same joint least squares. When too few of the predicted edges are there, or they fit worse than lately, the
 answer is None and the caller looks at the whole frame.
@@ -18,25 +18,48 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.edges import gradient
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
-from ceilvo.daemon.vision.line_detection import AS_CLEAN, LastFit
+from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
 from ceilvo.daemon.vision.line_fit import JointFit, Points
-from ceilvo.daemon.vision.line_pairing import EdgeSet, join_grooves
+from ceilvo.daemon.vision.line_pairing import EdgeSet, pair_edges
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Lines
 
 _CELL_PX = 4.0
-_SPARSE_PX, _FAR_PX = 12.0, 10.0
-_CLOSE_PX, _NEAR_PX = 2.0, 2.0
-_GROW_PX = 15.0
+"""Spacing of the look-up from level to raw pixels, bilinear between; chosen: only places to look at come from it."""
+_INVERTIBLE_PX = 0.5
+"""A lens is invertible where a level pixel comes back to within this; chosen: folds are off by far more."""
+_SPARSE_STEP_PX, _SPARSE_REACH_PX = 12.0, 10.0
+"""Sparse look: every so far along an edge, and this far to either side. The prototype's +-7 and room; chosen."""
+_CLOSE_STEP_PX, _CLOSE_REACH_PX = 2.0, 2.0
+"""Close look: half of the edge points that a full detection finds, within its gates; chosen."""
+_EXTEND_PX = 15.0
+"""An edge is looked for this far beyond the ends it had; chosen: new parts come into view at the rim."""
 _SHIFT_GATES_PX = (4.0, 2.5, 1.5)
-_SHIFTS_PX = np.arange(-_FAR_PX - 2.0, _FAR_PX + 3.0)
-_LIKELY = np.exp(-0.5 * (_SHIFTS_PX / 5.0) ** 2)
-_BENT_RAD, _HELD_RAD = 0.02, 1e-9
-_FEWEST_POINTS = 40
-_FEWEST_CLOSE = 600  # with less to see a whole look costs little, and sees what a band misses
-_SEEN_SHARE, _FOUND_SHARE = 0.4, 0.7
-_FEWEST_LOOKS, _FEWEST_LINES = 4, 4
+"""Distance of a point from the common shift, turn and tilt, round by round; chosen to end near the close reach."""
+_SHIFTS_PX = np.arange(-_SPARSE_REACH_PX - 2.0, _SPARSE_REACH_PX + 3.0)
+"""Centres of the bins that vote for a shift: 1 px wide, with 2 to spare at either end."""
+_SHIFT_SIGMA_PX = 5.0
+"""Standard deviation of the shift beforehand; chosen: half the reach, so of two equal peaks the nearer wins."""
+_SHIFT_INFO = 1e-6
+"""px^-2, of the shift in the least squares: as good as none, but an axis without points is not singular."""
+_TURN_SIGMA_RAD = 0.02
+"""Standard deviation beforehand of turn and tilt against the last frame; chosen: 1.1 deg, a robot that rocks."""
+_HELD_RAD = 1e-9
+"""The same for a tilt that is not estimated: as good as 0."""
+_MIN_SPARSE_POINTS = 40
+"""Fewest points of the sparse look; chosen: five unknowns rest on them."""
+_MIN_CLOSE_POINTS = 600
+"""Fewest points of the close look; chosen: with fewer a whole look costs little and sees what this one misses."""
+_SEEN_FRACTION = 0.4
+"""An edge is there when seen along this fraction of what was seen of it before; chosen: part may leave the view."""
+_FOUND_FRACTION = 0.7
+"""Of the edges in view that must be there; chosen: new light or a wrong prediction loses more (docs/method.md)."""
+_MIN_LOOKS = 4
+"""An edge is in view where at least so many points of it are hoped for; chosen: fewer tell nothing."""
+_MIN_EDGES = 4
+"""Fewest edges that must be there; chosen: two an axis."""
+_SHIFT_LIKELIHOOD = np.exp(-0.5 * (_SHIFTS_PX / _SHIFT_SIGMA_PX) ** 2)
 
 
 def predicted(edges: EdgeSet, prev_from_curr: Array, calibration: Calibration) -> EdgeSet:
@@ -52,20 +75,20 @@ def predicted(edges: EdgeSet, prev_from_curr: Array, calibration: Calibration) -
         edges,
         psi_rad=edges.psi_rad - float(prev_from_curr[2]),
         offset_px=edges.offset_px - across,
-        start_px=edges.start_px - along - _GROW_PX,
-        end_px=edges.end_px - along + _GROW_PX,
+        start_px=edges.start_px - along - _EXTEND_PX,
+        end_px=edges.end_px - along + _EXTEND_PX,
     )
 
 
-class BandDetector:
-    """Looks for predicted edges in raw frames of one camera."""
+class EdgeTracker:
+    """Finds predicted edges in raw frames of one camera; its look-ups are made once."""
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._config = config
         self._focal = calibration.level_view.focal_px
         self._grids = look_ups(calibration, config.max_view_deg)
         self._gate = float(np.cos(np.radians(config.direction_gate_deg)))
-        self._bent_rad = _BENT_RAD if config.estimate_tilt else _HELD_RAD
+        self._tilt_sigma_rad = _TURN_SIGMA_RAD if config.estimate_tilt else _HELD_RAD
 
     def __call__(
         self, gray: NDArray[np.uint8], expected: EdgeSet, last: LastFit, prior: TiltPrior
@@ -83,29 +106,30 @@ class BandDetector:
             x, y, line, looked = kernel.follow(dx, dy, self._grids, _oriented(edges), tilt_rad, self._focal, look)
             return Points(x, y, _ends(line, edges), np.inf), line, looked
 
-        sparse = look(edges, last.tilt_rad, Look(_SPARSE_PX, _FAR_PX, floor, self._gate, True))
-        if len(sparse[1]) < _FEWEST_POINTS:
+        sparse = look(edges, last.tilt_rad, Look(_SPARSE_STEP_PX, _SPARSE_REACH_PX, floor, self._gate, True))
+        if len(sparse[1]) < _MIN_SPARSE_POINTS:
             return None
-        edges, tilt_rad = _aligned(edges, sparse[0], sparse[1], last.tilt_rad, self._focal, self._bent_rad)
-        points, line, looked = look(edges, tilt_rad, Look(_CLOSE_PX, _NEAR_PX, floor, self._gate, False))
-        if len(line) < _FEWEST_CLOSE or not _enough(np.bincount(line, minlength=len(looked)), looked * edges.filled):
+        edges, tilt_rad = _align(edges, sparse[0], sparse[1], last.tilt_rad, self._focal, self._tilt_sigma_rad)
+        points, line, looked = look(edges, tilt_rad, Look(_CLOSE_STEP_PX, _CLOSE_REACH_PX, floor, self._gate, False))
+        seen = np.bincount(line, minlength=len(looked))
+        if len(line) < _MIN_CLOSE_POINTS or not _enough(seen, looked * edges.coverage):
             return None
         return self._fit(points, line, edges, tilt_rad, last, prior)
 
     def _fit(
         self, points: Points, line: Int32s, edges: EdgeSet, tilt_rad: Array, last: LastFit, prior: TiltPrior
     ) -> tuple[Lines, EdgeSet] | None:
-        share = 1.0 / _CLOSE_PX
+        fraction = 1.0 / _CLOSE_STEP_PX
         starts = [edges.offset_px[_group(edges) == g] for g in range(4)]
-        fit = JointFit(points, edges.psi_rad, starts, self._focal, self._config, share, tilt_rad)
+        fit = JointFit(points, edges.psi_rad, starts, self._focal, self._config, fraction, tilt_rad)
         fit.start(line, edges.offset_px)
         fit.solve()
         free = fit.finish()
-        if fit.noise_px > AS_CLEAN * last.noise_px:
+        if fit.noise_px > NOISE_RATIO * last.noise_px:
             return None
         if self._config.estimate_tilt:
-            fit.lean_on(prior)
-        return join_grooves(fit, self._config, share, free, evenly=True)
+            fit.apply_prior(prior)
+        return pair_edges(fit, self._config, fraction, free, uniform=True)
 
 
 def look_ups(calibration: Calibration, max_view_deg: float) -> Grids:
@@ -119,7 +143,7 @@ def look_ups(calibration: Calibration, max_view_deg: float) -> Grids:
     centre = np.array([view.camera.cx_px, view.camera.cy_px])
     raw = view.to_raw(grid + centre)
     back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre  # a lens folds over beyond its edge: not invertible
-    raw[~(np.hypot(*(back - grid).T) < 0.5)] = np.nan
+    raw[~(np.hypot(*(back - grid).T) < _INVERTIBLE_PX)] = np.nan
     table = np.ascontiguousarray(raw.reshape(len(y), len(x), 2), np.float32)
     return Grids(lookup, table, (float(low[0]), float(low[1])), _CELL_PX)
 
@@ -131,7 +155,7 @@ def _group(edges: EdgeSet) -> Ints:
 def _by_group(edges: EdgeSet) -> EdgeSet:
     """Edges in the order in which points stand: group after group."""
     order = np.argsort(_group(edges), kind="stable")
-    fields = {k: getattr(edges, k)[order] for k in ("axis", "rising", "offset_px", "start_px", "end_px", "filled")}
+    fields = {k: getattr(edges, k)[order] for k in ("axis", "rising", "offset_px", "start_px", "end_px", "coverage")}
     return replace(edges, **fields)
 
 
@@ -142,7 +166,7 @@ def _ends(line: Int32s, edges: EdgeSet) -> Ends:
 
 
 def _oriented(edges: EdgeSet) -> Array:
-    """(E, 5) rows of kernel.follow: cos and sin of the way brightness rises, offset, start, end."""
+    """(E, 5) rows of kernel.follow: cos and sin of the direction in which brightness rises, offset, start, end."""
     sign = np.where(edges.rising, 1.0, -1.0)
     angle = edges.psi_rad + 0.5 * np.pi * edges.axis
     start, end = (
@@ -151,32 +175,32 @@ def _oriented(edges: EdgeSet) -> Array:
     return np.column_stack([sign * np.cos(angle), sign * np.sin(angle), sign * edges.offset_px, start, end])
 
 
-def _aligned(
-    edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, focal_px: float, bent_rad: float
+def _align(
+    edges: EdgeSet, points: Points, line: Int32s, tilt_rad: Array, focal_px: float, tilt_sigma_rad: float
 ) -> tuple[EdgeSet, Array]:
-    """The edges and the tilt, moved by the shift, turn and tilt (of about bent_rad) that most points share."""
+    """The edges and the tilt, moved by the shift, turn and tilt (0 +- tilt_sigma_rad) that most points share."""
     half = points.ends[2]
     rho, tangent = (v.astype(np.float64) for v in kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad))
     off_px = rho * focal_px - edges.offset_px[line]
     fitted, found = np.empty(len(line)), np.zeros(5)
     model = np.zeros((len(line), 5))
     for axis, part in enumerate((slice(0, half), slice(half, None))):
-        fitted[part] = _mode(off_px[part])
+        fitted[part] = _likely_shift(off_px[part])
         model[part, axis] = 1.0
-        model[part, 2:] = _bends(edges.psi_rad + 0.5 * np.pi * axis, rho[part], tangent[part])
+        model[part, 2:] = _jacobian(edges.psi_rad + 0.5 * np.pi * axis, rho[part], tangent[part])
     model[:, 2:] *= -focal_px
-    weak = np.diag([1e-6, 1e-6, _BENT_RAD**-2, bent_rad**-2, bent_rad**-2])
+    prior_info = np.diag([_SHIFT_INFO, _SHIFT_INFO, _TURN_SIGMA_RAD**-2, tilt_sigma_rad**-2, tilt_sigma_rad**-2])
     for gate in _SHIFT_GATES_PX:
         use = np.abs(off_px - fitted) < gate
         m = model[use]
-        found = np.linalg.solve(m.T @ m + weak, m.T @ off_px[use])
+        found = np.linalg.solve(m.T @ m + prior_info, m.T @ off_px[use])
         fitted = model @ found
     shift = np.where(edges.axis == 0, found[0], found[1])
     moved = replace(edges, psi_rad=edges.psi_rad + float(found[2]), offset_px=edges.offset_px + shift)
     return moved, tilt_rad + found[3:]
 
 
-def _bends(angle_rad: float, rho: Array, tangent: Array) -> Array:
+def _jacobian(angle_rad: float, rho: Array, tangent: Array) -> Array:
     """(K, 3) how rho of a ray as a level robot sees it grows with the direction and with the tilt taken off it.
 
     Args:
@@ -189,7 +213,7 @@ def _bends(angle_rad: float, rho: Array, tangent: Array) -> Array:
     return np.column_stack([tangent, about_x, about_y])
 
 
-def _mode(off_px: Array) -> float:
+def _likely_shift(off_px: Array) -> float:
     """The shift that most points share; small ones are likelier beforehand."""
     if len(off_px) == 0:
         return 0.0
@@ -199,11 +223,11 @@ def _mode(off_px: Array) -> float:
     three = votes.copy()
     three[1:] += votes[:-1]
     three[:-1] += votes[1:]
-    return float(_SHIFTS_PX[np.argmax(three * _LIKELY)])
+    return float(_SHIFTS_PX[np.argmax(three * _SHIFT_LIKELIHOOD)])
 
 
-def _enough(found: Ints, hoped: Array) -> bool:
-    """Whether most of the predicted edges that are in view were seen along a good part of what was seen of them."""
-    in_view = hoped >= _FEWEST_LOOKS
-    seen = np.count_nonzero(in_view & (found >= _SEEN_SHARE * hoped))
-    return bool(seen >= max(_FOUND_SHARE * np.count_nonzero(in_view), _FEWEST_LINES))
+def _enough(seen: Ints, hoped: Array) -> bool:
+    """Whether most predicted edges in view are there: points seen and hoped for, (E,) each."""
+    in_view = hoped >= _MIN_LOOKS
+    there = np.count_nonzero(in_view & (seen >= _SEEN_FRACTION * hoped))
+    return bool(there >= max(_FOUND_FRACTION * np.count_nonzero(in_view), _MIN_EDGES))

@@ -13,12 +13,14 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, Int16s
 from ceilvo.daemon.vision.kernel.reference import median
+from ceilvo.robust import MAD_TO_SIGMA
 
 Array32 = NDArray[np.float32]
 
-_MEDIAN_TO_SIGMA = 1.4826
-_NOISE_STRIDE = 11
-_LEVELS = (1 << 16) - 1
+_NOISE_STRIDE_PX = 11
+"""Every 11th pixel of every 11th row tells the noise, 2600 of 640x480; chosen, prime: few patterns fall in with it."""
+_RANKS = (1 << 16) - 1
+"""Ranks of pixels by which a frame is thinned: what the uint16 of kernel.level_points holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +30,12 @@ class Edges:
     Attributes:
         uv_px: (P, 2) in the level view, relative to its principal point.
         phi_deg: (P,) direction of the gradient, along which brightness rises, in [0, 360).
-        share: how many of the edge points these are; a frame with very many is sampled evenly.
+        fraction: of the edge points found, how many these are; a frame with very many is sampled uniformly.
     """
 
     uv_px: Array32
     phi_deg: Array32
-    share: float = 1.0
+    fraction: float = 1.0
 
 
 class EdgeDetector:
@@ -48,7 +50,7 @@ class EdgeDetector:
         usable[:, [0, -1]] = False
         self._usable = usable.astype(np.uint8) * 255
         # a fixed, patternless order of the pixels: a regular one would favour lines at some angle
-        rank = np.random.default_rng(0).permutation(usable.size) * _LEVELS // usable.size
+        rank = np.random.default_rng(0).permutation(usable.size) * _RANKS // usable.size
         self._rank = rank.astype(np.uint16).reshape(shape)
 
     def __call__(self, gray: NDArray[np.uint8]) -> Edges:
@@ -56,20 +58,21 @@ class EdgeDetector:
         dx, dy, low, high = gradient(gray, self._config)
         mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
         edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
-        limit, share = self._limit(cv2.countNonZero(edges))
+        limit, fraction = self._limit(cv2.countNonZero(edges))
         uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit)
-        return Edges(uv, phi, share)
+        return Edges(uv, phi, fraction)
 
     def _limit(self, found: int) -> tuple[int, float]:
-        share = self._config.max_edge_share * self._usable.size / max(found, 1)
-        return (_LEVELS, 1.0) if share >= 1.0 else (int(share * _LEVELS), share)
+        """Rank below which pixels are kept, and the fraction of `found` edge points that this keeps."""
+        fraction = self._config.max_edge_share * self._usable.size / max(found, 1)
+        return (_RANKS, 1.0) if fraction >= 1.0 else (int(fraction * _RANKS), fraction)
 
 
 def gradient(gray: NDArray[np.uint8], config: Features) -> tuple[Int16s, Int16s, float, float]:
     """(H, W) gradient along x and y of the smoothed frame, and the lower and upper threshold its noise asks for."""
     smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
     dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(smooth))
-    noise = _MEDIAN_TO_SIGMA * median(np.abs(dx[::_NOISE_STRIDE, ::_NOISE_STRIDE]).reshape(-1))
+    noise = MAD_TO_SIGMA * median(np.abs(dx[::_NOISE_STRIDE_PX, ::_NOISE_STRIDE_PX]).reshape(-1))
     high = max(config.canny_sigmas * noise, config.canny_floor)
     return dx, dy, config.canny_low_ratio * high, high
 

@@ -15,36 +15,47 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.edges import Edges
 from ceilvo.daemon.vision.line_fit import JointFit, Points
-from ceilvo.daemon.vision.line_pairing import EdgeSet, fold, join_grooves
+from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
 
-_GATES_PX = (6.0, 3.0)
+_COARSE_GATES_PX = (6.0, 3.0)
+"""Distance of a point from its line in the first rounds; chosen: Hough bins are 2 wide, the tilt is not known yet."""
 _FINE_BIN_PX = 1.0
+"""Hough bin once direction and tilt are known; chosen: half the first one, peaks are sharper then."""
 _FINE_GATE_PX = 2.0
-_NO_WORSE = 0.95
+"""Gate of the round that follows; chosen: between the coarse gates and the last one, 0.8 to 2."""
+_KEPT_POINTS = 0.95
+"""A fit that began at the expected tilt wins with this fraction of the other's points; chosen: a tilt must convince."""
 _VAGUE_RAD = np.radians(0.1)
+"""A tilt known worse than this, of a robot of which nothing is known yet, is not used; chosen: a lamp's is worse."""
 _STEADY_RAD = np.radians(0.1)
+"""A robot whose prior is narrower than this does not rock; chosen: frames with many lines know the tilt better."""
 _DIRECTION_REACH_DEG = 4.0
-_FEWEST_VOTES = 8.0
-_TILT_GROWS = 1.2
-_ENOUGH_TO_START = 4000
-_LEVEL = np.zeros(2)
-AS_CLEAN = 1.15
+"""Gradients this near to the peak of the 1 deg bins are averaged; chosen: wider takes in clutter."""
+_MIN_VOTES = 8.0
+"""Fewest votes of a line, however few of the edge points were kept; chosen: as features.min_line_points allows."""
+_REACH_MARGIN = 1.2
+"""Points may lie this many times further out once the tilt is taken off; chosen, those beyond have no vote."""
+_START_POINTS = 4000
+"""Points for direction and first rounds, more of them are thinned; chosen: quicker, and the last rounds take all."""
+_LEVEL_RAD = np.zeros(2)
+NOISE_RATIO = 1.15
+"""Lines that fit worse than lately by this factor are doubted; chosen: a false optimum or moved lines fit worse."""
 
 
 def dominant_direction(phi_deg: Array32) -> float | None:
     """Direction in [-pi/4, pi/4) that most gradients share modulo 90 deg, or None without points."""
     if len(phi_deg) == 0:
         return None
-    folded = _modulo_90(phi_deg[:: 1 + len(phi_deg) // _ENOUGH_TO_START])
+    folded = _modulo_90(phi_deg[:: 1 + len(phi_deg) // _START_POINTS])
     votes = np.bincount(np.clip(folded.astype(np.int32), 0, 89), minlength=90)  # rounding may reach 90, or fall below 0
     peak = float(np.argmax(votes + np.roll(votes, 1) + np.roll(votes, -1))) + 0.5
     off = _modulo_90(folded - np.float32(peak - 45.0)) - np.float32(45.0)
     near = off[np.abs(off) < _DIRECTION_REACH_DEG]
-    return fold(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))
+    return fold_direction(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))[0]
 
 
 def _modulo_90(degrees: Array32) -> Array32:
@@ -53,13 +64,13 @@ def _modulo_90(degrees: Array32) -> Array32:
 
 @dataclass(frozen=True, slots=True)
 class LastFit:
-    """What the frames before say of the next: (2,) tilt of the last, and how well lines have fitted lately, px."""
+    """What the frames before leave for the next: (2,) tilt of the last, and how well lines have fitted lately, px."""
 
     tilt_rad: Array
     noise_px: float
 
 
-_NOTHING = LastFit(_LEVEL, 0.0)
+_NO_LAST_FIT = LastFit(_LEVEL_RAD, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,28 +82,28 @@ class _Problem:
     starts: list[Array]
     config: Features
     focal_px: float
-    share: float
+    fraction: float
 
-    def begun(self, tilt_rad: Array, tilt: bool = True) -> JointFit:
+    def start(self, tilt_rad: Array, tilt: bool = True) -> JointFit:
         """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: sharper ones."""
-        points, config, share = self.points, self.config, self.share
-        stride = points.stride_to(_ENOUGH_TO_START)
+        points, config, fraction = self.points, self.config, self.fraction
+        stride = points.stride_for(_START_POINTS)
         few = points.thinned(stride)
-        coarse = JointFit(few, self.psi, self.starts, self.focal_px, config, share / stride, tilt_rad)
-        for gate_px in _GATES_PX:
+        coarse = JointFit(few, self.psi, self.starts, self.focal_px, config, fraction / stride, tilt_rad)
+        for gate_px in _COARSE_GATES_PX:
             coarse.assign(gate_px)
             coarse.solve(tilt)
-        need = max(config.min_line_points * share, _FEWEST_VOTES)
-        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, share, coarse.tilt)
-        again = Points(fine.rho, fine.tangent, points.ends, _TILT_GROWS * points.reach)
+        need = max(config.min_line_points * fraction, _MIN_VOTES)
+        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, fraction, coarse.tilt)
+        again = Points(fine.rho, fine.tangent, points.ends, _REACH_MARGIN * points.reach)
         fine.restart(_peaks(_votes(again, (0.0, 0.0), self.focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
         fine.assign(_FINE_GATE_PX)
         fine.solve(tilt)
         return fine
 
-    def solved(self, tilt_rad: Array) -> _Found:
-        """The fit that begins at a tilt, and the tilt that it says."""
-        fit = self.begun(tilt_rad)
+    def solve(self, tilt_rad: Array) -> _Found:
+        """The fit that begins at a tilt, and the tilt that it finds."""
+        fit = self.start(tilt_rad)
         return fit, fit.finish()
 
 
@@ -111,7 +122,7 @@ def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior
 
 
 def detect(
-    edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None, last: LastFit = _NOTHING
+    edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None, last: LastFit = _NO_LAST_FIT
 ) -> tuple[Lines, EdgeSet] | None:
     """As find_lines, with the edges under the lines.
 
@@ -125,44 +136,44 @@ def detect(
         edges.uv_px, edges.phi_deg, float(np.degrees(psi)), config.direction_gate_deg, 1.0 / focal_px
     )
     points = Points(x, y, ends, _reach(x, y))
-    psi, starts = _hough(points, psi, config, edges.share, focal_px)
+    psi, starts = _hough(points, psi, config, edges.fraction, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
-    problem = _Problem(points, psi, starts, config, focal_px, edges.share)
+    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction)
     if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
-        fit, free = _of_steady(problem, prior)
+        fit, free = _solve_steady(problem, prior)
     else:
-        fit, free = _of_rocking(problem, last)
+        fit, free = _solve_rocking(problem, last)
     if prior is not None and config.estimate_tilt:
-        fit.lean_on(prior)
-    return join_grooves(fit, config, edges.share, free)
+        fit.apply_prior(prior)
+    return pair_edges(fit, config, edges.fraction, free)
 
 
-def _of_steady(problem: _Problem, prior: TiltPrior | None) -> _Found:
+def _solve_steady(problem: _Problem, prior: TiltPrior | None) -> _Found:
     """A robot that has not tilted lately, or of which nothing is known yet."""
-    fit, free = problem.solved(_LEVEL)
-    expected = _LEVEL if prior is None else prior.mean_rad
+    fit, free = problem.solve(_LEVEL_RAD)
+    expected = _LEVEL_RAD if prior is None else prior.mean_rad
     if not problem.config.estimate_tilt:
         return fit, free
     vague = prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD
-    if not vague and not fit.doubts(expected, prior):
+    if not vague and not fit.is_doubtful(expected, prior):
         return fit, free
-    level = problem.begun(expected, tilt=False)
+    level = problem.start(expected, tilt=False)
     if vague:  # so few lines that any tilt fits: then none is read from them
-        level.hold()
+        level.finish_held()
         return level, free
     held = level, level.finish()
     # a fit that began with another tilt must convince clearly more points than one that began where expected
-    return held if len(level.line) > _NO_WORSE * len(fit.line) else (fit, free)
+    return held if len(level.line) > _KEPT_POINTS * len(fit.line) else (fit, free)
 
 
-def _of_rocking(problem: _Problem, last: LastFit) -> _Found:
+def _solve_rocking(problem: _Problem, last: LastFit) -> _Found:
     """Begin where the last frame was; where that fits worse than lately, false optima are likely: look for a better."""
-    best = problem.solved(last.tilt_rad)
-    if best[0].noise_px < AS_CLEAN * last.noise_px:
+    best = problem.solve(last.tilt_rad)
+    if best[0].noise_px < NOISE_RATIO * last.noise_px:
         return best
-    for tilt_rad in (_LEVEL, None):
-        other = problem.solved(best[0].tilt if tilt_rad is None else tilt_rad)
+    for tilt_rad in (_LEVEL_RAD, None):
+        other = problem.solve(best[0].tilt if tilt_rad is None else tilt_rad)
         best = min(best, other, key=lambda found: found[0].cost(len(problem.points.x)))
     return best
 
@@ -172,14 +183,14 @@ def _reach(x: Array32, y: Array32) -> float:
     return float(np.hypot(*(max(v.max(initial=0.0), -v.min(initial=0.0)) for v in (x, y))))
 
 
-def _hough(points: Points, psi: float, config: Features, share: float, focal_px: float) -> tuple[float, list[Array]]:
+def _hough(points: Points, psi: float, config: Features, fraction: float, focal_px: float) -> tuple[float, list[Array]]:
     """The direction with the sharpest votes and, for each group, line offsets."""
     reach, bin_px = np.radians(config.hough_angle_deg), config.hough_bin_px
     angles = (psi + np.linspace(-reach, reach, 5)).tolist()
-    stride = points.stride_to(_ENOUGH_TO_START)
+    stride = points.stride_for(_START_POINTS)
     few = (_votes(points, (a, a + 0.5 * np.pi), focal_px, bin_px, stride) for a in angles)
     best = angles[int(np.argmax([np.vdot(v, v) for v in few]))]
-    need = max(config.min_line_points * share, _FEWEST_VOTES)
+    need = max(config.min_line_points * fraction, _MIN_VOTES)
     votes = _votes(points, (best, best + 0.5 * np.pi), focal_px, bin_px)
     return best, _peaks(votes, need, config, bin_px)
 

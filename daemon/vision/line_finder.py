@@ -1,4 +1,4 @@
-"""Which way to find lines: everywhere at the start, now and then and on doubt; else where the last frame says."""
+"""Lines of every frame: searched everywhere at the start, now and then and on doubt; else near the last frame's."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
-from ceilvo.daemon.vision.edge_tracking import BandDetector, predicted
+from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.line_detection import LastFit, detect
 from ceilvo.daemon.vision.line_pairing import EdgeSet
 from ceilvo.daemon.vision.tilt_prior import TiltPrior, TiltState, TiltTracker
 from ceilvo.types import Array, Lines
 
-_CLEAN_FADES = 1.01
+_NOISE_GROWTH = 1.01
+"""Per frame, of the least noise seen: forgotten within some 100 frames; chosen: light and blur change."""
 
 
 @dataclass(slots=True)
@@ -49,8 +50,8 @@ class LineFinder:
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._calibration, self._config = calibration, config
-        self._edges = EdgeDetector(calibration, config)
-        self._bands = BandDetector(calibration, config) if config.full_every > 1 else None
+        self._detector = EdgeDetector(calibration, config)
+        self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
 
     def reset(self) -> None:
@@ -58,33 +59,37 @@ class LineFinder:
         self.state = LineFinderState()
 
     def __call__(
-        self, gray: NDArray[np.uint8], prev_from_curr: Array | None, lap: Callable[[str], None] = lambda stage: None
+        self,
+        gray: NDArray[np.uint8],
+        prev_from_curr: Array | None,
+        on_stage_done: Callable[[str], None] = lambda stage: None,
     ) -> Lines | None:
-        """Lines of a frame.
+        """Lines of a frame, None when too few edge points agree on a direction.
 
         Args:
+            gray: (H, W) of the calibrated size.
             prev_from_curr: (3,) predicted motion since the last frame; None when there is no good prediction.
-            lap: called with "edges" and "lines" when these stages have ended.
+            on_stage_done: called with "edges" and "lines" when these stages have ended.
         """
         s, tilt = self.state, TiltTracker(self.state.tilt)
         found = self._track(gray, prev_from_curr, tilt.prior())
         if found is None:
             s.since_detection = 0
             s.detections += 1
-            edges = self._edges(gray)
-            lap("edges")
+            edges = self._detector(gray)
+            on_stage_done("edges")
             focal_px = self._calibration.level_view.focal_px
             found = detect(edges, self._config, focal_px, tilt.prior(), LastFit(s.tilt_rad, s.best_noise_px))
         else:
             s.since_detection += 1
             s.tracked += 1
-        lap("lines")
+        on_stage_done("lines")
         if found is None:
             s.edges = None
             return None
         lines, s.edges = found
         s.tilt_rad = lines.tilt_rad
-        s.best_noise_px = min(s.edges.noise_px, s.best_noise_px * _CLEAN_FADES)
+        s.best_noise_px = min(s.edges.noise_px, s.best_noise_px * _NOISE_GROWTH)
         if s.since_detection == 0:
             s.detection_noise_px = s.edges.noise_px
         tilt.update(lines)
@@ -94,11 +99,11 @@ class LineFinder:
         self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None
     ) -> tuple[Lines, EdgeSet] | None:
         s = self.state
-        if self._bands is None or s.edges is None or prev_from_curr is None or prior is None:
+        if self._tracker is None or s.edges is None or prev_from_curr is None or prior is None:
             return None
         if s.since_detection + 1 >= self._config.full_every:
             return None
         expected = predicted(s.edges, prev_from_curr, self._calibration)
         # what a full look could not fit better, a close one need not
         last = LastFit(s.tilt_rad, max(s.best_noise_px, s.detection_noise_px))
-        return self._bands(gray, expected, last, prior)
+        return self._tracker(gray, expected, last, prior)

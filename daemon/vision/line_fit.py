@@ -13,20 +13,37 @@ from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import Ends
 from ceilvo.daemon.vision.kernel.reference import median
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
 
 Array32 = NDArray[np.float32]
 
 _LAST_GATE_PX = (0.8, 2.0)
+"""Bounds of the last gate; 0.8 from the prototype's gates of 2.2, 1.2 and 0.8, 2 for jagged edges: chosen."""
 _LAST_GATE_SIGMAS = 3.0
+"""Between the bounds, in standard deviations of the points: 99.7 % of normal noise."""
 _CORRELATED_POINTS = 27.0
+"""Neighbours on a line that share one error where all edge points are used; chosen: too few make motions claim too
+much, which `make bench-vision` shows in column NEES/3 (docs/bench.md)."""
 _SIGMA_FLOOR_PX = 0.02
-_TILT_CHI2 = 9.21
-_SPREAD_STRIDE = 3
-_DOUBT_RAD = np.radians(0.3)
+"""Least standard deviation of points and of offsets; chosen: more points do not average out what is no noise."""
+_DIRECTION_INFO = 1e-3
+"""rad^-2, of the direction beforehand: as good as none, but no line may leave the equations singular."""
+_HELD_PRIOR_DEG = 1e-6
+"""Standard deviation of a tilt that is held: as good as 0 in double precision."""
 _HELD_RAD = np.radians(0.02)
-# with few lines tilt rests on what no noise model knows: bloom of lamps, remains of the lens
+"""Standard deviation reported for it; chosen: below what a frame with few lines could tell, above 0."""
+_TILT_CHI2 = 9.21
+"""Frame and prior disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
+_SPREAD_STRIDE = 3
+"""Every third point tells the spread; chosen: saves time, hundreds remain."""
+_DOUBT_RAD = np.radians(0.3)
+"""A tilt this far from the expected one is tried again from there; chosen: 11 mm on a ceiling 2.2 m high."""
+_DOUBT_SIGMAS = 3.0
+"""The same in standard deviations of the prior, where that is more: 99.7 %."""
 _WEAK_RAD = np.radians(0.014)
+"""A tilt known to this has its error doubled, a weaker one more; chosen: with few lines tilt rests on
+what no noise model knows, such as bloom of lamps and remains of the lens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +58,9 @@ class Points:
     ends: Ends
     reach: float
 
-    def stride_to(self, enough: int) -> int:
-        """Every how many-th point makes about so many."""
-        return max(len(self.x) // enough, 1)
+    def stride_for(self, count: int) -> int:
+        """Taking every so many-th point leaves about `count`."""
+        return max(len(self.x) // count, 1)
 
     def thinned(self, stride: int) -> Points:
         """Every stride-th point of each group."""
@@ -56,7 +73,15 @@ class Points:
 class JointFit:
     """Joint least squares: n(psi) . p(tilt) = offset of the point's line.
 
-    `line` is a point's line; `rho` and `tangent` are its coordinates across and along it, as rays of a level robot.
+    Attributes:
+        psi: rad, direction of axis 0's normal.
+        tilt: (2,) rad about base x and y.
+        covariance: (3, 3) of psi and tilt, rad^2.
+        offset, line_group, support: (L,) px, group of the line (see vision.kernel), and points it was fitted to.
+        line: (P,) a point's line.
+        rho, tangent: (P,) coordinates across and along it, as rays of a level robot.
+        noise_px: standard deviation of the points about their lines.
+        correlated: points that share one error.
     """
 
     def __init__(
@@ -66,18 +91,18 @@ class JointFit:
         starts: list[Array],
         focal_px: float,
         config: Features,
-        share: float,
+        fraction: float,
         tilt_rad: Array,
     ) -> None:
         self.psi = psi
         self.tilt = tilt_rad
         self._focal, self._config = focal_px, config
-        self.correlated = 1.0 + _CORRELATED_POINTS * share  # neighbours on a line share their error
+        self.correlated = 1.0 + _CORRELATED_POINTS * fraction
         self._x, self._y, self.ends = points.x, points.y, points.ends
         self.restart(starts)
         self.covariance = np.eye(3)
         self.noise_px = 1.0
-        self._place()
+        self._project()
 
     @property
     def axis(self) -> Ints:
@@ -96,7 +121,7 @@ class JointFit:
         low, high = kernel.extents(self.tangent, self.line, len(self.offset))
         return low * self._focal, high * self._focal
 
-    def _place(self) -> None:
+    def _project(self) -> None:
         """Turn the seen rays back by the robot's tilt."""
         self.rho, self.tangent = kernel.project(self._x, self._y, self.ends[2], self.psi, self.tilt)
 
@@ -122,22 +147,22 @@ class JointFit:
         self.line_group = np.repeat(np.arange(4), [len(s) for s in starts])
         self.support = np.zeros(len(self.offset), np.int64)
 
-    def doubts(self, expected_rad: Array, prior: TiltPrior | None) -> bool:
+    def is_doubtful(self, expected_rad: Array, prior: TiltPrior | None) -> bool:
         """Whether the tilt found is far from what was expected: then a false optimum is possible."""
         off = np.abs(self.tilt - expected_rad)
-        spread = _DOUBT_RAD if prior is None else np.maximum(3.0 * prior.sigma_rad, _DOUBT_RAD)
+        spread = _DOUBT_RAD if prior is None else np.maximum(_DOUBT_SIGMAS * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
 
     def start(self, line_of_point: NDArray[np.int32], expected_offset: Array) -> None:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
         self.line = line_of_point
         self.offset = expected_offset
-        self._place()
+        self._project()
 
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
         spread = np.abs(self.rho[::_SPREAD_STRIDE] * self._focal - self.offset[self.line[::_SPREAD_STRIDE]])
-        sigma = 1.4826 * median(spread)
+        sigma = MAD_TO_SIGMA * median(spread)
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
     def solve(self, tilt: bool = True) -> None:
@@ -156,10 +181,10 @@ class JointFit:
         self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
         weight = 1.0 / (self.noise_px**2 * self.correlated)
         held = not (tilt and self._config.estimate_tilt)
-        prior = np.radians(1e-6 if held else self._config.tilt_prior_deg)
+        prior = np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg)
         turn = self._tilt_from_axes()
         prior_info = np.zeros((3, 3))
-        prior_info[0, 0], prior_info[1, 1], prior_info[2, 2] = 1e-3, prior**-2, prior**-2
+        prior_info[0, 0], prior_info[1, 1], prior_info[2, 2] = _DIRECTION_INFO, prior**-2, prior**-2
         info = weight * info_jac + prior_info
         gradient = weight * r_jac + np.array([0.0, *(np.zeros(2) if held else turn.T @ self.tilt / prior**2)])
         covariance = np.asarray(np.linalg.inv(info))
@@ -169,16 +194,16 @@ class JointFit:
         self.covariance = to_base @ covariance @ to_base.T
         self.psi += float(step[0])
         self.tilt = self.tilt + turn @ step[1:]
-        self._place()
-        self._settle()
+        self._project()
+        self._update_offsets()
 
-    def hold(self) -> None:
+    def finish_held(self) -> None:
         """The last round with the tilt where it is."""
         self.assign(self.last_gate_px())
         self.solve(tilt=False)
         self.covariance = self.covariance + np.diag([0.0, _HELD_RAD**2, _HELD_RAD**2])
 
-    def lean_on(self, prior: TiltPrior) -> None:
+    def apply_prior(self, prior: TiltPrior) -> None:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""
         off = prior.mean_rad - self.tilt
         spread = self.covariance[1:, 1:] + np.diag(prior.sigma_rad**2)
@@ -189,10 +214,10 @@ class JointFit:
         self.covariance = self.covariance - gain @ self.covariance[1:, :]
         self.psi += float(step[0])
         self.tilt = self.tilt + step[1:]
-        self._place()
-        self._settle()
+        self._project()
+        self._update_offsets()
 
-    def _settle(self) -> None:
+    def _update_offsets(self) -> None:
         """Offsets as the means of their points."""
         mean = kernel.means(self.rho, self.line, len(self.offset)) * self._focal
         self.offset = np.where(self.support > 0, mean, self.offset)

@@ -13,8 +13,13 @@ from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Ints, LineKind, Lines
 
 _SAME_LINE_PX = 3.0
-_FEWEST_SUPPORT = 4.0
+"""Edges of one polarity closer than this are one; chosen: a lamp and its frame are often within 2 (docs/bench.md)."""
+_SUPPORT_RATIO = 0.5
+"""Fewest edge points of an edge, over the votes it took to find it; chosen: the last, narrower gate drops some."""
+_MIN_SUPPORT = 4.0
+"""Fewest edge points of an edge, however few of a frame were kept; chosen: offset and spread need more than 2."""
 _NARROW_PX = 1.0
+"""Gaps below this count alike when sides of grooves are chosen; chosen: edge points scatter by up to this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +31,7 @@ class EdgeSet:
         axis, rising: (E,) 0 or 1, and whether brightness rises along the normal.
         offset_px: (E,).
         start_px, end_px: (E,) extent along the edge, counted along the normal turned by +90 deg.
-        filled: (E,) share of that extent along which it was seen; short edges in one line have gaps.
+        coverage: (E,) fraction of that extent along which it was seen; short edges in one line have gaps.
         noise_px: standard deviation of the points about their edges.
     """
 
@@ -36,24 +41,24 @@ class EdgeSet:
     offset_px: Array
     start_px: Array
     end_px: Array
-    filled: Array
+    coverage: Array
     noise_px: float
 
 
-def join_grooves(
-    fit: JointFit, config: Features, share: float, free: TiltPrior, evenly: bool = False
+def pair_edges(
+    fit: JointFit, config: Features, fraction: float, free: TiltPrior, uniform: bool = False
 ) -> tuple[Lines, EdgeSet] | None:
     """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line.
 
     Args:
-        share: edge points looked at, of all there may be; fewer make a line then.
-        free: tilt as this frame alone says it.
-        evenly: the points looked at stand at even distances along their lines, not anywhere.
+        fraction: of the edge points there may be, how many were looked at; fewer make a line then.
+        free: tilt from this frame alone.
+        uniform: the points looked at are uniformly spaced along their lines, not anywhere.
 
     Returns:
         The lines and the edges under them; None when fewer than two edges have enough points.
     """
-    keep = np.flatnonzero(fit.support >= max(0.5 * share * config.min_line_points, _FEWEST_SUPPORT))
+    keep = np.flatnonzero(fit.support >= max(_SUPPORT_RATIO * fraction * config.min_line_points, _MIN_SUPPORT))
     if len(keep) < 2:
         return None
     order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
@@ -76,7 +81,7 @@ def join_grooves(
     if len(order) < len(new_of_old):
         used = point_line >= 0
         points, point_line = points[used], point_line[used]
-    psi, turned = fold_turns(fit.psi)
+    psi, turned = fold_direction(fit.psi)
     lines = Lines(
         psi_rad=psi,
         psi_sigma_rad=float(np.sqrt(fit.covariance[0, 0])),
@@ -91,21 +96,25 @@ def join_grooves(
         free_tilt_sigma_rad=free.sigma_rad,
         points=points,
         point_line=point_line,
-        share=share,
-        evenly=evenly,
+        share=fraction,
+        evenly=uniform,
     )
-    return _turn_axes(lines, turned), _edge_set(fit, order, share)
+    return _turn_axes(lines, turned), _edge_set(fit, order, fraction)
 
 
-def _edge_set(fit: JointFit, order: Ints, share: float) -> EdgeSet:
+def _edge_set(fit: JointFit, order: Ints, fraction: float) -> EdgeSet:
     start, end = (v[order] for v in fit.extents())
     rising = fit.line_group[order] % 2 == 1
-    filled = np.minimum(fit.support[order] / (share * np.maximum(end - start, 1.0)), 1.0)
-    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start, end, filled, fit.noise_px)
+    coverage = np.minimum(fit.support[order] / (fraction * np.maximum(end - start, 1.0)), 1.0)
+    return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start, end, coverage, fit.noise_px)
 
 
 def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:
-    """False for a line that stands within 3 px of a stronger one of its own axis and polarity."""
+    """False for an edge close to a stronger one of its own axis and polarity.
+
+    Args:
+        order: edges by axis and offset.
+    """
     good = np.ones(len(order), bool)
     for g in range(4):
         ids = np.flatnonzero(fit.line_group[order] == g)
@@ -142,12 +151,7 @@ def _turn_axes(lines: Lines, turned: int) -> Lines:
     return replace(lines, axis=axis, offset_px=offset, kind=kind)
 
 
-def fold(psi: float) -> float:
-    """psi in [-pi/4, pi/4)."""
-    return fold_turns(psi)[0]
-
-
-def fold_turns(psi: float) -> tuple[float, int]:
+def fold_direction(psi: float) -> tuple[float, int]:
     """psi in [-pi/4, pi/4) and the quarter turns taken off it."""
     turns = int(np.floor((psi + 0.25 * np.pi) / (0.5 * np.pi)))
     return psi - turns * 0.5 * np.pi, turns

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 
 from ceilvo import config
 from ceilvo.config.serial_budget import wire_budget
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram, no_estimate, telegram_of
+from ceilvo.drivers.base.protocol import no_estimate, telegram_of
 from ceilvo.drivers.base.wheel_track import WheelTrack
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.rate_limit import QuietLog
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.types import Estimate, State
 

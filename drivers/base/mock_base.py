@@ -14,15 +14,13 @@ from ceilvo import se2
 from ceilvo.drivers.base.protocol import (
     ANGLE_UNIT_RAD,
     LENGTH_UNIT_M,
-    PROTOCOL_VERSION,
-    BaseStatus,
-    PoseTelegram,
     decode_pose,
     decode_status,
     encode_pose,
     encode_status,
 )
 from ceilvo.drivers.ports import Clock
+from ceilvo.drivers.telegrams import PROTOCOL_VERSION, BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.types import State
 

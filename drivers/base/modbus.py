@@ -18,14 +18,8 @@ from pymodbus.pdu import ModbusPDU
 
 from ceilvo.config import Base
 from ceilvo.config.serial_budget import STATUS_REGISTERS, stop_bits
-from ceilvo.drivers.base.protocol import (
-    POSE_ADDRESS,
-    STATUS_ADDRESS,
-    BaseStatus,
-    PoseTelegram,
-    decode_status,
-    encode_pose,
-)
+from ceilvo.drivers.base.protocol import POSE_ADDRESS, STATUS_ADDRESS, decode_status, encode_pose
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 
 _FC_READ_INPUT, _FC_WRITE, _FC_READ_WRITE = 4, 16, 23

@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ceilvo import se2
 from ceilvo.config.serial_budget import POSE_REGISTERS, STATUS_REGISTERS
+from ceilvo.drivers.telegrams import PROTOCOL_VERSION, BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.types import Estimate, State
-
-PROTOCOL_VERSION = 1
 
 POSE_ADDRESS = 1000
 """First holding register of the pose block, zero-based as in the frame."""
@@ -38,59 +37,6 @@ STATUS_HEARTBEAT_LOST = 1 << 3
 
 _POSE = struct.Struct(">HHHIHiiiHHHhhhH")
 _STATUS = struct.Struct(">HHiiiI")
-
-
-@dataclass(frozen=True, slots=True)
-class PoseTelegram:
-    """What the base is told. Pose is map_from_base, sigmas are along the map's axes, twist is in base.
-
-    Attributes:
-        state, quality: how far the pose can be trusted; quality in 0..1.
-        sequence: of the camera frame, modulo 2^32.
-        age_s: from the frame's stamp to the sending of this telegram.
-        heartbeat: changes with every telegram, modulo 2^16.
-        version: protocol version.
-    """
-
-    state: State
-    quality: float
-    sequence: int
-    age_s: float
-    x_m: float
-    y_m: float
-    theta_rad: float
-    sigma_x_m: float
-    sigma_y_m: float
-    sigma_theta_rad: float
-    vx_mps: float
-    vy_mps: float
-    omega_radps: float
-    heartbeat: int
-    version: int = PROTOCOL_VERSION
-
-
-@dataclass(frozen=True, slots=True)
-class BaseStatus:
-    """What the base reports.
-
-    Attributes:
-        motors_on, e_stop, fault: as they are now.
-        heartbeat_lost: the base has stopped itself because the heartbeat stood still.
-        wheel_x_count, wheel_y_count: cumulative wheel odometry, int32 in 0.1 mm, wraps around.
-        wheel_theta_count: cumulative heading, int32 in 10 urad, wraps around (modulo 2 pi is accepted too).
-        clock_ms: time since the base started, uint32, wraps around.
-        version: protocol version.
-    """
-
-    motors_on: bool
-    e_stop: bool
-    fault: bool
-    heartbeat_lost: bool
-    wheel_x_count: int
-    wheel_y_count: int
-    wheel_theta_count: int
-    clock_ms: int
-    version: int = PROTOCOL_VERSION
 
 
 def no_estimate(heartbeat: int) -> PoseTelegram:

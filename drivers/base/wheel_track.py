@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, LENGTH_UNIT_M, BaseStatus, wrap_int32
-from ceilvo.types import WheelMotion, frozen
+from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, LENGTH_UNIT_M, wrap_int32
+from ceilvo.drivers.telegrams import BaseStatus
+from ceilvo.types import Displacement, WheelMotion, frozen
 
 Array = NDArray[np.float64]
 
@@ -142,7 +143,7 @@ class WheelTrack:
         length_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
         turned_rad = float(np.abs(steps[:, 2]).sum())
         cov = self._cov(length_m, turned_rad, t1 - t0, max(0.0, t1 - float(t[-1])))
-        return WheelMotion(frozen(se2.between(points[0], points[-1])), frozen(cov))
+        return WheelMotion(Displacement(frozen(se2.between(points[0], points[-1]))), frozen(cov))
 
     def _cov(self, length_m: float, turned_rad: float, elapsed_s: float, coast_s: float) -> Array:
         n = self._noise

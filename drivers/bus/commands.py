@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ceilvo.drivers.bus import messages as wire
+from ceilvo.drivers.bus import messages
 from ceilvo.errors import BusError
 from ceilvo.se2 import wrap
 
@@ -66,19 +66,19 @@ def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Comman
     """
     where = f"command {command}"
     if command not in COMMANDS:
-        raise BusError(f"command {wire.short(command)} is unknown, expected one of {', '.join(COMMANDS)}")
+        raise BusError(f"command {messages.short(command)} is unknown, expected one of {', '.join(COMMANDS)}")
     if not exact:
         raise BusError(f"{where}: asked with a wildcard, expected the robot's full key; commands go to one robot")
     if len(payload) > MAX_COMMAND_BYTES:
         raise BusError(f"{where}: payload too large, expected at most {MAX_COMMAND_BYTES} bytes; send less")
-    fields = wire.load_object(payload, where) if payload.strip() else {}
+    fields = messages.load_object(payload, where) if payload.strip() else {}
     if command == "initial_pose":
         return _parse_initial_pose(where, fields)
     if command == "reset":
         _check_names(where, fields, ("keep_map",))
         keep = fields.get("keep_map", True)
         if not isinstance(keep, bool):
-            raise BusError(f"{where}: keep_map is {wire.short(keep)}, expected true or false")
+            raise BusError(f"{where}: keep_map is {messages.short(keep)}, expected true or false")
         return Reset(keep)
     _check_names(where, fields, ())
     return Relocalise() if command == "relocalise" else SaveMap()
@@ -98,11 +98,11 @@ def _check_names(where: str, fields: Mapping[str, Any], known: tuple[str, ...]) 
     unknown = [n for n in fields if n not in known]
     if unknown:
         expected = f"only {', '.join(known)}" if known else "no fields"
-        raise BusError(f"{where}: field {wire.short(unknown[0])} is unknown, expected {expected}")
+        raise BusError(f"{where}: field {messages.short(unknown[0])} is unknown, expected {expected}")
 
 
 def _number(where: str, name: str, value: Any) -> float:
     low, high = _POSE_RANGES[name]
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise BusError(f"{where}: {name} is {wire.short(value)}, expected a number in [{low:g}, {high:g}]")
+        raise BusError(f"{where}: {name} is {messages.short(value)}, expected a number in [{low:g}, {high:g}]")
     return float(value)

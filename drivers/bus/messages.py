@@ -11,9 +11,8 @@ from __future__ import annotations
 import json
 import math
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -21,28 +20,15 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.config.zenoh_names import segment_problem
 from ceilvo.errors import BusError
+from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Landmarks, State
 
 VERSION = 1
 MAX_PARTICLES = 2000
 """A larger set is thinned evenly: the message is for looking at."""
 
-
-class Topic(str, Enum):
-    """What is published; the value is the last part of the key."""
-
-    POSE = "pose"
-    ODOM = "odom"
-    HEALTH = "health"
-    EVENT = "event"
-    LANDMARKS = "landmarks"
-    PARTICLES = "particles"
-    IMAGE = "image"
-
-
-ON_DEMAND = (Topic.LANDMARKS, Topic.PARTICLES, Topic.IMAGE)
-"""Made only while somebody subscribes."""
 
 QUERIES = ("map", "calibration", "config")
 
@@ -62,12 +48,8 @@ def robot_key(prefix: str, robot: str) -> str:
         BusError: zenoh.prefix or robot.name cannot be part of a key.
     """
     for name, value in (("zenoh.prefix", prefix), ("robot.name", robot)):
-        bad = not value.isprintable() or not value or value.startswith("@") or set(value) & set("/*$#? ")
-        if bad:
-            raise BusError(
-                f"{name}: found {short(value)}, expected one segment of a Zenoh key: not empty, none of / * $ # ? or "
-                "blanks, no @ in front; try letters, digits, - and _"
-            )
+        if problem := segment_problem(value):
+            raise BusError(f"{name}: {problem}")
     return f"{prefix}/{robot}"
 
 
@@ -76,7 +58,7 @@ def robot_key(prefix: str, robot: str) -> str:
 
 def encode_pose(robot: str, estimate: Estimate, stamp_unix_ns: int, sent_ns: int) -> bytes:
     """Pose of base in map, how good it is and why; sent_ns (monotonic) minus the capture time is its age."""
-    e, d = estimate, estimate.depletion
+    e, d = estimate, estimate.health
     sigma = np.sqrt(np.maximum(np.diag(e.cov), 0.0))
     return _message(
         "pose",
@@ -212,7 +194,7 @@ def encode_error(robot: str, command: str, error: str) -> bytes:
 
 def _message(name: str, robot: str, fields: Mapping[str, object]) -> bytes:
     body = {"schema": f"ceilvo.{name}.{VERSION}", "robot": robot, **fields}
-    return json.dumps(_plain(body), allow_nan=False, separators=(",", ":")).encode("ascii")
+    return json.dumps(json_value(body), allow_nan=False, separators=(",", ":")).encode("ascii")
 
 
 def _pose_fields(pose: NDArray[np.float64]) -> dict[str, object]:
@@ -239,33 +221,6 @@ def _landmark_columns(m: Landmarks) -> dict[str, object]:
         "kind": m.kind,
         "sightings": m.sightings,
     }
-
-
-def _plain(value: object) -> Any:
-    """What JSON can say; a number that is not finite becomes null."""
-    if value is None or (isinstance(value, bool | str) and not isinstance(value, Enum)):
-        return value
-    if isinstance(value, Enum):
-        return value.name
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.bool_):
-        return bool(value)
-    if isinstance(value, np.ndarray):
-        return _plain_array(value)
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
-        return [_plain(v) for v in value]
-    return str(value)
-
-
-def _plain_array(a: NDArray[Any]) -> Any:
-    if a.dtype.kind in "iub" or (a.dtype.kind == "f" and bool(np.isfinite(a).all())):
-        return a.tolist()
-    return _plain(a.tolist())
 
 
 # decoding

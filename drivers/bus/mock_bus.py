@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from ceilvo.drivers.bus.messages import ON_DEMAND, Topic, robot_key
+from ceilvo.drivers.bus.messages import robot_key
 from ceilvo.drivers.bus.requests import Answer, Handlers, Requests
+from ceilvo.drivers.ports import ON_DEMAND, Topic
 
 
 class MockBus:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.drivers.bus import commands
-from ceilvo.drivers.bus import messages as wire
+from ceilvo.drivers.bus import commands, messages
 from ceilvo.drivers.ports import Clock
 from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
 from ceilvo.errors import BusError, CeilvoError
@@ -55,7 +54,7 @@ class Requests:
     """A flood of commands must neither keep the estimator from its frames nor the disk busy."""
     LOGGED_PER_S, LOG_BURST = 0.2, 20
 
-    NAMES: tuple[str, ...] = (*wire.QUERIES, *(f"cmd/{c}" for c in commands.COMMANDS))
+    NAMES: tuple[str, ...] = (*messages.QUERIES, *(f"cmd/{c}" for c in commands.COMMANDS))
 
     def __init__(self, robot: str, handlers: Handlers, clock: Clock = time.monotonic_ns) -> None:
         self._robot = robot
@@ -79,12 +78,12 @@ class Requests:
             body = self._command(short_name, payload, exact) if is_command else self._query(name)
         except CeilvoError as e:
             self._refusals.warning(f"{name} refused: {e}")
-            return self._count("request_errors", Answer(False, wire.encode_error(self._robot, short_name, str(e))))
+            return self._count("request_errors", Answer(False, messages.encode_error(self._robot, short_name, str(e))))
         except Exception as e:
             # A fault in a handler must reach the caller as an answer: a query without one hangs until its timeout.
             log.exception("%s failed", name)
             text = f"internal error {type(e).__name__}; see the daemon's log"
-            return self._count("request_errors", Answer(False, wire.encode_error(self._robot, short_name, text)))
+            return self._count("request_errors", Answer(False, messages.encode_error(self._robot, short_name, text)))
         return self._count("commands" if is_command else "queries", Answer(True, body))
 
     def counters(self) -> dict[str, int]:
@@ -99,11 +98,11 @@ class Requests:
     def _query(self, name: str) -> bytes:
         h = self._handlers
         if name == "calibration":
-            return wire.encode_calibration(self._robot, h.calibration())
+            return messages.encode_calibration(self._robot, h.calibration())
         if name == "config":
-            return wire.encode_config(self._robot, h.config())
-        stamp = wire.Stamp(time.monotonic_ns(), time.time_ns())
-        return wire.encode_map(self._robot, stamp, h.map())
+            return messages.encode_config(self._robot, h.config())
+        stamp = messages.Stamp(time.monotonic_ns(), time.time_ns())
+        return messages.encode_map(self._robot, stamp, h.map())
 
     def _command(self, name: str, payload: bytes, exact: bool) -> bytes:
         request = commands.parse_command(name, payload, exact=exact)
@@ -114,7 +113,7 @@ class Requests:
         with self._command_lock:
             result = self._dispatch(request)
         log.info("command %s: %s", name, dict(result))
-        return wire.encode_reply(self._robot, name, result)
+        return messages.encode_reply(self._robot, name, result)
 
     def _dispatch(self, request: commands.Command) -> Result:
         h = self._handlers

@@ -16,8 +16,9 @@ from typing import Any, TextIO
 import zenoh
 
 from ceilvo.config import Zenoh
-from ceilvo.drivers.bus import messages as wire
+from ceilvo.drivers.bus import messages
 from ceilvo.drivers.bus.zenoh_session import Connection, watcher_config
+from ceilvo.drivers.ports import Topic
 from ceilvo.errors import BusError
 from ceilvo.types import State
 
@@ -67,7 +68,7 @@ def watch(
     Raises:
         BusError: Zenoh cannot be used as configured.
     """
-    stem = f"{config.prefix}/*" if robot == "*" else wire.robot_key(config.prefix, robot)
+    stem = f"{config.prefix}/*" if robot == "*" else messages.robot_key(config.prefix, robot)
     inbox: queue.Queue[tuple[str, bytes | None]] = queue.Queue(_BACKLOG)
     printer = _Printer(out, options or WatchOptions(), clock)
 
@@ -83,7 +84,7 @@ def watch(
     held: list[object] = []
 
     def declare(session: zenoh.Session) -> None:
-        for topic in (wire.Topic.POSE, wire.Topic.HEALTH, wire.Topic.EVENT):
+        for topic in (Topic.POSE, Topic.HEALTH, Topic.EVENT):
             held.append(session.declare_subscriber(f"{stem}/{topic.value}", receive))
         held.append(session.liveliness().declare_subscriber(stem, alive, history=True))
         if on_ready is not None:
@@ -144,7 +145,7 @@ class _Printer:
         return f"{robot} {word}"
 
     def _line(self, robot: str, topic: str, payload: bytes) -> str | None:
-        fields = wire.decode(payload, topic)
+        fields = messages.decode(payload, topic)
         if topic == "pose":
             return self._pose(robot, payload, fields)
         if self._options.raw:
@@ -154,7 +155,7 @@ class _Printer:
         return self._health(robot, fields)
 
     def _pose(self, robot: str, payload: bytes, fields: Mapping[str, Any]) -> str | None:
-        pose = wire.decode_pose(payload)
+        pose = messages.decode_pose(payload)
         if not self._options.raw:
             changed = self._state.get(robot) is not pose.state
             self._state[robot] = pose.state
@@ -177,7 +178,7 @@ class _Printer:
         return True
 
 
-def pose_line(p: wire.Pose) -> str:
+def pose_line(p: messages.Pose) -> str:
     """One pose for people: metres, degrees, millimetres of sigma."""
     sigma_mm = 1e3 * math.sqrt(max(p.cov[0] + p.cov[4], 0.0)) if math.isfinite(p.cov[0] + p.cov[4]) else math.nan
     sigma_deg = math.degrees(math.sqrt(max(p.cov[8], 0.0))) if math.isfinite(p.cov[8]) else math.nan

@@ -13,10 +13,10 @@ import zenoh
 
 from ceilvo.config import Zenoh
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES
-from ceilvo.drivers.bus.messages import ON_DEMAND, Topic, robot_key
+from ceilvo.drivers.bus.messages import robot_key
 from ceilvo.drivers.bus.requests import Handlers, Requests
 from ceilvo.drivers.bus.zenoh_session import Connection, session_config, zenoh_reason
-from ceilvo.drivers.ports import Clock
+from ceilvo.drivers.ports import ON_DEMAND, Clock, Topic
 from ceilvo.errors import BusError
 
 log = logging.getLogger(__name__)

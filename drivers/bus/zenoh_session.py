@@ -13,6 +13,7 @@ from typing import Any
 import zenoh
 
 from ceilvo.config import Zenoh
+from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer
 from ceilvo.drivers.bus.messages import short
 from ceilvo.errors import BusError
 
@@ -35,12 +36,6 @@ _RECEIVED: dict[str, Any] = {
     ],
 }
 """The daemon is sent requests only, of at most 4 KiB: what is far larger is dropped before it is put together."""
-_IP_PROTOCOLS = ("tcp", "udp", "tls", "quic", "ws")
-_STREAMS = ("tcp", "tls", "ws")
-_OTHER_PROTOCOLS = ("unixsock-stream", "unixpipe", "serial", "vsock")
-_ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<address>[^?#\s]+)(?P<rest>[?#]\S*)?")
-_LOOPBACK = re.compile(r"[a-z]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):")
-_HOST_PORT = re.compile(r"(?P<host>\[[0-9a-fA-F:.%\w]+\]|[^:\s]+):(?P<port>\d{1,5})")
 
 
 def session_config(config: Zenoh) -> zenoh.Config:
@@ -51,7 +46,7 @@ def session_config(config: Zenoh) -> zenoh.Config:
     """
     if config.config_file:
         return _from_file(config.config_file)
-    listen, connect = checked_endpoints(config)
+    listen, connect = _checked_endpoints(config)
     return _from_settings(_settings(config, listen, connect) | _RECEIVED)
 
 
@@ -68,45 +63,19 @@ def watcher_config(config: Zenoh) -> zenoh.Config:
         out.insert_json5("listen/endpoints", json.dumps(["tcp/127.0.0.1:0"]))
         out.insert_json5("connect/endpoints", json.dumps([*connect, *_reachable(daemon)]))
         return out
-    listen, connect = checked_endpoints(config)
+    listen, connect = _checked_endpoints(config)
     return _from_settings(_settings(config, ["tcp/127.0.0.1:0"], [*connect, *_reachable(listen)]))
 
 
-def checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
-    """zenoh.listen and zenoh.connect; Zenoh itself would accept an impossible connect endpoint and stay silent.
+def _checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
+    """zenoh.listen and zenoh.connect.
 
     Raises:
-        BusError: an endpoint is not protocol/address, or its port is impossible.
+        BusError: one of them is impossible.
     """
-    for key, ends, first_port in (("zenoh.listen", config.listen, 0), ("zenoh.connect", config.connect, 1)):
-        for end in ends:
-            problem = _endpoint_problem(end, first_port)
-            if problem:
-                raise BusError(f"{key}: found {short(end)}, expected {problem}; for example tcp/192.168.0.2:7447")
-    if config.mode == "client" and not (config.connect or config.multicast):
-        raise BusError("zenoh.connect: found nothing, expected a router for zenoh.mode client; name its endpoint")
+    for keys, problem in endpoint_problems(config):
+        raise BusError(f"{keys[0]}: {problem}")
     return list(config.listen), list(config.connect)
-
-
-def endpoint_address(end: str) -> tuple[str, int] | None:
-    """Host and port of an endpoint that a TCP connection reaches, None for the others."""
-    match = _ENDPOINT.fullmatch(end)
-    address = _HOST_PORT.fullmatch(match["address"]) if match and match["protocol"] in _STREAMS else None
-    return None if address is None else (address["host"].strip("[]"), int(address["port"]))
-
-
-def _endpoint_problem(end: str, first_port: int) -> str | None:
-    match = _ENDPOINT.fullmatch(end)
-    if not match:
-        return "protocol/address"
-    if match["protocol"] in _OTHER_PROTOCOLS:
-        return None
-    if match["protocol"] not in _IP_PROTOCOLS:
-        return f"one of the protocols {', '.join(_IP_PROTOCOLS + _OTHER_PROTOCOLS)}"
-    address = _HOST_PORT.fullmatch(match["address"])
-    if not address or not first_port <= int(address["port"]) <= 65535:
-        return f"host:port with a port from {first_port} to 65535"
-    return None
 
 
 def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str, Any]:
@@ -126,12 +95,8 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         "scouting/multicast/enabled": config.multicast,
         "scouting/multicast/interface": "lo",
         # A stranger found by multicast may be on the network, and gossip would make us connect to its peers there.
-        "scouting/gossip/enabled": not (config.multicast and _loopback_only([*listen, *connect])),
+        "scouting/gossip/enabled": not (config.multicast and all(map(on_this_computer, [*listen, *connect]))),
     }
-
-
-def _loopback_only(ends: list[str]) -> bool:
-    return all(_LOOPBACK.match(e) or e.startswith(("unixsock-stream/", "unixpipe/")) for e in ends)
 
 
 def _from_settings(settings: dict[str, Any]) -> zenoh.Config:

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.calib.cli import main, mount_angles
+from ceilvo.calib.cli import main
+from ceilvo.calibration import mount_angles
 from ceilvo.calibration_file import read_calibration
 from ceilvo.sim.rig import simulated_calibration
 
@@ -63,4 +64,4 @@ tilt = st.floats(-0.5, 0.5)
 @given(st.floats(-3.1, 3.1), tilt, tilt)
 def test_the_angles_shown_are_those_of_the_mounting(yaw: float, roll: float, pitch: float) -> None:
     calibration = simulated_calibration(yaw_rad=yaw, roll_rad=roll, pitch_rad=pitch)
-    np.testing.assert_allclose(mount_angles(calibration), [yaw, roll, pitch], atol=1e-9)
+    np.testing.assert_allclose(mount_angles(calibration.camera_from_base), [yaw, roll, pitch], atol=1e-9)

@@ -17,8 +17,8 @@ from ceilvo import calibration_file
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import check_fits, read_calibration, sign_calibration, write_calibration
 from ceilvo.camera import CameraModel
-from ceilvo.config.yaml_nodes import MAX_BYTES
 from ceilvo.errors import EXIT_CONFIG, CalibrationError
+from ceilvo.yaml_nodes import MAX_BYTES
 
 LENS = CameraModel("pinhole", 640, 480, 410.3, 409.1, 322.7, 236.4, (-0.15, 0.03, 6e-4, -4e-4, -0.002))
 

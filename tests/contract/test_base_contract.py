@@ -14,9 +14,10 @@ import pytest
 from ceilvo import config
 from ceilvo.drivers.base.mock_base import BaseModel, MockBase
 from ceilvo.drivers.base.modbus import ModbusBase
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram, decode_pose, encode_pose
+from ceilvo.drivers.base.protocol import decode_pose, encode_pose
 from ceilvo.drivers.base.wheel_track import WheelTrack
 from ceilvo.drivers.ports import Base
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.sim.base import SimBase
 from ceilvo.types import State

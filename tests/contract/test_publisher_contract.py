@@ -16,11 +16,10 @@ import zenoh
 
 from ceilvo import config
 from ceilvo.calibration import Calibration
-from ceilvo.drivers.bus.messages import Topic
 from ceilvo.drivers.bus.mock_bus import MockBus
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
-from ceilvo.drivers.ports import Publisher
+from ceilvo.drivers.ports import Publisher, Topic
 from ceilvo.errors import BusError
 from ceilvo.types import Landmarks
 

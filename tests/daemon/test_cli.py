@@ -40,6 +40,19 @@ def test_help_of_every_command_has_an_example(capsys: pytest.CaptureFixture[str]
         assert "example: ceilvod" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["mrclam", "DIR", "--test", "3"], "experiment is now python -m ceilvo.bench.mrclam\n"),
+        (["speed"], "experiment is now python -m ceilvo.bench.speed.filter_step\n"),
+        ([], "experiment is now python -m ceilvo.bench.paper, python -m ceilvo.bench.mrclam, python -m "),
+    ],
+)
+def test_experiment_says_where_it_has_gone(words: list[str], named: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["experiment", *words]) == 2
+    assert capsys.readouterr().err.startswith(f"ceilvod: {named}")
+
+
 def test_replay_is_repeatable_and_near_the_truth(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,7 +88,7 @@ def test_without_frames_it_coasts_and_says_why(world: World) -> None:
     pipeline = pipeline_of(world)
     estimates = [pipeline.step(f) for f in frames(world, 2.0)]
     late = estimates[-1].stamp_ns + 400_000_000
-    coasted = pipeline.coast(late, "camera unplugged")
+    coasted = pipeline.step_crossings(late, None, missing="camera unplugged")
     assert coasted.state is State.DEAD_RECKONING
     assert coasted.motion.failure == "camera unplugged"
     assert coasted.seq == estimates[-1].seq + 1
@@ -100,12 +100,12 @@ def restarted(world: World, shift: tuple[float, float]) -> tuple[list[Estimate],
     shot = list(frames(world, 8.0))
     mapper = pipeline_of(world)
     poses = [mapper.step(frame) for frame in shot]
-    axis = mapper.map_axis_rad
+    axis = mapper.relocaliser.state.map_axis_rad
     assert axis is not None
     begin = int(3.0 * RATE_HZ)
     again = pipeline_of(world)
     stored = poses[begin].pose + np.array([*shift, 0.0])
-    again.know_map(mapper.landmarks(), axis, stored, np.diag([0.05, 0.05, 0.05]) ** 2)
+    again.load_map(mapper.filter.landmarks(), axis, stored, np.diag([0.05, 0.05, 0.05]) ** 2)
     return [again.step(frame) for frame in shot[begin:]], shot[begin:]
 
 
@@ -130,11 +130,11 @@ def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World) -> Non
     mapper = pipeline_of(world)
     for frame in shot:
         last = mapper.step(frame)
-    axis = mapper.map_axis_rad
+    axis = mapper.relocaliser.state.map_axis_rad
     assert axis is not None
     wrong = last.pose + np.array([0.31, 0.28, 0.0])
     again = pipeline_of(world)
-    again.know_map(mapper.landmarks(), axis, wrong, np.diag([0.02, 0.02, 0.02]) ** 2)
+    again.load_map(mapper.filter.landmarks(), axis, wrong, np.diag([0.02, 0.02, 0.02]) ** 2)
     states = {again.step(replace(shot[-1], stamp_ns=shot[-1].stamp_ns + k * 66_000_000)).state for k in range(30)}
     assert State.TRACKING not in states
 
@@ -145,7 +145,7 @@ def test_a_robot_that_is_put_elsewhere_in_the_light_is_in_doubt_at_once_and_teac
     pipeline, shot = pipeline_of(world), list(frames(world, 8.0))
     for frame in shot:
         last = pipeline.step(frame)
-    known, stamp_ns = len(pipeline.landmarks()), shot[-1].stamp_ns
+    known, stamp_ns = len(pipeline.filter.landmarks()), shot[-1].stamp_ns
     states = []
     for k, frame in enumerate(shot[60:90]):  # 1.4 m back and before the bend
         estimate = pipeline.step(replace(frame, stamp_ns=stamp_ns + (k + 1) * 66_666_667))
@@ -153,15 +153,15 @@ def test_a_robot_that_is_put_elsewhere_in_the_light_is_in_doubt_at_once_and_teac
         states.append((estimate.state, wrong))
     assert last.state is State.TRACKING
     assert (State.TRACKING, True) not in states
-    assert len(pipeline.landmarks()) <= known + 3
+    assert len(pipeline.filter.landmarks()) <= known + 3
 
 
 def test_a_pose_that_is_given_before_anything_is_mapped_turns_the_map_with_it(world: World) -> None:
     pipeline, shot = pipeline_of(world), list(frames(world, 3.0))
     pipeline.step(shot[0])
-    assert not len(pipeline.landmarks())
+    assert not len(pipeline.filter.landmarks())
     turned = world.initial_pose + np.array([0.0, 0.0, 0.4])
-    pipeline.assume(turned, np.diag([0.02, 0.02, 0.02]) ** 2, "told")
+    pipeline.set_pose(turned, np.diag([0.02, 0.02, 0.02]) ** 2, "told")
     last = [pipeline.step(frame) for frame in shot[1:]][-1]
     assert last.state is State.TRACKING
     assert last.landmarks > 20
@@ -173,5 +173,5 @@ def test_reset_forgets_the_map_and_says_so(world: World) -> None:
     for frame in frames(world, 2.0):
         pipeline.step(frame)
     pipeline.reset()
-    assert len(pipeline.landmarks()) == 0
-    assert pipeline.map_axis_rad is None
+    assert len(pipeline.filter.landmarks()) == 0
+    assert pipeline.relocaliser.state.map_axis_rad is None

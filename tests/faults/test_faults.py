@@ -21,8 +21,8 @@ import pytest
 from ceilvo.bench.soak.faulty_camera import FaultyCamera
 from ceilvo.bench.soak.parts import STEM, Listener, PoseRow, free_port, set_base_fault
 from ceilvo.config import Config
-from ceilvo.daemon.app import process as app
 from ceilvo.daemon.app.process import Daemon, Plan
+from ceilvo.daemon.app.signals import watch_threads
 from ceilvo.drivers.bus.requests import Requests
 from ceilvo.drivers.camera.mock_camera import MockCamera
 from ceilvo.drivers.host.systemd_notify import Notifier
@@ -279,7 +279,7 @@ def test_any_thread_that_raises_ends_the_process(caplog: pytest.LogCaptureFixtur
     def fail() -> None:
         raise RuntimeError("a fault in somebody's thread")
 
-    with app.hear_of_dead_threads(daemon._crash):
+    with watch_threads(daemon._crash):
         thread = threading.Thread(target=fail)
         thread.start()
         thread.join()
@@ -294,15 +294,17 @@ def test_each_thread_of_the_daemon_ends_the_process_with_an_exit_code(thread: st
 import logging
 from dataclasses import replace
 from ceilvo.config import Config
-from ceilvo.daemon import app, cli, estimator
-from ceilvo.drivers import base_link, zenoh_bus
-from ceilvo.drivers.mock_camera import MockCamera
+from ceilvo.daemon import cli
+from ceilvo.daemon.app import estimator, process
+from ceilvo.drivers.base import link
+from ceilvo.drivers.bus import zenoh_bus
+from ceilvo.drivers.camera.mock_camera import MockCamera
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.rig import simulated_calibration
 logging.basicConfig(level="INFO")
 def fail(*args, **kwargs):
     raise RuntimeError("a fault in {thread}")
-part = {{"estimator": (estimator.Estimator, "frame"), "base": (base_link.BaseLink, "_telegram"),
+part = {{"estimator": (estimator.Estimator, "frame"), "base": (link.BaseLink, "_telegram"),
         "zenoh-offers": (zenoh_bus.ZenohBus, "_note_links")}}["{thread}"]
 setattr(*part, fail)
 cal = replace(simulated_calibration(), camera_id="")
@@ -310,7 +312,7 @@ with SimBase() as base:
     c = Config()
     config = replace(c, base=replace(c.base, port=base.port), zenoh=replace(c.zenoh, multicast=False))
     camera = MockCamera(width_px=cal.camera.width_px, height_px=cal.camera.height_px)
-    code = app.run(app.Plan(config, cal, camera, seconds=50.0))
+    code = process.run(process.Plan(config, cal, camera, seconds=50.0))
 cli.leave(code)
 """
     environment = {k: v for k, v in os.environ.items() if k not in ("NOTIFY_SOCKET", "WATCHDOG_USEC")}

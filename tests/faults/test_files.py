@@ -18,7 +18,7 @@ from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_stat
 from ceilvo.daemon.map.store import MAP_NAME, REJECTED, STATE_NAME, Store
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import Depletion, Estimate, Landmarks, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
 KILLS = int(os.environ.get("KILLS", "20"))
 """`make kill-test` sets 200."""
@@ -29,8 +29,8 @@ WRITER = """
 import sys, numpy as np
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
-from test_faults_files import estimate, landmarks
-from ceilvo.daemon.store import Store
+from test_files import estimate, landmarks
+from ceilvo.daemon.map.store import Store
 store = Store(Path(sys.argv[1]))
 loaded = store.load()
 n = 0 if loaded is None else int(loaded[1].stamp_ns)
@@ -61,7 +61,7 @@ def estimate(n: int) -> Estimate:
         quality=0.9,
         reason="",
         motion=Motion(np.zeros(3), np.eye(3), 0, 0.0),
-        depletion=Depletion(0, 0.0, 0, 0.0, 0.0, 0),
+        health=FilterHealth(0, 0.0, 0, 0.0, 0.0, 0),
         crossings=0,
         landmarks=0,
     )

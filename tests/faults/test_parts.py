@@ -21,7 +21,7 @@ from ceilvo.drivers.camera.mock_camera import MockCamera, moving_square
 from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
 from ceilvo.se2 import inverse, transform
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Depletion, Estimate, Frame, Landmarks, Motion, Observations, State
+from ceilvo.types import Array, Estimate, FilterHealth, Frame, Landmarks, Motion, Observations, State
 
 SEED = 6
 
@@ -155,7 +155,7 @@ def estimate(clock: Clock, state: State) -> Estimate:
         quality=0.9,
         reason="",
         motion=Motion(np.zeros(3), np.eye(3), 9, 0.0),
-        depletion=Depletion(0, 0.0, 0, 0.0, 0.0, 0),
+        health=FilterHealth(0, 0.0, 0, 0.0, 0.0, 0),
         crossings=0,
         landmarks=0,
     )

@@ -20,10 +20,10 @@ import zenoh
 from ceilvo import config
 from ceilvo.calibration import Calibration
 from ceilvo.drivers.bus import commands
-from ceilvo.drivers.bus.messages import Topic
 from ceilvo.drivers.bus.requests import Handlers
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.bus.zenoh_session import session_config
+from ceilvo.drivers.ports import Topic
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Landmarks
 

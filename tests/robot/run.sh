@@ -35,7 +35,7 @@ mkdir -p "$share/kit" "$OUT" "$work/src"
 for f in pyproject.toml setup.py README.md LICENSE ceilvo daemon drivers calib sim bench; do
   if [ -e "$f" ]; then cp -r "$f" "$work/src/"; fi
 done
-rm -f "$work"/src/daemon/*.so
+find "$work/src/daemon" -name '*.so' -delete
 guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
 # A wheel with the compiled kernel fits one Python only; for another one the kernel is left out.
 host_python=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')

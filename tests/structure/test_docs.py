@@ -98,7 +98,9 @@ def test_make_targets_exist(page: Path) -> None:
 @pages
 def test_modules_that_are_run_exist(page: Path) -> None:
     for name, rest in re.findall(r"python -m (ceilvo[\w.]*)(.*)", page.read_text(encoding="utf-8")):
-        spec = importlib.util.find_spec(name)
+        package = importlib.util.find_spec(name)
+        is_package = package is not None and package.submodule_search_locations is not None
+        spec = importlib.util.find_spec(f"{name}.__main__") if is_package else package
         assert spec is not None and spec.origin is not None, f"{page.name}: python -m {name}"
         source = Path(spec.origin).read_text(encoding="utf-8")
         for option in re.findall(r"--[\w-]+", re.split(r"[`#]", rest)[0]):

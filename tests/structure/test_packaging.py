@@ -71,6 +71,14 @@ def sources() -> list[Path]:
     return sorted(p for folder in ("ceilvo", *FOLDERS) for p in (ROOT / folder).rglob("*.py"))
 
 
+def test_every_folder_of_code_is_a_package_that_is_installed() -> None:
+    """pyproject.toml lists them; one that it leaves out would be missing from the wheel without a word."""
+    (listed,) = re.findall(r"^packages = \[(.*?)^\]", (ROOT / "pyproject.toml").read_text(), re.M | re.S)
+    packages = {module_of(p) for p in sources() if p.name == "__init__.py"}
+    assert re.findall(r'"(.+?)"', listed) == sorted(packages)
+    assert {module_of(p / "__init__.py") for p in {s.parent for s in sources()}} == packages
+
+
 def test_the_wheel_holds_every_source_and_nothing_else(wheel: Path) -> None:
     expected = {"ceilvo/py.typed"}
     for path in sources():
@@ -85,7 +93,7 @@ def test_the_wheel_holds_every_source_and_nothing_else(wheel: Path) -> None:
     assert expected <= names
     others = {n for n in names - expected if not n.endswith((".yaml", ".json"))}
     assert {re.sub(r"\..*", "", n) for n in others} <= {
-        "ceilvo/daemon/_kernel"
+        "ceilvo/daemon/vision/kernel/_kernel"
     }  # its stub and, with a compiler, itself
 
 

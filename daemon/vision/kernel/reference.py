@@ -30,6 +30,7 @@ from ceilvo.daemon.vision.kernel.arguments import (
     check_search,
 )
 
+
 def level_points(
     mask: NDArray[np.uint8],
     dx: Int16s,

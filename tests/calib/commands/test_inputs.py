@@ -18,7 +18,6 @@ import pytest
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.cli import main
 from ceilvo.calib.commands import circles
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.session.session import Session
@@ -32,8 +31,8 @@ from ceilvo.calibration_file import read_calibration
 from ceilvo.camera import CameraModel
 from ceilvo.config import Base
 from ceilvo.drivers.base.link import BaseLink
-from ceilvo.drivers.base.protocol import BaseStatus
 from ceilvo.drivers.base.wheel_track import WheelTrack
+from ceilvo.drivers.telegrams import BaseStatus
 from ceilvo.errors import CalibrationError
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.rig import simulated_calibration
@@ -54,16 +53,6 @@ def project(rig: Calibration, xyz: Array) -> Array:
     """Independent of calib: eq. 5 as it stands."""
     s = np.column_stack([xyz, np.ones(len(xyz))]) @ rig.projection.T
     return np.asarray(s[:, :2] / s[:, 2:])
-
-
-@pytest.fixture
-def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*args: str) -> tuple[int, str, str]:
-        code = main([*args, "--session", str(tmp_path / "s")])
-        got = capsys.readouterr()
-        return code, got.out, got.err
-
-    return call
 
 
 def save_lens(folder: Path, camera: CameraModel) -> None:

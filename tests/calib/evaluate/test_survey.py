@@ -9,7 +9,7 @@ import pytest
 
 from ceilvo.calib.evaluate.survey import DARK_LEVEL, Survey, ambiguity, flicker
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Crossings, Depletion, Estimate, Motion, State
+from ceilvo.types import Array, Crossings, Estimate, FilterHealth, Motion, State
 
 
 def crossings(xy: Array) -> Crossings:
@@ -55,7 +55,7 @@ def test_a_rate_that_hides_the_ripple_is_said_so() -> None:
 
 ESTIMATE = Estimate(
     0, 0, np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros(3), State.TRACKING, 1.0, "",
-    Motion(np.zeros(3), np.zeros((3, 3)), 10, 0.0), Depletion(100, 50.0, 50, 0.0, 0.7, 20), 30, 10,
+    Motion(np.zeros(3), np.zeros((3, 3)), 10, 0.0), FilterHealth(100, 50.0, 50, 0.0, 0.7, 20), 30, 10,
 )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ceilvo.calib.practice.virtual_board import board_poses
-from ceilvo.calib.solve.intrinsics import Shot, calibrate, choose_model, coverage, fit_best, parameters_of, problems
+from ceilvo.calib.solve.intrinsics import Shot, calibrate, choose_model, coverage, fit_best, problems
+from ceilvo.calib.solve.lens import parameters_of
 from ceilvo.calib.targets.board import Board
 from ceilvo.calibration import mount_rotation, projection_matrix
 from ceilvo.calibration_check import value_problems

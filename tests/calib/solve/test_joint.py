@@ -18,8 +18,9 @@ from ceilvo.calib.practice.virtual_board import board_poses
 from ceilvo.calib.session.assemble import update_file
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.grid import from_grid
-from ceilvo.calib.solve.intrinsics import Intrinsics, Shot, calibrate, parameters_of
+from ceilvo.calib.solve.intrinsics import Intrinsics, Shot, calibrate
 from ceilvo.calib.solve.joint import Joint
+from ceilvo.calib.solve.lens import parameters_of
 from ceilvo.calib.solve.projection import Mounting
 from ceilvo.calib.targets.board import Board
 from ceilvo.calib.targets.ceiling_view import GridView

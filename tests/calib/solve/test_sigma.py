@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calib.commands.sigma import errors_of_csv
-from ceilvo.calib.practice.study import experiment
 from ceilvo.calib.solve.sigma import Errors, circles, fit
+from ceilvo.calib.study.__main__ import experiment
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @pytest.mark.parametrize("k", [(0.004,), (0.003, 0.004), (0.003, 0.0, 0.002)], ids=str)
 def test_the_generating_curve_is_inside_the_band(k: tuple[float, ...]) -> None:
-    """The quick version of `python -m ceilvo.calib.practice.study sigma`, which demands 90 of 100."""
+    """The quick version of `python -m ceilvo.calib.study sigma`, which demands 90 of 100."""
     hits = 0
     for seed in range(20):
         curve = fit(experiment(k, seed, 4, 20), seed).x

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve.degeneracy import layout_problem
-from ceilvo.calib.solve.projection import dlt, from_points
+from ceilvo.calib.solve.dlt import dlt
+from ceilvo.calib.solve.projection import from_points
 from ceilvo.calib.targets.points_file import in_metres, read_points, read_table
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel

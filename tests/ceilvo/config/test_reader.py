@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from ceilvo.config import Camera, Config
 from ceilvo.config.reader import calibration_path, load_config, render_config, replace
 from ceilvo.config.schema import SECTIONS
-from ceilvo.config.yaml_nodes import MAX_BYTES
 from ceilvo.errors import EXIT_CONFIG, ConfigError
+from ceilvo.yaml_nodes import MAX_BYTES
 
 ROOT = Path(__file__).resolve().parents[3]
 

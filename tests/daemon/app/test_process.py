@@ -233,7 +233,7 @@ def test_memory_of_a_bad_minute_is_given_back() -> None:
     """With the allocator's settings of the service, which keep it otherwise."""
     code = """
 import numpy as np
-from ceilvo.drivers.machine import give_back_memory
+from ceilvo.drivers.host.machine import give_back_memory
 def resident_mb():
     with open("/proc/self/statm") as f:
         return int(f.read().split()[1]) * 4096 / 1e6

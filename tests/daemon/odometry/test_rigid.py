@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo import se2
-from ceilvo.daemon.odometry.rigid import rigid_motion, robust_rigid_motion, shift_at
+from ceilvo.daemon.odometry.rigid import median_translation, rigid_motion, robust_rigid_motion
 
 SEED = 20
 angles = st.floats(-3.1, 3.1)
@@ -68,7 +68,7 @@ def test_lines_taken_for_their_neighbours_do_not_pull_the_motion() -> None:
     b = se2.transform(truth, grid) + rng.normal(0, 1e-4, grid.shape)
     wrong = np.isin(np.arange(10), [1, 4, 6, 8]).repeat(6)
     b[wrong] += 0.009 * np.array([np.cos(truth[2]), np.sin(truth[2])])
-    start = shift_at(grid, b, float(truth[2]), float(truth[2]))
+    start = median_translation(grid, b, float(truth[2]), float(truth[2]))
     fit = robust_rigid_motion(grid, b, 4.0, 0.01, 3, [start])
     assert fit is not None
     assert not fit.used[wrong].any() and fit.used[~wrong].all()

@@ -21,7 +21,7 @@ from ceilvo.config import Recorder as RecorderConfig
 from ceilvo.config.reader import parse_config, render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.app.process import Daemon, Plan
-from ceilvo.daemon.replay.inputs import Assumption, FrameInput, Input, KnownMap, Reset, Silence, input_json, read_input
+from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
 from ceilvo.daemon.replay.recording import faults_in
 from ceilvo.daemon.replay.trajectory import estimate_json, tum_line
 from ceilvo.drivers.host.systemd_notify import Notifier
@@ -110,11 +110,11 @@ def busy(daemon: Watched, count: int) -> None:
     if "unplugged" in (daemon.said[-1].motion.failure or "") and isinstance(camera, Stumbling):
         camera.back.set()
     if count == 45:
-        daemon._estimator.assume(np.array([1.0, 1.2, 0.1]), np.array([0.1, 0.1, 0.05]), "said by a test")
+        daemon._estimator.set_pose(np.array([1.0, 1.2, 0.1]), np.array([0.1, 0.1, 0.05]), "said by a test")
     if count == 60:
         daemon._estimator.reset(keep_map=True)
     if count == 70:
-        daemon._estimator.search()
+        daemon._estimator.relocalise()
     if count == 80:
         daemon._estimator.reset(keep_map=False)
     if count >= 110:
@@ -352,8 +352,8 @@ frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
 inputs = st.one_of(
     st.builds(FrameInput, frames, wheels),
     st.builds(Silence, counts, texts, wheels),
-    st.builds(KnownMap, landmarks(), floats, poses, covs),
-    st.builds(Assumption, poses, covs, texts),
+    st.builds(LoadMap, landmarks(), floats, poses, covs),
+    st.builds(SetPose, poses, covs, texts),
     st.builds(Reset, st.booleans()),
 )
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from ceilvo import se2
 from ceilvo.daemon.replay.summary import Histogram, RunStatistics, format_summary
-from ceilvo.types import Depletion, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 SEED = 5
 KEYS = {
@@ -35,7 +35,7 @@ def estimate(k: int, pose: Any, latency: dict[str, float] | None = None, odom: A
         quality=1.0,
         reason="",
         motion=Motion(np.zeros(3), np.eye(3), 9, 0.0),
-        depletion=Depletion(100, 50.0, 50, 0.0, 1.0, 10),
+        health=FilterHealth(100, 50.0, 50, 0.0, 1.0, 10),
         crossings=9,
         landmarks=9,
         latency_ms=MappingProxyType(latency or {}),

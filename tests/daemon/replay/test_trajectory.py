@@ -29,7 +29,7 @@ from ceilvo.daemon.replay.trajectory import (
     tum_line,
 )
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Depletion, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 SEED = 11
 
@@ -46,7 +46,7 @@ def estimate(seq: int, stamp_ns: int, pose: Any, **changes: Any) -> Estimate:
         quality=0.9,
         reason="5 good frames in a row",
         motion=Motion(np.array([0.01, 0.0, 0.001]), np.eye(3) * 1e-6, 20, 0.0004),
-        depletion=Depletion(100, 61.5, 40, float("nan"), 1.1, 38),
+        health=FilterHealth(100, 61.5, 40, float("nan"), 1.1, 38),
         crossings=24,
         landmarks=81,
         latency_ms=MappingProxyType({"total": 7.5}),

@@ -42,8 +42,9 @@ def test_the_compiled_one_is_used_where_it_is_there() -> None:
 def test_without_it_numpy_takes_over() -> None:
     code = (
         "import sys; sys.modules['ceilvo.daemon.vision.kernel._kernel'] = None\n"
-        "from ceilvo.daemon import kernel, kernel_numpy\n"
-        "assert not kernel.COMPILED and kernel.sums is kernel_numpy.sums"
+        "from ceilvo.daemon.vision import kernel\n"
+        "from ceilvo.daemon.vision.kernel import reference\n"
+        "assert not kernel.COMPILED and kernel.sums is reference.sums"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ))
     assert done.returncode == 0, done.stderr

@@ -27,7 +27,7 @@ def world_with(tilt_deg: float) -> World:
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 2.0])
-def test_bands_hold_while_the_robot_rocks_and_agree_with_the_truth(tilt_deg: float) -> None:
+def test_edge_tracking_holds_while_the_robot_rocks_and_agree_with_the_truth(tilt_deg: float) -> None:
     world = world_with(tilt_deg)
     finder = LineFinder(world.calibration, Features(full_every=10))
     odometry = VisualOdometry(Odometry())
@@ -86,7 +86,7 @@ def test_a_close_look_sees_the_crossings_of_a_full_one() -> None:
     assert extra < 0.15 * found
 
 
-def test_bands_take_no_tilt_where_none_is_to_be_estimated() -> None:
+def test_edge_tracking_takes_no_tilt_where_none_is_to_be_estimated() -> None:
     """Else a tilt that only helped to find the edges stays, and the next full look has none: steps to and fro."""
     world = world_with(1.0)
     finder = LineFinder(world.calibration, Features(full_every=10, estimate_tilt=False))

@@ -14,14 +14,15 @@ from ceilvo import config
 from ceilvo.config.serial_budget import wire_budget
 from ceilvo.drivers.base import protocol as bp
 from ceilvo.drivers.base.modbus import ModbusBase
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.sim.base import SimBase
 from ceilvo.types import State
 
 ROOT = Path(__file__).parents[3]
 GOLDEN: dict[str, Any] = json.loads((ROOT / "tests/golden/base_telegrams.json").read_text())
 DOC = (ROOT / "docs/base-protocol.md").read_text()
-TELEGRAM = bp.PoseTelegram(**{**GOLDEN["telegram"], "state": State[GOLDEN["telegram"]["state"]]})
-STATUS = bp.BaseStatus(**GOLDEN["status"])
+TELEGRAM = PoseTelegram(**{**GOLDEN["telegram"], "state": State[GOLDEN["telegram"]["state"]]})
+STATUS = BaseStatus(**GOLDEN["status"])
 
 
 def crc_by_division(data: bytes) -> bytes:

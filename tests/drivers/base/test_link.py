@@ -15,9 +15,9 @@ from ceilvo import config
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.mock_base import BaseModel, MockBase
 from ceilvo.drivers.base.modbus import ModbusBase
-from ceilvo.drivers.base.protocol import BaseStatus, PoseTelegram
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.sim.base import SimBase
-from ceilvo.types import Depletion, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
 SETTINGS = config.Base(port="mock", rate_hz=200.0, timeout_s=0.01, reconnect_max_s=0.05)
 
@@ -41,7 +41,7 @@ def estimate(seq: int, stamp_ns: int = FakeClock.now_ns, state: State = State.TR
         quality=0.9,
         reason="",
         motion=Motion(np.zeros(3), np.eye(3), 0, 0.0),
-        depletion=Depletion(0, 0.0, 0, 0.0, 0.0, 0),
+        health=FilterHealth(0, 0.0, 0, 0.0, 0.0, 0),
         crossings=0,
         landmarks=0,
     )

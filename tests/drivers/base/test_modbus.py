@@ -20,12 +20,13 @@ import pytest
 from ceilvo import config
 from ceilvo.drivers.base import protocol as bp
 from ceilvo.drivers.base.modbus import ModbusBase, port_parity
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.sim import rtu
 from ceilvo.sim.base import SimBase
 from ceilvo.types import State
 
-TELEGRAM = bp.PoseTelegram(State.TRACKING, 0.9, 1, 0.02, 1.0, -2.0, 0.5, 0.01, 0.02, 0.003, 0.3, 0.0, -0.1, heartbeat=1)
+TELEGRAM = PoseTelegram(State.TRACKING, 0.9, 1, 0.02, 1.0, -2.0, 0.5, 0.01, 0.02, 0.003, 0.3, 0.0, -0.1, heartbeat=1)
 POSE_BYTES = struct.pack(">19H", *bp.encode_pose(TELEGRAM))
 
 
@@ -139,7 +140,7 @@ def test_input_left_over_is_not_taken_for_an_answer() -> None:
     with SimBase(baud=1_000_000, turnaround_s=0.0, port=master) as sim:
         base = ModbusBase(settings(os.ttyname(slave)))
         base.open()
-        old = bp.encode_status(bp.BaseStatus(False, True, True, True, 1, 2, 3, 4))
+        old = bp.encode_status(BaseStatus(False, True, True, True, 1, 2, 3, 4))
         os.write(master, rtu.with_crc(struct.pack(">BBB10H", 1, 23, 20, *old)))
         assert select.select([slave], [], [], 2.0)[0]
         status = base.exchange(TELEGRAM)

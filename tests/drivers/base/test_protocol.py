@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.drivers.base import protocol as bp
+from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
-from ceilvo.types import Depletion, Estimate, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Motion, State
 
-BASIC = bp.PoseTelegram(
+BASIC = PoseTelegram(
     State.TRACKING, 0.9, 7, 0.02, 1.0, -2.0, 0.5, 0.01, 0.02, 0.003, 0.3, 0.0, -0.1, heartbeat=1
 )  # fmt: skip
-IDLE = bp.BaseStatus(False, False, False, False, 0, 0, 0, 0)
+IDLE = BaseStatus(False, False, False, False, 0, 0, 0, 0)
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -26,7 +27,7 @@ def reals(limit: float) -> st.SearchStrategy[float]:
 
 
 telegrams = st.builds(
-    bp.PoseTelegram,
+    PoseTelegram,
     state=st.sampled_from(State),
     quality=st.floats(0.0, 1.0),
     sequence=st.integers(0, 2**32 - 1),
@@ -47,7 +48,7 @@ _FLOATS = ("quality", "age_s", "x_m", "y_m", "theta_rad", "vx_mps", "vy_mps", "o
 _FLOATS += ("sigma_x_m", "sigma_y_m", "sigma_theta_rad")
 
 wild_telegrams = st.builds(
-    bp.PoseTelegram,
+    PoseTelegram,
     state=st.sampled_from(State),
     heartbeat=st.integers(0, 2**20),
     sequence=st.integers(0, 2**40),
@@ -56,7 +57,7 @@ wild_telegrams = st.builds(
 
 
 @given(telegrams)
-def test_round_trip_is_exact_to_half_a_unit(t: bp.PoseTelegram) -> None:
+def test_round_trip_is_exact_to_half_a_unit(t: PoseTelegram) -> None:
     back = bp.decode_pose(bp.encode_pose(t))
     assert (back.state, back.sequence, back.heartbeat, back.version) == (t.state, t.sequence, t.heartbeat, 1)
     half = 0.5 * (1 + 1e-6)
@@ -71,7 +72,7 @@ def test_round_trip_is_exact_to_half_a_unit(t: bp.PoseTelegram) -> None:
 
 
 @given(wild_telegrams)
-def test_whatever_comes_in_fits_the_wire_and_is_never_called_good_when_it_is_not(t: bp.PoseTelegram) -> None:
+def test_whatever_comes_in_fits_the_wire_and_is_never_called_good_when_it_is_not(t: PoseTelegram) -> None:
     registers = bp.encode_pose(t)
     assert len(registers) == 19
     assert all(0 <= r <= 0xFFFF for r in registers)
@@ -135,7 +136,7 @@ def test_theta_is_wrapped_before_it_is_sent() -> None:
     st.integers(0, 2**40),
 )
 def test_status_round_trip_wraps(m: bool, e: bool, f: bool, h: bool, x: int, y: int, th: int, clock: int) -> None:
-    registers = bp.encode_status(bp.BaseStatus(m, e, f, h, x, y, th, clock))
+    registers = bp.encode_status(BaseStatus(m, e, f, h, x, y, th, clock))
     assert registers[1] == m + 2 * e + 4 * f + 8 * h
     back = bp.decode_status(registers)
     assert (back.motors_on, back.e_stop, back.fault, back.heartbeat_lost) == (m, e, f, h)
@@ -193,7 +194,7 @@ def _estimate(**change: object) -> Estimate:
         "quality": 0.5,
         "reason": "",
         "motion": Motion(np.zeros(3), np.eye(3), 0, 0.0),
-        "depletion": Depletion(0, 0.0, 0, math.nan, 0.0, 0),
+        "health": FilterHealth(0, 0.0, 0, math.nan, 0.0, 0),
         "crossings": 0,
         "landmarks": 0,
     }

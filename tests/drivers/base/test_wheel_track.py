@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo import se2
-from ceilvo.drivers.base.protocol import BaseStatus, wrap_int32
+from ceilvo.drivers.base.protocol import wrap_int32
 from ceilvo.drivers.base.wheel_track import WheelNoise, WheelTrack
+from ceilvo.drivers.telegrams import BaseStatus
 
 START_NS = 50_000_000_000
 PERIOD_MS = 50

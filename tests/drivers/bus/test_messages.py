@@ -16,15 +16,14 @@ from hypothesis import strategies as st
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.config import Config
-from ceilvo.drivers.bus import commands
-from ceilvo.drivers.bus import messages as wire
+from ceilvo.drivers.bus import commands, messages
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES, InitialPose, Relocalise, Reset, SaveMap, parse_command
 from ceilvo.errors import BusError
-from ceilvo.types import Depletion, Estimate, Landmarks, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 DOCS = Path(__file__).parents[3] / "docs" / "zenoh.md"
-STAMP = wire.Stamp(ns=5_000_000_000, unix_ns=1_750_000_000_000_000_000)
+STAMP = messages.Stamp(ns=5_000_000_000, unix_ns=1_750_000_000_000_000_000)
 
 
 def estimate() -> Estimate:
@@ -40,7 +39,7 @@ def estimate() -> Estimate:
         quality=0.97,
         reason="",
         motion=motion,
-        depletion=Depletion(100, 71.5, 12, math.nan, 1.1, 18),
+        health=FilterHealth(100, 71.5, 12, math.nan, 1.1, 18),
         crossings=31,
         landmarks=57,
         latency_ms={"capture": 3.5, "features": 6.25, "total": 14.0},
@@ -59,41 +58,43 @@ def calibration() -> Calibration:
     return Calibration(camera, m, noise, camera_id="usb-1", created="2025-06-15", tile_m=0.6, meta={"rms_px": 0.3})
 
 
-def messages() -> dict[str, bytes]:
+def samples() -> dict[str, bytes]:
     particles = np.array([[1.0, 2.0, 0.5], [1.5, 2.5, -0.5]])
     return {
-        "pose": wire.encode_pose("robot1", estimate(), STAMP.unix_ns, sent_ns=5_000_000_000),
-        "odom": wire.encode_odom("robot1", estimate(), STAMP.unix_ns),
-        "health": wire.encode_health("robot1", STAMP, 12.5, State.TRACKING, {"frames": 360, "drops": 1, "fps": 29.5}),
-        "event": wire.encode_event(
+        "pose": messages.encode_pose("robot1", estimate(), STAMP.unix_ns, sent_ns=5_000_000_000),
+        "odom": messages.encode_odom("robot1", estimate(), STAMP.unix_ns),
+        "health": messages.encode_health(
+            "robot1", STAMP, 12.5, State.TRACKING, {"frames": 360, "drops": 1, "fps": 29.5}
+        ),
+        "event": messages.encode_event(
             "robot1", STAMP, "state", "warning", "TRACKING -> DEGRADED: 4 inliers", {"from": "TRACKING", "inliers": 4}
         ),
-        "landmarks": wire.encode_landmarks("robot1", STAMP, landmarks()),
-        "particles": wire.encode_particles("robot1", 42, STAMP, particles, np.array([0.25, 0.75])),
-        "map": wire.encode_map("robot1", STAMP, landmarks()),
-        "calibration": wire.encode_calibration("robot1", calibration()),
-        "reply": wire.encode_reply("robot1", "save_map", {"file": "map.json", "landmarks": 57}),
-        "error": wire.encode_error("robot1", "reset", "command reset: keep_map is 1, expected true or false"),
+        "landmarks": messages.encode_landmarks("robot1", STAMP, landmarks()),
+        "particles": messages.encode_particles("robot1", 42, STAMP, particles, np.array([0.25, 0.75])),
+        "map": messages.encode_map("robot1", STAMP, landmarks()),
+        "calibration": messages.encode_calibration("robot1", calibration()),
+        "reply": messages.encode_reply("robot1", "save_map", {"file": "map.json", "landmarks": 57}),
+        "error": messages.encode_error("robot1", "reset", "command reset: keep_map is 1, expected true or false"),
     }
 
 
-@pytest.mark.parametrize("name", messages())
+@pytest.mark.parametrize("name", samples())
 def test_golden_bytes(name: str) -> None:
-    assert messages()[name] + b"\n" == (GOLDEN / f"wire_{name}.json").read_bytes()
+    assert samples()[name] + b"\n" == (GOLDEN / f"wire_{name}.json").read_bytes()
 
 
-@pytest.mark.parametrize("name", messages())
+@pytest.mark.parametrize("name", samples())
 def test_docs_show_the_golden_message(name: str) -> None:
     blocks = [json.loads(b.split("```")[0]) for b in DOCS.read_text().split("```json\n")[1:]]
-    assert json.loads(messages()[name]) in blocks
+    assert json.loads(samples()[name]) in blocks
 
 
-@pytest.mark.parametrize("name", messages())
+@pytest.mark.parametrize("name", samples())
 def test_every_message_is_one_line_of_strict_json_with_schema_and_robot(name: str) -> None:
     def refuse(text: str) -> Any:
         raise AssertionError(f"{text} is not JSON")
 
-    raw = messages()[name]
+    raw = samples()[name]
     fields = json.loads(raw, parse_constant=refuse)
     assert b"\n" not in raw
     assert raw.isascii()
@@ -102,7 +103,7 @@ def test_every_message_is_one_line_of_strict_json_with_schema_and_robot(name: st
 
 
 def test_pose_numbers_by_hand() -> None:
-    f = json.loads(messages()["pose"])
+    f = json.loads(samples()["pose"])
     assert (f["sigma_x_m"], f["sigma_y_m"]) == pytest.approx((0.02, 0.03))
     assert f["sigma_theta_rad"] == pytest.approx(0.005)
     assert f["age_ms"] == 20.0
@@ -111,7 +112,7 @@ def test_pose_numbers_by_hand() -> None:
 
 def test_pose_round_trip_is_exact() -> None:
     e = estimate()
-    p = wire.decode_pose(messages()["pose"])
+    p = messages.decode_pose(samples()["pose"])
     assert (p.robot, p.seq, p.stamp_ns, p.stamp_unix_ns) == ("robot1", 42, e.stamp_ns, STAMP.unix_ns)
     assert (p.x_m, p.y_m, p.theta_rad) == tuple(e.pose)
     assert p.cov == tuple(e.cov.ravel())
@@ -121,8 +122,8 @@ def test_pose_round_trip_is_exact() -> None:
 @given(st.lists(st.floats(width=64), min_size=12, max_size=12))
 def test_any_pose_survives_and_what_is_not_finite_is_null(values: list[float]) -> None:
     e = replace(estimate(), pose=np.array(values[:3]), cov=np.array(values[3:]).reshape(3, 3))
-    raw = wire.encode_pose("r", e, 1, 2)
-    p = wire.decode_pose(raw)
+    raw = messages.encode_pose("r", e, 1, 2)
+    p = messages.decode_pose(raw)
     assert b"NaN" not in raw
     assert b"Infinity" not in raw
     for got, sent in zip((p.x_m, p.y_m, p.theta_rad, *p.cov), values, strict=True):
@@ -134,7 +135,7 @@ def test_odd_counters_become_plain_json() -> None:
         "i": np.int64(3), "f": np.float32(0.5), "b": np.bool_(True), "nan": math.nan, "state": State.LOST, "n": None,
         "list": [np.inf, 1], "array": np.array([1.0, np.nan]), "path": Path("a/b"), "deep": {1: (2,)}, "text": "\ud800",
     }  # fmt: skip
-    counters = json.loads(wire.encode_health("r", STAMP, 1.0, State.LOST, odd))["counters"]
+    counters = json.loads(messages.encode_health("r", STAMP, 1.0, State.LOST, odd))["counters"]
     assert counters == {
         "i": 3, "f": 0.5, "b": True, "nan": None, "state": "LOST", "n": None,
         "list": [None, 1], "array": [1.0, None], "path": "a/b", "deep": {"1": [2]}, "text": "\ud800",
@@ -142,21 +143,21 @@ def test_odd_counters_become_plain_json() -> None:
 
 
 def test_config_message_has_every_key() -> None:
-    fields = json.loads(wire.encode_config("r", Config()))
+    fields = json.loads(messages.encode_config("r", Config()))
     assert fields["config"] == json.loads(json.dumps(asdict(Config())))
 
 
 def test_a_large_particle_set_is_thinned_evenly() -> None:
-    n = 3 * wire.MAX_PARTICLES + 1
+    n = 3 * messages.MAX_PARTICLES + 1
     poses = np.column_stack([np.arange(n), np.zeros(n), np.zeros(n)]).astype(float)
-    fields = json.loads(wire.encode_particles("r", 1, STAMP, poses, np.full(n, 1.0 / n)))
+    fields = json.loads(messages.encode_particles("r", 1, STAMP, poses, np.full(n, 1.0 / n)))
     assert fields["count"] == n
-    assert wire.MAX_PARTICLES / 2 < len(fields["x_m"]) == len(fields["weight"]) <= wire.MAX_PARTICLES
+    assert messages.MAX_PARTICLES / 2 < len(fields["x_m"]) == len(fields["weight"]) <= messages.MAX_PARTICLES
     assert set(np.diff(fields["x_m"])) == {4.0}
 
 
 def test_no_particles() -> None:
-    fields = json.loads(wire.encode_particles("r", 1, STAMP, np.empty((0, 3)), np.empty(0)))
+    fields = json.loads(messages.encode_particles("r", 1, STAMP, np.empty((0, 3)), np.empty(0)))
     assert (fields["count"], fields["x_m"]) == (0, [])
 
 
@@ -173,36 +174,36 @@ def test_no_particles() -> None:
     ],
 )
 def test_a_pose_of_another_kind_is_refused_in_one_line(change: dict[str, Any], says: str) -> None:
-    raw = json.dumps(json.loads(messages()["pose"]) | change).encode()
+    raw = json.dumps(json.loads(samples()["pose"]) | change).encode()
     with pytest.raises(BusError, match="pose message") as caught:
-        wire.decode_pose(raw)
+        messages.decode_pose(raw)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_a_pose_without_a_field_is_refused() -> None:
-    fields = json.loads(messages()["pose"])
+    fields = json.loads(samples()["pose"])
     del fields["y_m"]
     with pytest.raises(BusError, match="KeyError 'y_m'"):
-        wire.decode_pose(json.dumps(fields).encode())
+        messages.decode_pose(json.dumps(fields).encode())
 
 
 def test_readers_ignore_fields_of_the_future() -> None:
-    fields = json.loads(messages()["pose"]) | {"warp_factor": 9}
-    assert wire.decode_pose(json.dumps(fields).encode()).seq == 42
+    fields = json.loads(samples()["pose"]) | {"warp_factor": 9}
+    assert messages.decode_pose(json.dumps(fields).encode()).seq == 42
 
 
 @pytest.mark.parametrize("prefix, robot", [("ceilvo", "robot1"), ("site-3", "Löwe_7")])
 def test_keys(prefix: str, robot: str) -> None:
-    assert wire.robot_key(prefix, robot) == f"{prefix}/{robot}"
+    assert messages.robot_key(prefix, robot) == f"{prefix}/{robot}"
 
 
 @pytest.mark.parametrize("bad", ["", "a/b", "*", "a*", "a$b", "a#", "a?b", "@x", "a b", "a\n", "a\x7f"])
 def test_names_that_cannot_be_in_a_key(bad: str) -> None:
     with pytest.raises(BusError, match=r"^robot\.name: found "):
-        wire.robot_key("ceilvo", bad)
+        messages.robot_key("ceilvo", bad)
     with pytest.raises(BusError, match=r"^zenoh\.prefix: found "):
-        wire.robot_key(bad, "robot1")
+        messages.robot_key(bad, "robot1")
 
 
 # commands

@@ -17,16 +17,16 @@ import pytest
 
 from ceilvo import config
 from ceilvo.calibration import Calibration
-from ceilvo.drivers.bus import messages as wire
-from ceilvo.drivers.bus.messages import Topic
+from ceilvo.drivers.bus import messages
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.drivers.bus.watch import WatchOptions, pose_line, watch
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
+from ceilvo.drivers.ports import Topic
 from ceilvo.errors import BusError
-from ceilvo.types import Depletion, Estimate, Landmarks, Motion, State
+from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
 PATIENCE_S = 20.0
-STAMP = wire.Stamp(1, 2)
+STAMP = messages.Stamp(1, 2)
 
 
 class Lines(io.TextIOBase):
@@ -67,9 +67,9 @@ def pose(seq: int, state: State = State.TRACKING, *, robot: str = "robot1", reas
     e = Estimate(
         seq, 0, np.array([1.25, -0.5, math.pi / 2]), np.diag([9e-4, 16e-4, math.radians(0.5) ** 2]), np.zeros(3),
         np.zeros(3), state, 0.9, reason, Motion(np.zeros(3), np.zeros((3, 3)), 9, 0.001),
-        Depletion(100, 50.0, 9, 0.1, 1.0, 8), 20, 30, MappingProxyType({}),
+        FilterHealth(100, 50.0, 9, 0.1, 1.0, 8), 20, 30, MappingProxyType({}),
     )  # fmt: skip
-    return wire.encode_pose(robot, e, 0, sent_ns=12_500_000)
+    return messages.encode_pose(robot, e, 0, sent_ns=12_500_000)
 
 
 @dataclass
@@ -121,7 +121,7 @@ def scene() -> Iterator[Scene]:
 
 
 def test_a_pose_line_by_hand() -> None:
-    line = pose_line(wire.decode_pose(pose(7, reason="few lamps")))
+    line = pose_line(messages.decode_pose(pose(7, reason="few lamps")))
     assert line == (
         "robot1       7 TRACKING       x   +1.250 m  y   -0.500 m  theta  +90.00 deg  "
         "sigma   50.0 mm  0.50 deg  quality 0.90  age  12.5 ms  few lamps"
@@ -157,14 +157,16 @@ def test_the_rate_is_limited_but_a_change_of_state_is_always_told(scene: Scene) 
 def test_events_health_and_messages_that_are_not_ours(scene: Scene) -> None:
     join = scene.start("*", WatchOptions())
     assert scene.out.next() == "robot1 appeared"
-    scene.bus.put(Topic.EVENT, wire.encode_event("robot1", STAMP, "state", "warning", "a\x1b[2J -> \nb"))
+    scene.bus.put(Topic.EVENT, messages.encode_event("robot1", STAMP, "state", "warning", "a\x1b[2J -> \nb"))
     assert scene.out.next() == "robot1 warning: state: a?[2J -> ?b"
     for _ in range(2):
-        scene.bus.put(Topic.HEALTH, wire.encode_health("robot1", STAMP, 3.5, State.TRACKING, {"frames": 9, "ok": 1}))
+        scene.bus.put(
+            Topic.HEALTH, messages.encode_health("robot1", STAMP, 3.5, State.TRACKING, {"frames": 9, "ok": 1})
+        )
     assert scene.out.next() == "robot1 health: up 3.5 s frames=9 ok=1"
     scene.bus.put(Topic.POSE, b"\xff")
     assert scene.out.next().startswith("robot1 pose message: payload is not JSON")
-    scene.bus.put(Topic.POSE, wire.encode_reply("robot1", "x", {}))
+    scene.bus.put(Topic.POSE, messages.encode_reply("robot1", "x", {}))
     assert scene.out.next().startswith("robot1 pose message: schema is 'ceilvo.reply.1', expected 'ceilvo.pose.1'")
     scene.bus.close()
     assert scene.out.next() == "robot1 disappeared"
@@ -175,7 +177,7 @@ def test_events_health_and_messages_that_are_not_ours(scene: Scene) -> None:
 def test_raw_lines_are_the_messages_all_of_them(scene: Scene) -> None:
     join = scene.start("robot1", WatchOptions(raw=True, count=20))
     assert json.loads(scene.out.next()) == {"robot": "robot1", "liveliness": "appeared"}
-    health = wire.encode_health("robot1", STAMP, 3.5, State.TRACKING, {"frames": 9})
+    health = messages.encode_health("robot1", STAMP, 3.5, State.TRACKING, {"frames": 9})
     scene.bus.put(Topic.HEALTH, health)
     assert scene.out.next() == health.decode()
     sent = [pose(seq) for seq in range(20)]

@@ -25,11 +25,10 @@ from ceilvo import config
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.drivers.bus import commands, zenoh_bus
-from ceilvo.drivers.bus import messages as wire
-from ceilvo.drivers.bus.messages import Topic
 from ceilvo.drivers.bus.requests import Handlers
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.bus.zenoh_session import session_config, watcher_config
+from ceilvo.drivers.ports import ON_DEMAND, Topic
 from ceilvo.errors import BusError, FileFormatError
 from ceilvo.types import Landmarks
 
@@ -288,7 +287,7 @@ def test_a_large_image_arrives_whole(world: World) -> None:
 # on demand
 
 
-@pytest.mark.parametrize("topic", wire.ON_DEMAND)
+@pytest.mark.parametrize("topic", ON_DEMAND)
 def test_on_demand_messages_cost_nothing_without_a_subscriber(world: World, topic: Topic) -> None:
     made: list[int] = []
     done = threading.Event()

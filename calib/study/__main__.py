@@ -1,8 +1,8 @@
 """What commissioning's figures are worth, over many simulated rigs and experiments (make bench-calib).
 
-    python -m ceilvo.calib.practice.study sigma --count 100   generating curves against the confidence band
-    python -m ceilvo.calib.practice.study drive --count 8     drift with the found calibration, false alarms
-    python -m ceilvo.calib.practice.study rigs --count 50     truth against the reported sigma
+    python -m ceilvo.calib.study sigma --count 100   generating curves against the confidence band
+    python -m ceilvo.calib.study drive --count 8     drift with the found calibration, false alarms
+    python -m ceilvo.calib.study rigs --count 50     truth against the reported sigma
 
 Figures of each rig are kept in build/bench/calib-*.samples.jsonl: an interrupted study goes on, unless the code has
 changed. Summaries are in build/bench/calib-*.json. Exit code 1 when a bar is missed.
@@ -25,19 +25,19 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.cli import mount_angles
-from ceilvo.calib.practice import study_drive
 from ceilvo.calib.practice.virtual_bench import VirtualBench, random_rig
 from ceilvo.calib.session.assemble import UNMEASURED
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve import mount, sigma
 from ceilvo.calib.solve.grid import from_grid
-from ceilvo.calib.solve.intrinsics import Intrinsics, Shot, calibrate, parameters_of
+from ceilvo.calib.solve.intrinsics import Intrinsics, Shot, calibrate
+from ceilvo.calib.solve.lens import parameters_of
 from ceilvo.calib.solve.mount import Step
 from ceilvo.calib.solve.station import Stand, errors_against_grid
+from ceilvo.calib.study import drive as drive_study
 from ceilvo.calib.targets.board import Board, BoardFinder
 from ceilvo.calib.targets.ceiling_view import CeilingReader
-from ceilvo.calibration import Calibration, mount_rotation, projection_matrix
+from ceilvo.calibration import Calibration, mount_angles, mount_rotation, projection_matrix
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -45,22 +45,11 @@ Array = NDArray[np.float64]
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "roll", "pitch", "height", "x", "y", "yaw")
 GENERATING = ((0.004,), (0.003, 0.004), (0.003, 0.0, 0.002), (0.002, 0.001, 0.001, 0.0008))
 FOLDER = Path("build/bench")
-_DECIDES = (
-    *(
-        "board",
-        "bundle",
-        "ceiling_view",
-        "grid",
-        "intrinsics",
-        "joint",
-        "lattice",
-        "mount",
-        "projection",
-        "sigma",
-        "stand",
-    ),
-    *("virtual_bench", "virtual_board"),
+_DECIDE = (
+    *("calib/targets", "calib/solve", "calib/practice", "sim", "daemon/pipeline.py"),
+    *("daemon/vision", "daemon/odometry", "daemon/slam", "daemon/relocalisation"),
 )
+"""What the figures come from; staleness is not in it, for it is judged from what is kept."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +78,7 @@ def commission(rig: Calibration, seed: int) -> RigResult:
         if view.ok:
             steps.append(Step(p.label, view, p.wheels))
     found = mount.calibrate(camera, steps, tile_m, level, cov)
-    yaw, roll, pitch = mount_angles(rig)
+    yaw, roll, pitch = mount_angles(rig.camera_from_base)
     error = np.concatenate(
         [
             parameters_of(camera) - parameters_of(rig.camera),
@@ -108,7 +97,7 @@ def commission(rig: Calibration, seed: int) -> RigResult:
 
 def with_noise(found: Calibration, rig: Calibration, seed: int) -> Calibration:
     """The calibration with noise curves as `calib sigma` finds them by standing still."""
-    _, roll, pitch = mount_angles(found)
+    _, roll, pitch = mount_angles(found.camera_from_base)
     reader = CeilingReader(found.camera, (roll, pitch))
     stands: dict[str, Stand] = {}
     for p in VirtualBench(rig, seed=seed, world_seed=1 + seed % 3).stands(15, 2):
@@ -135,14 +124,11 @@ def _lens(bench: VirtualBench, shots: int) -> Intrinsics:
 
 def _code() -> str:
     """Fingerprint of all that decides the figures."""
-    root = Path(__file__).resolve().parents[1]
-    outputs = ("app", "cli", "screen", "overlay", "staleness")  # staleness is judged from what is kept
-    files = [root / "calib" / f"{name}.py" for name in _DECIDES]
-    for folder in ("sim", "daemon"):
-        files += [p for p in sorted((root / folder).glob("*.py")) if not p.name.startswith(outputs)]
+    root = Path(__file__).resolve().parents[2]
+    files = [p for name in _DECIDE for p in (sorted((root / name).rglob("*.py")) or [root / name])]
     digest = hashlib.sha256()
     for path in files:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -208,14 +194,14 @@ def drive(count: int, first: int) -> int:
     def work(seed: int) -> dict[str, Any]:
         rig = random_rig(seed)
         found = with_noise(commission(rig, seed).calibration, rig, seed)
-        return study_drive.figures(rig, found, 1 + seed % 3)
+        return drive_study.figures(rig, found, 1 + seed % 3)
 
     records = [r for r in each_rig("calib-drive", count, first, work) if "refused" not in r]
-    figures = study_drive.summary(records)
-    for line in study_drive.lines(records, figures):
+    figures = drive_study.summary(records)
+    for line in drive_study.lines(records, figures):
         print(line)
     _report("calib-drive", figures)
-    return sum(not ok for ok in study_drive.bars(figures))
+    return sum(not ok for ok in drive_study.bars(figures))
 
 
 def curves(count: int, first: int) -> int:
@@ -245,7 +231,7 @@ def experiment(coefficients: tuple[float, ...], seed: int, circles: int, each: i
 
 def main(argv: Sequence[str] | None = None) -> int:
     p = argparse.ArgumentParser(
-        prog="python -m ceilvo.calib.practice.study",
+        prog="python -m ceilvo.calib.study",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -95,8 +95,8 @@ def _nis(world: World, pipelines: list[Pipeline], seconds: float) -> list[list[t
     out: list[list[tuple[float, float]]] = [[] for _ in pipelines]
     for t, estimates in _steps(world, pipelines, seconds):
         for k, e in enumerate(estimates):
-            if e.depletion.nis_dof > 0:
-                out[k].append((t, float(e.depletion.nis)))
+            if e.health.nis_dof > 0:
+                out[k].append((t, float(e.health.nis)))
     return out
 
 

@@ -1,6 +1,6 @@
 """Golden drives: what a camera and wheels gave, what was asked for, and every estimate that came of it.
 
-`python tests/golden/pipeline/drives.py` renders the drives and estimates anew; with --estimates only the estimates.
+`python tests/golden/pipeline/golden_drives.py` renders the drives and estimates anew; --estimates: only estimates.
 Either is a decision: the estimates change only where the method was meant to change.
 """
 
@@ -180,13 +180,13 @@ def estimates(drive: Drive) -> Iterator[Estimate]:
         elif k < until and not fault.get("wheels", True):
             given = None
         if kind == "silent":
-            estimate = pipeline.coast(stamp_ns, "camera silent", given)
+            estimate = pipeline.step_crossings(stamp_ns, None, given, missing="camera silent")
         elif kind in ("dark", "carried"):
-            estimate = pipeline.follow(stamp_ns, None, given)
+            estimate = pipeline.step_crossings(stamp_ns, None, given)
         elif kind == "stale":
-            estimate = pipeline.follow(stamp_ns, drive.crossings[until - fault["frames"]], given)
+            estimate = pipeline.step_crossings(stamp_ns, drive.crossings[until - fault["frames"]], given)
         else:
-            estimate = pipeline.follow(stamp_ns, seen, given)
+            estimate = pipeline.step_crossings(stamp_ns, seen, given)
         pose = estimate.pose
         yield estimate
 
@@ -199,12 +199,12 @@ def _asked(
         return pipeline
     cov, off = np.diag(np.square(request["sigma"])), pose + np.array(request["off"])
     if request["do"] == "assume":
-        pipeline.assume(off, cov, "said by somebody")
+        pipeline.set_pose(off, cov, "said by somebody")
         return pipeline
-    landmarks, axis = pipeline.landmarks(), pipeline.map_axis_rad
+    landmarks, axis = pipeline.filter.landmarks(), pipeline.relocaliser.state.map_axis_rad
     assert axis is not None
     again = Pipeline(drive.calibration, drive.config, rng.spawn(1)[0])
-    again.know_map(landmarks, axis, off, cov)
+    again.load_map(landmarks, axis, off, cov)
     return again
 
 
@@ -212,13 +212,18 @@ def table(run: Iterator[Estimate]) -> tuple[np.ndarray, list[str]]:
     """(F, 46) every figure of every estimate, and its words."""
     rows, words = [], []
     for e in run:
-        d, m = e.depletion, e.motion
+        d, m = e.health, e.motion
         figures = [*e.pose, *e.cov.ravel(), *e.odom, *e.twist, int(e.state), e.quality, *m.prev_from_curr]
         figures += [*m.cov.ravel(), m.inliers, m.rms_m, m.restarted, d.ess, d.fit_residual, d.nis, d.nis_dof]
         figures += [d.mode_weight, e.crossings, e.landmarks, e.seq]
         rows.append([float(v) for v in figures])
         words.append(f"{e.state.name} {e.reason} | {m.failure or ''}")
     return np.array(rows), words
+
+
+def on_the_same_platform() -> bool:
+    """Whether estimates must be equal to the last bit."""
+    return bool(json.loads((HERE / "platform.json").read_text()) == fingerprint())
 
 
 def fingerprint() -> dict[str, str]:

@@ -1,0 +1,1 @@
+"""What commissioning is worth, measured over many simulated rigs."""

@@ -1,0 +1,108 @@
+"""The path between updates: what of it is final, and what waits for the end of a gap.
+
+While frames give no motion, predictions carry the pose. The next good motion covers the whole gap and replaces them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.types import Array, Displacement, Motion, Pose, Twist
+
+_NS = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What one frame adds to the path.
+
+    Attributes:
+        final: motion since the last final one; None while a gap lasts.
+        gap: predicted motion that is not final yet; None when there is none.
+        blind_m: length of the path since the last final motion but one that no vision measured.
+        blind_cov: (3, 3) what prediction alone knew of it.
+        moved_m, turned_rad: of this frame alone.
+    """
+
+    final: Motion | None
+    gap: Motion | None
+    blind_m: float
+    blind_cov: Array
+    moved_m: float
+    turned_rad: float
+
+    def carry(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
+        """A pose (3,) with cov (3, 3) at the last final motion, moved over the gap."""
+        if self.gap is None:
+            return pose, cov
+        there = Pose(se2.compose(pose, self.gap.prev_from_curr))
+        return there, se2.compose_cov(pose, cov, self.gap.prev_from_curr, self.gap.cov)
+
+
+@dataclass(slots=True)
+class DeadReckoningState:
+    """All that dead reckoning remembers.
+
+    Attributes:
+        stamp_ns: of the last frame, None before the first.
+        odom: (3,) odom_from_base, which no map corrects.
+        twist: (3,) in base, of the last good motion.
+        gap: predictions since the last final motion; None when there are none.
+        blind_m: length of the path in that gap.
+    """
+
+    stamp_ns: int | None = None
+    odom: Pose = field(default_factory=lambda: Pose(np.zeros(3)))
+    twist: Twist = field(default_factory=lambda: Twist(np.zeros(3)))
+    gap: Motion | None = None
+    blind_m: float = 0.0
+
+
+class DeadReckoning:
+    """Adds motions up."""
+
+    def __init__(self, process_cov: Array) -> None:
+        """process_cov: (3, 3) what every final motion errs by besides its own covariance."""
+        self._process_cov = process_cov
+        self.state = DeadReckoningState()
+
+    def elapsed_s(self, stamp_ns: int) -> float:
+        """Time since the last frame, 0 before the first."""
+        return 0.0 if self.state.stamp_ns is None else (stamp_ns - self.state.stamp_ns) * _NS
+
+    def advance(self, stamp_ns: int, motion: Motion) -> Track:
+        """Take in the motion of the frame at stamp_ns."""
+        s, dt_s = self.state, self.elapsed_s(stamp_ns)
+        s.stamp_ns = stamp_ns
+        if motion.ok and dt_s > 0:
+            s.twist = Twist(motion.prev_from_curr / dt_s)
+        s.odom = Pose(se2.compose(s.odom, motion.prev_from_curr))
+        gap = NO_MOTION if s.gap is None else s.gap
+        moved = Displacement(se2.compose(gap.prev_from_curr, motion.prev_from_curr))
+        cov, blind_cov = motion.cov, gap.cov
+        moved_m = float(np.hypot(*motion.prev_from_curr[:2]))
+        if not motion.ok:
+            cov = blind_cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
+            s.blind_m += moved_m
+        turned_rad = abs(float(motion.prev_from_curr[2]))
+        if not (motion.ok or motion.restarted):
+            s.gap = replace(motion, prev_from_curr=moved, cov=cov)
+            return Track(None, s.gap, s.blind_m, blind_cov, moved_m, turned_rad)
+        final = replace(motion, prev_from_curr=moved, cov=cov + self._process_cov)
+        blind_m = s.blind_m
+        self.settle()
+        return Track(final, None, blind_m, blind_cov, moved_m, turned_rad)
+
+    def settle(self) -> None:
+        """Whatever is predicted in a gap no longer matters: the pose is another."""
+        self.state.gap, self.state.blind_m = None, 0.0
+
+    def restart(self) -> None:
+        """A new odom frame; time goes on."""
+        self.state = DeadReckoningState(stamp_ns=self.state.stamp_ns)
+
+
+NO_MOTION = Motion(Displacement(np.zeros(3)), np.zeros((3, 3)), 0, 0.0)

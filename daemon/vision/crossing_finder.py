@@ -1,0 +1,53 @@
+"""Stages 1 to 3 in one: from a frame to the crossings in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.daemon.vision.crossings import cross
+from ceilvo.daemon.vision.line_finder import LineFinder, LineFinderState
+from ceilvo.types import Array, Crossings, Frame, Lines
+
+OnStageDone = Callable[[str], None]
+"""Called with a stage's name when it has ended; the caller owns the clock."""
+
+
+def ignore(stage: str) -> None:
+    """For callers that do not time the stages."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a frame looked like, for pictures."""
+
+    frame: Frame
+    lines: Lines | None
+    crossings: Crossings | None
+
+
+class CrossingFinder:
+    """Canny -> Hough -> least squares -> crossings."""
+
+    def __init__(self, calibration: Calibration, config: Features) -> None:
+        self._calibration, self._config = calibration, config
+        self._lines = LineFinder(calibration, config)
+        self.view: View | None = None
+
+    @property
+    def state(self) -> LineFinderState:
+        return self._lines.state
+
+    @state.setter
+    def state(self, state: LineFinderState) -> None:
+        self._lines.state = state
+
+    def __call__(self, frame: Frame, expected: Array | None, on_stage_done: OnStageDone = ignore) -> Crossings | None:
+        """Crossings of a frame, None without lines; expected: (3,) predicted motion since the last frame."""
+        lines = self._lines(frame.gray, expected, on_stage_done)
+        crossings = None if lines is None else cross(lines, self._calibration, self._config)
+        on_stage_done("crossings")
+        self.view = View(frame, lines, crossings)
+        return crossings
