@@ -182,7 +182,7 @@ class Survey:
 
 def ambiguity(crossings: Crossings, tile_m: float) -> float:
     """Share of crossings that have one of their kind a tile on, where that is most; 1 = a pure grid."""
-    xy, kind = crossings.xy_base_m, crossings.kind
+    xy, kind = crossings.xy_base_m, crossings.crossing_type
     low, high = xy.min(axis=0) - _MATCH_M, xy.max(axis=0) + _MATCH_M
     worst = 0.0
     for k in range(4):

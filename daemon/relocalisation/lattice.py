@@ -38,11 +38,11 @@ twice in a row). A map in the making grew along the way of the robot, which ties
 def periods(landmarks: Landmarks) -> Array:
     """(P, 2) two shortest shifts, not parallel, under which much of the map looks the same; (0, 2) without period."""
     pick = np.arange(len(landmarks)) if len(landmarks) <= SAMPLE else np.arange(SAMPLE) * (len(landmarks) // SAMPLE)
-    at, kind = landmarks.xy_map_m[pick], landmarks.kind[pick]
+    at, kind = landmarks.xy_map_m[pick], landmarks.crossing_type[pick]
     if len(landmarks) > SAMPLE:  # a compact part, for neighbours must be in it
         centre = landmarks.xy_map_m[len(landmarks) // 2]
         pick = np.argsort(np.hypot(*(landmarks.xy_map_m - centre).T), kind="stable")[:SAMPLE]
-        at, kind = landmarks.xy_map_m[pick], landmarks.kind[pick]
+        at, kind = landmarks.xy_map_m[pick], landmarks.crossing_type[pick]
     off = at[:, None] - at[None]
     length = np.hypot(off[..., 0], off[..., 1])
     near = (kind[:, None] == kind[None]) & (length > SHORTEST_M) & (length < REACH_M) & (off[..., 0] > -BIN_M)
@@ -111,8 +111,8 @@ def tile_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
     xy = landmarks.xy_map_m
     if len(landmarks) < FEWEST_LANDMARKS:
         return np.zeros((0, 2))
-    kinds, counts = np.unique(landmarks.kind, return_counts=True)
-    same = xy[landmarks.kind == kinds[np.argmax(counts)]]
+    kinds, counts = np.unique(landmarks.crossing_type, return_counts=True)
+    same = xy[landmarks.crossing_type == kinds[np.argmax(counts)]]
     if len(same) < FEWEST_LANDMARKS:
         return np.zeros((0, 2))
     apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])

@@ -160,7 +160,7 @@ class PoseHypotheses:
         c, s = np.cos(mean[:, 2]), np.sin(mean[:, 2])
         x, y = obs.xy_base_m[k]
         at = np.column_stack([mean[:, 0] + c * x - s * y, mean[:, 1] + s * x + c * y])
-        return self.map.nearest(at, np.full(len(mean), obs.kind[k]), self.reach_m)[0]
+        return self.map.nearest(at, np.full(len(mean), obs.crossing_type[k]), self.reach_m)[0]
 
     def _weigh(self, obs: Observations) -> None:
         """One feature after the other, surest first: evidence and Kalman update of every pose."""

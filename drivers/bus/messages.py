@@ -218,7 +218,7 @@ def _landmark_columns(m: Landmarks) -> dict[str, object]:
         "cov_xx_m2": m.cov_m2[:, 0, 0],
         "cov_xy_m2": m.cov_m2[:, 0, 1],
         "cov_yy_m2": m.cov_m2[:, 1, 1],
-        "kind": m.kind,
+        "kind": m.crossing_type,
         "sightings": m.sightings,
     }
 

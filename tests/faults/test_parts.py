@@ -196,9 +196,9 @@ def test_the_place_that_explains_a_view_is_found_whatever_was_believed(seed: int
     c, s = np.cos(pose[2]), np.sin(pose[2])
     seen = (landmarks.xy_map_m[near] - pose[:2]) @ np.array([[c, -s], [s, c]]) + rng.normal(0, 0.005, (near.sum(), 2))
     turn = int(rng.integers(4))  # the view knows its heading modulo a quarter turn, and names its kinds by it
-    from ceilvo.crossing_types import turn_kind
+    from ceilvo.crossing_types import turned_type
 
-    kind = turn_kind(landmarks.kind[near], (4 - turn) % 4)
+    kind = turned_type(landmarks.crossing_type[near], (4 - turn) % 4)
     heading = float(pose[2]) + 0.5 * np.pi * turn
     n = int(near.sum())
     view = Observations(seen, np.full((n, 2), 1e-4), kind, np.full(n, -1), heading, 1e-6, 0.0)

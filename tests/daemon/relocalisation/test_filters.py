@@ -114,7 +114,7 @@ def test_landmarks_are_born_after_enough_sightings_and_forgotten_without(method)
         assert len(f.landmarks()) == 0
         f.update(observations([[1.0 + 0.001 * (i - 1), 0.5], [2.0 + i, 0.0]], [NO_LANDMARK] * 2, kind=[3, 3]))
     m = f.landmarks()
-    assert m.kind.tolist() == [3]
+    assert m.crossing_type.tolist() == [3]
     np.testing.assert_allclose(m.xy_map_m[0], [1.0, 0.5], atol=1e-3)
     np.testing.assert_allclose(m.cov_m2[0], np.eye(2) * 9e-6 / 3, rtol=0.1, atol=1e-7)
     for _ in range(30):

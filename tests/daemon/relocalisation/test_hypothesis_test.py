@@ -155,7 +155,7 @@ def labelled(landmarks: Landmarks, at: np.ndarray, believed: np.ndarray) -> Obse
     n = int(near.sum())
     turns = np.round((believed[2] - at[2]) / (0.5 * np.pi))
     heading = float(at[2] + 0.5 * np.pi * turns)
-    return Observations(xy, np.ones((n, 2)), landmarks.kind[near], label, heading, 1.0, 0.0)
+    return Observations(xy, np.ones((n, 2)), landmarks.crossing_type[near], label, heading, 1.0, 0.0)
 
 
 def test_a_view_contradicts_a_pose_by_its_lines_or_by_what_is_not_on_mapped_ground() -> None:

@@ -83,7 +83,7 @@ class Drive:
         seen = np.flatnonzero(np.hypot(*at.T) < 1.6)[:view]
         z = at[seen] + 0.02 * self.rng.standard_normal((len(seen), 2))
         label = seen if self.labelled else np.full(len(seen), UNLABELLED)
-        self.filter.update(Observations(z, np.full((len(seen), 2), 4e-4), self.map.kind[seen], label))
+        self.filter.update(Observations(z, np.full((len(seen), 2), 4e-4), self.map.crossing_type[seen], label))
         pose, _, health = self.filter.estimate()
         return float(np.hypot(*(pose - self.truth)[:2])), abs(wrap(pose[2] - self.truth[2])), health.mode_weight
 
@@ -145,7 +145,7 @@ def test_on_a_bare_grid_an_unknown_pose_stays_one_of_several():
 
 def test_with_lamps_the_grid_gives_the_pose_and_never_the_mean_of_two_tiles():
     d = Drive(grid(lamps=14), SEED).start(anywhere=True)
-    crossings = d.map.xy_map_m[d.map.kind == 0]
+    crossings = d.map.xy_map_m[d.map.crossing_type == 0]
     for _ in range(40):
         error, _, weight = d.step()
         pose, _, _ = d.filter.estimate()
@@ -200,17 +200,17 @@ def test_lamps_that_no_landmark_explains_are_a_surprise_and_crossings_alone_are_
     at = known.landmarks.xy_map_m
     seen = np.flatnonzero(np.hypot(*at.T) < 1.6)
     view = Observations(
-        at[seen], np.full((len(seen), 2), 4e-4), known.landmarks.kind[seen], np.full(len(seen), UNLABELLED)
+        at[seen], np.full((len(seen), 2), 4e-4), known.landmarks.crossing_type[seen], np.full(len(seen), UNLABELLED)
     )
     assert not unexplained(known, pose, view, 0.2)
     tile_on = np.array([TILE_M, 0.0, 0.0])
     assert unexplained(known, tile_on, view, 0.2)
-    crossings = np.flatnonzero(view.kind == 0)
+    crossings = np.flatnonzero(view.crossing_type == 0)
     bare = replace(
         view,
         xy_base_m=view.xy_base_m[crossings],
         var_m2=view.var_m2[crossings],
-        kind=view.kind[crossings],
+        crossing_type=view.crossing_type[crossings],
         label=view.label[crossings],
     )
     assert not unexplained(known, tile_on, bare, 0.2)
@@ -239,7 +239,7 @@ def test_a_single_wrong_sighting_does_not_move_the_pose():
         d.step()
     pose = d.filter.estimate()[0]
     wrong = transform(inverse(pose), d.map.xy_map_m[:1]) + np.array([[1.5, 1.0]])
-    d.filter.update(Observations(wrong, np.full((1, 2), 4e-4), d.map.kind[:1], np.array([0])))
+    d.filter.update(Observations(wrong, np.full((1, 2), 4e-4), d.map.crossing_type[:1], np.array([0])))
     after, _, health = d.filter.estimate()
     assert np.hypot(*(after - pose)[:2]) < 0.02
     assert health.mode_weight > SURE

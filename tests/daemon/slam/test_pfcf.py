@@ -133,7 +133,7 @@ def test_landmarks_leave_the_window_and_come_back_with_their_own_covariance():
     np.testing.assert_array_equal(j.cov[j.rows(np.array([3]))][:, :3], 0.0)
     j.forget(np.array([0, 3, 18]))
     keep = np.delete(np.arange(30), [0, 3, 18])
-    np.testing.assert_array_equal(j.kind, keep)
+    np.testing.assert_array_equal(j.crossing_type, keep)
     np.testing.assert_allclose(j.xy(np.arange(27)), before_xy[keep])
     np.testing.assert_allclose(j.packed(np.arange(27)), before[keep])
     np.testing.assert_allclose(j.cov, j.cov.T)
@@ -170,7 +170,7 @@ def room(seed, steps=120):
         at = transform(inverse(truth), points)
         kind = np.flatnonzero(np.hypot(*at.T) < 1.6)
         z = at[kind] + 0.05 * rng.standard_normal((len(kind), 2))
-        index = {int(k): i for i, k in enumerate(f.landmarks().kind)}
+        index = {int(k): i for i, k in enumerate(f.landmarks().crossing_type)}
         label = np.array([index.get(int(k), NO_LANDMARK) for k in kind], np.int64)
         f.update(Observations(z, np.full((len(kind), 2), 0.0025), kind, label))
         pose, cov, _ = f.estimate()
@@ -178,7 +178,7 @@ def room(seed, steps=120):
         off[2] = wrap(off[2])
         nees.append(off @ np.linalg.solve(cov, off))
     m = f.landmarks()
-    off = m.xy_map_m - points[m.kind]
+    off = m.xy_map_m - points[m.crossing_type]
     return np.median(nees), np.mean(np.einsum("ki,kij,kj->k", off, np.linalg.inv(m.cov_m2), off))
 
 
@@ -222,7 +222,7 @@ def test_pose_and_map_may_turn_together():
         seen = np.flatnonzero(np.hypot(*at.T) < 2.0)
         z = at[seen] + 0.1 * rng.standard_normal((len(seen), 2))
         m = f.landmarks()
-        label = np.array([np.append(np.flatnonzero(m.kind == k), NO_LANDMARK)[0] for k in seen], np.int64)
+        label = np.array([np.append(np.flatnonzero(m.crossing_type == k), NO_LANDMARK)[0] for k in seen], np.int64)
         f.update(Observations(z, np.full((len(seen), 2), 0.01), seen.astype(np.int64), label))
     sigma = np.sqrt(f.estimate()[1][2, 2])
     print(f"seed {SEED}: heading sigma {start} before, {sigma:.4f} after")

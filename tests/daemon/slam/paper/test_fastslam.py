@@ -147,7 +147,7 @@ def test_landmarks_are_born_after_enough_sightings_only_and_where_they_are():
         f.update(observations([[1.0 + offset[0], 0.5], [2.0 + i, 0.0]], [-1, -1], kind=[3, 3]))
     m = f.landmarks()
     assert len(m) == 1
-    assert m.kind.tolist() == [3]
+    assert m.crossing_type.tolist() == [3]
     assert m.sightings.tolist() == [3]
     np.testing.assert_allclose(m.xy_map_m[0], [1.0, 0.5], atol=1e-4)
     np.testing.assert_allclose(m.cov_m2[0], np.eye(2) * 9e-6 / 3, rtol=0.1, atol=1e-7)
