@@ -18,6 +18,15 @@ _MANY_VIEWS = 8
 _STEP = 1e-6
 _RESCALES = 10
 _LEAST_LEFT = 1e-3  # of a view without which the rest says nothing
+_UNSEEN_PX = 1e3
+"""Residual of a point that the camera cannot image; chosen: farther off than any picture's corner from its middle."""
+
+
+def off_by(found_px: Array, seen_px: Array) -> Array:
+    """(2 N,) residuals of pixels (N, 2); nan is a point that the camera cannot image."""
+    off = (found_px - seen_px).ravel()
+    off[np.isnan(off)] = _UNSEEN_PX
+    return off
 
 
 @dataclass(frozen=True)

@@ -170,4 +170,4 @@ def grid_residual(camera: CameraModel, sample: GridSample, tile_m: float, shared
     """Pixels; shared: roll, pitch, height; view: the camera's x, y in the lattice (m) and heading."""
     xyz = np.column_stack([sample.index * tile_m - view[:2], np.full(len(sample.index), shared[2])])
     rays = xyz @ mount_rotation(view[2], shared[0], shared[1]).T
-    return np.asarray(np.nan_to_num(camera.pixels(rays) - sample.uv_px, nan=1e3).ravel())
+    return bundle.off_by(camera.pixels(rays), sample.uv_px)

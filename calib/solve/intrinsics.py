@@ -195,8 +195,7 @@ def _solve(
 
 def _reproject(camera: CameraModel, shot: Shot, pose: Array) -> Array:
     points = shot.xyz_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
-    off = camera.pixels(points) - shot.uv_px
-    return np.asarray(np.nan_to_num(off, nan=1e3).ravel())
+    return bundle.off_by(camera.pixels(points), shot.uv_px)
 
 
 def _rms_each(fit: bundle.BundleFit) -> Array:

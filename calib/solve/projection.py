@@ -86,7 +86,7 @@ def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array, intrinsics_cov:
 def points_residual(camera: CameraModel, p: Array, xyz_m: Array, uv_px: Array) -> Array:
     """p: roll, pitch, height, yaw, x, y."""
     rays = (xyz_m - np.array([p[4], p[5], -p[2]])) @ mount_rotation(p[3], p[0], p[1]).T
-    return np.asarray(np.nan_to_num(camera.pixels(rays) - uv_px, nan=1e3).ravel())
+    return bundle.off_by(camera.pixels(rays), uv_px)
 
 
 def _point_starts(camera: CameraModel, xyz_m: Array, uv_px: Array) -> list[Array]:
