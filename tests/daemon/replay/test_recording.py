@@ -217,7 +217,7 @@ def test_a_difference_is_told_and_is_a_failure(
 ) -> None:
     file = tmp_path / "run.mcap"
     drive(world, file, 0.5)
-    monkeypatch.setattr("ceilvo.daemon.pipeline._START_SIGMA", np.array([1e-3, 1e-3, 1.1e-3]))
+    monkeypatch.setattr("ceilvo.daemon.pipeline.START_SIGMA", np.array([1e-3, 1e-3, 1.1e-3]))
     assert cli.main(["replay", str(file)]) == 1
     assert "the first other one is" in capsys.readouterr().out
 
