@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.errors import ConfigError
-from ceilvo.sim.ceiling import Ceiling
+from ceilvo.sim.ceiling.ceiling import Ceiling
 from ceilvo.sim.surroundings import Surface
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration
-from ceilvo.sim.ceiling_layout import CrossingKind
+from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.world import World
 from ceilvo.types import Crossings, Motion
 
@@ -56,14 +56,14 @@ class CrossingScore:
 
     def __post_init__(self) -> None:
         self._found_px = FOUND_PX if self.calibration is self.world.calibration else FOUND_WRONG_CALIBRATION_PX
-        xy, kind = self.world.ceiling.true_crossings()
+        xy, crossing_type = self.world.ceiling.true_crossings()
         render = self.world.spec.render
         lamps_seen = render.lit is None and render.switch_groups == 0
-        wanted = (kind == CrossingKind.CROSS) | (kind == CrossingKind.TEE)
+        wanted = (crossing_type == CrossingType.CROSS) | (crossing_type == CrossingType.TEE)
         if lamps_seen:
-            wanted |= kind == CrossingKind.LAMP
+            wanted |= crossing_type == CrossingType.LAMP
         self._true = xy[wanted]
-        self._is_lamp = kind[wanted] == CrossingKind.LAMP
+        self._is_lamp = crossing_type[wanted] == CrossingType.LAMP
         self._plausible = np.concatenate([self.world.ceiling.true_intersections(), self._wall_meetings()])
 
     def add(self, crossings: Crossings | None, pose: Array, tilt: Array) -> None:

@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.sim.ceiling_layout import CeilingSpec, Layout, Panel, Rect, Spot, TrueLines, make_layout
+from ceilvo.sim.ceiling.arrangement import make_layout
+from ceilvo.sim.ceiling.layout import Layout, TrueLines
+from ceilvo.sim.ceiling.panels import Panel, Rect, Spot
+from ceilvo.sim.ceiling.spec import CeilingSpec
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -39,9 +42,9 @@ class Ceiling:
         self.albedo: Array32 = self._draw(rng)
 
     def true_crossings(self) -> tuple[Array, Ints]:
-        """(N, 2) crossings in map and (N,) CrossingKind: grooves that meet, corners of lamps and vents."""
-        xy, kind = self.layout.crossings()
-        return se2.transform(self._map_from_ceiling, xy), kind
+        """(N, 2) crossings in map and (N,) CrossingType: grooves that meet, corners of lamps and vents."""
+        xy, crossing_type = self.layout.crossings()
+        return se2.transform(self._map_from_ceiling, xy), crossing_type
 
     def true_intersections(self, reach_m: float = 0.07) -> Array:
         """(N, 2) in map: all places where two true lines meet or, prolonged by reach_m, would; for precision."""
