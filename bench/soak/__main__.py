@@ -25,7 +25,7 @@ from ceilvo.bench.soak.fault_plan import Stroke, current, strokes
 from ceilvo.bench.soak.parts import Heard, Listener, Usage, Watcher, free_port, set_base_fault, usage
 from ceilvo.bench.soak.verdict import judge
 from ceilvo.config import Config
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.drivers.base.mock_base import ReceivedTelegram
 from ceilvo.files import write_atomic
 from ceilvo.sim.base import SimBase
