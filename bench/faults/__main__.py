@@ -42,8 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     begun_s = time.process_time() - before_s
     result: dict[str, object] = {"ok": False}
     while (left_s := 3600.0 * a.hours - total.seconds) > 1.0:
-        tape = record(a.seed + leg, ROOMS_M[leg % len(ROOMS_M)], config.features)
-        total.add(Drive(tape, config, a.seed + leg, kinds).run(min(_LEG_S, left_s)))
+        log = record(a.seed + leg, ROOMS_M[leg % len(ROOMS_M)], config.features)
+        total.add(Drive(log, config, a.seed + leg, kinds).run(min(_LEG_S, left_s)))
         leg += 1
         result = summary(total, a.method, leg, time.process_time() - begun_s) | {"seed": a.seed}
         write_atomic(a.out, json.dumps(result, indent=2) + "\n")

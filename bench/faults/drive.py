@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.faults.line_log import RATE_HZ, Tape, TapeFinder
+from ceilvo.bench.faults.line_log import RATE_HZ, LineLog, LoggedLineFinder
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.base.wheel_track import WheelNoise
@@ -40,8 +40,8 @@ class Tally:
 
     Attributes:
         wrong_s: by state, seconds with a pose that is more than WRONG_M off.
-        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; told: each, and each
-            false LOST, with the way to it.
+        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; reports: each, and each
+            false LOST, with what led to it.
         false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong; blind_lost: while
             neither camera nor wheels said anything and until the first motion after that, so that nobody could know.
     """
@@ -51,7 +51,7 @@ class Tally:
     wrong_s: dict[str, float] = field(default_factory=dict)
     faults: dict[str, int] = field(default_factory=dict)
     wrong_events: dict[str, int] = field(default_factory=dict)
-    told: list[str] = field(default_factory=list)
+    reports: list[str] = field(default_factory=list)
     false_lost: int = 0
     true_lost: int = 0
     blind_lost: int = 0
@@ -62,7 +62,7 @@ class Tally:
         for name in ("seconds", "false_lost", "true_lost", "blind_lost", "helped"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.worst_tracking_m = max(self.worst_tracking_m, other.worst_tracking_m)
-        self.told += other.told
+        self.reports += other.reports
         for name in ("state_s", "wrong_s", "faults", "wrong_events"):
             mine, theirs = getattr(self, name), getattr(other, name)
             for key, value in theirs.items():
@@ -72,11 +72,11 @@ class Tally:
 class Drive:
     """One robot on one tape."""
 
-    def __init__(self, tape: Tape, config: Config, seed: int, kinds: tuple[Kind, ...] = KINDS) -> None:
-        self._tape, self._config, self._kinds = tape, config, kinds
+    def __init__(self, log: LineLog, config: Config, seed: int, kinds: tuple[Kind, ...] = KINDS) -> None:
+        self._log, self._config, self._kinds = log, config, kinds
         self._rng = np.random.default_rng([seed, 6])
         self._seed = seed
-        self._k = int(self._rng.integers(tape.frames))
+        self._k = int(self._rng.integers(log.frames))
         self._take = 0
         self._ns = 10**9
         self._fault: Kind | None = None
@@ -100,20 +100,20 @@ class Drive:
         return self.tally
 
     def _fresh(self) -> Pipeline:
-        pipeline = Pipeline(self._tape.calibration, self._config, self._rng.spawn(1)[0])
-        self._finder = TapeFinder()
+        pipeline = Pipeline(self._log.calibration, self._config, self._rng.spawn(1)[0])
+        self._finder = LoggedLineFinder()
         pipeline._lines = self._finder  # type: ignore[assignment]
         return pipeline
 
     def _at_truth(self) -> None:
         self._pipeline.reset(keep_map=False)
-        following = self._tape.truth[(self._k + 1) % self._tape.frames]  # its first frame is the next one
+        following = self._log.truth[(self._k + 1) % self._log.frames]  # its first frame is the next one
         self._pipeline.assume(following, np.diag([1e-6, 1e-6, 1e-6]), "put right")
         self._state, self._trouble_ns, self._was_wrong = State.INIT, None, False
         self._wheel_k = self._k
 
     def _truth(self) -> Array:
-        return np.asarray(self._tape.truth[self._k])
+        return np.asarray(self._log.truth[self._k])
 
     def _tick(self) -> None:
         """One frame period."""
@@ -138,20 +138,20 @@ class Drive:
 
     def _move(self) -> None:
         self._k += 1
-        if self._k == self._tape.frames:
-            self._k, self._take = 0, int(self._rng.integers(len(self._tape.lines)))
+        if self._k == self._log.frames:
+            self._k, self._take = 0, int(self._rng.integers(len(self._log.lines)))
 
     def _seen(self) -> Lines | None:
         k = self._k
         if self._fault == "stale picture" and self._rng.random() < 0.15:
-            k = (k - int(self._rng.integers(3, 20))) % self._tape.frames
-        return self._tape.lines[self._take][k]
+            k = (k - int(self._rng.integers(3, 20))) % self._log.frames
+        return self._log.lines[self._take][k]
 
     def _wheels(self) -> WheelMotion | None:
         """What a base reports of the way since the last estimate, errors included."""
         if self._fault in ("no wheels", "dark, no wheels"):
             return None
-        here = self._tape.truth[self._wheel_k] if self._fault != "carried" else self._truth()
+        here = self._log.truth[self._wheel_k] if self._fault != "carried" else self._truth()
         true = se2.between(here, self._truth())
         length, n = float(np.hypot(true[0], true[1])), WheelNoise()
         var_xy = n.slip_m2_per_m * length + 1e-10
@@ -182,7 +182,7 @@ class Drive:
         kind, self._fault = self._fault, None
         self._next_ns = self._ns + round(1e9 * float(self._rng.exponential(_MEAN_BETWEEN_S))) + 5 * 10**9
         if kind == "carried":
-            self._k = int(self._rng.integers(self._tape.frames))
+            self._k = int(self._rng.integers(self._log.frames))
             self._wheel_k = self._k
         elif kind == "restart":
             self._restart()
@@ -213,14 +213,16 @@ class Drive:
             if wrong and not self._was_wrong:
                 self._was_wrong = True
                 t.wrong_events[self._last_fault] = t.wrong_events.get(self._last_fault, 0) + 1
-                t.told.append(f"seed {self._seed} {t.seconds:.1f} s, {off:.2f} m off: {'; '.join(self._news)}")
+                t.reports.append(f"seed {self._seed} {t.seconds:.1f} s, {off:.2f} m off: {'; '.join(self._news)}")
         if not wrong:
             self._was_wrong = False
         if e.state is State.LOST and self._state is not State.LOST:
             name = "blind_lost" if self._blind else "true_lost" if wrong else "false_lost"
             setattr(t, name, getattr(t, name) + 1)
             if name == "false_lost":
-                t.told.append(f"seed {self._seed} {t.seconds:.1f} s, false LOST ({e.reason}): {'; '.join(self._news)}")
+                t.reports.append(
+                    f"seed {self._seed} {t.seconds:.1f} s, false LOST ({e.reason}): {'; '.join(self._news)}"
+                )
         if e.state is not self._state:
             self._news.append(f"{t.seconds:.1f} {e.state.name} {off:.2f} m ({e.reason})")
         self._state = e.state

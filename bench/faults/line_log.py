@@ -26,7 +26,7 @@ _WARM_FRAMES = 5
 
 
 @dataclass(frozen=True)
-class Tape:
+class LineLog:
     """Lines of every frame of every take, lines[take][k], and the true pose at frame k, (K, 3)."""
 
     calibration: Calibration
@@ -38,7 +38,7 @@ class Tape:
         return len(self.truth)
 
 
-def record(seed: int, room_m: float, features: Features) -> Tape:
+def record(seed: int, room_m: float, features: Features) -> LineLog:
     """Drive the laps of one room; every frame is rendered and its lines are found as in the daemon."""
     world = World(WorldSpec(seed=seed, lap=LapSpec(room_m=room_m), ceiling=replace(CeilingSpec(), room_m=room_m)))
     lap = world.path
@@ -53,7 +53,7 @@ def record(seed: int, room_m: float, features: Features) -> Tape:
         found = [finder(world.frame_at(first_s + k * step_s), None) for k in range(-_WARM_FRAMES, count)]
         takes.append(tuple(_light(lines) for lines in found[_WARM_FRAMES:]))
     times = start_s + step_s * np.arange(count)
-    return Tape(world.calibration, world.truth_at(times), tuple(takes))
+    return LineLog(world.calibration, world.truth_at(times), tuple(takes))
 
 
 def _light(lines: Lines | None) -> Lines | None:
@@ -61,7 +61,7 @@ def _light(lines: Lines | None) -> Lines | None:
     return None if lines is None else replace(lines, points=lines.points.astype(np.float32))
 
 
-class TapeFinder:
+class LoggedLineFinder:
     """Takes the place of the pipeline's LineFinder; `show` puts the lines of the next frame in."""
 
     def __init__(self) -> None:

@@ -94,10 +94,10 @@ class CrossingScore:
         )
         frames = max(len(self.errors_px), 1)
         return {
-            "recall_pct": _share(self.found, self.missed),
-            "recall_grid_pct": _share(self.found - self.lamps_found, self.missed - self.lamps_missed),
-            "recall_lamps_pct": _share(self.lamps_found, self.lamps_missed),
-            "precision_pct": _share(self.right, self.wrong),
+            "recall_pct": _percent(self.found, self.missed),
+            "recall_grid_pct": _percent(self.found - self.lamps_found, self.missed - self.lamps_missed),
+            "recall_lamps_pct": _percent(self.lamps_found, self.lamps_missed),
+            "precision_pct": _percent(self.right, self.wrong),
             "crossing_median_px": _quantile(errors, 0.5),
             "crossing_p95_px": _quantile(errors, 0.95),
             "lamp_corner_p95_px": _quantile(lamps, 0.95),
@@ -216,7 +216,7 @@ def _nearest(a: Array, b: Array) -> Array:
     return np.asarray(np.sqrt(np.min(np.sum((a[:, None] - b[None]) ** 2, axis=2), axis=1)))
 
 
-def _share(good: int, bad: int) -> float:
+def _percent(good: int, bad: int) -> float:
     return 100.0 * good / (good + bad) if good + bad else float("nan")
 
 

@@ -77,15 +77,15 @@ class Ceiling:
 
         Args:
             lit: indices into layout.lamps, None for all.
-            daylight: share of the room's light that does not come from lamps; the rest comes with the share lit.
+            daylight: fraction of the room's light that does not come from lamps; the rest comes with the fraction lit.
         """
         lamps = self.layout.lamps
         on = lamps if lit is None else tuple(lamps[i] for i in lit)
-        share = len(on) / len(lamps) if lamps else 1.0
+        lamps_on = len(on) / len(lamps) if lamps else 1.0
         glow = np.zeros_like(self.albedo)
         for lamp in on:
             self._emit(glow, lamp)
-        light = (1.0 - daylight) * share + self._halo(glow)
+        light = (1.0 - daylight) * lamps_on + self._halo(glow)
         return self.albedo * np.float32(daylight), self.albedo * light + glow
 
     def _emit(self, glow: Array32, lamp: Panel) -> None:
@@ -194,8 +194,8 @@ class Ceiling:
         m = s.radius_m + 3 * self.spec.texel_m
         win, (dx, dy) = self._window((x - m, y - m, x + m, y + m))
         d = np.hypot(dx - x, dy - y)
-        for share, value in rings:
-            cover = np.clip((share * s.radius_m - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
+        for radius, value in rings:
+            cover = np.clip((radius * s.radius_m - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
             a[win] += cover * (np.float32(value) - a[win])
 
     def _fill(self, a: Array32, rect: Rect, value: float) -> None:
