@@ -43,7 +43,7 @@ check: $(VENV)/.installed-dev
 	MYPYPATH=build/site $(BIN)/mypy -p ceilvo
 
 config: $(VENV)/.installed
-	$(BIN)/python -m ceilvo.config.reader > config.yaml.new && mv config.yaml.new config.yaml
+	$(BIN)/python -m ceilvo.config.rendering > config.yaml.new && mv config.yaml.new config.yaml
 
 dist: $(VENV)/.installed-dev
 	$(BIN)/python -m build --outdir dist .

@@ -27,13 +27,13 @@ from ceilvo.bench.paper.world import (
     FEATURE_MARGIN_M,
     INSET_M,
     KIDNAP_M,
-    LAMP_SHARE,
+    LAMP_FRACTION,
     LAP_STEPS,
     ROOM_M,
     SETTINGS,
     SPEED_M_S,
     TILE_M,
-    VENT_SHARE,
+    VENT_FRACTION,
     VIEW_M,
 )
 from ceilvo.bench.results.bars import Bar, as_json
@@ -166,8 +166,8 @@ def all_settings(args: argparse.Namespace) -> dict[str, Any]:
             "feature_margin_m": FEATURE_MARGIN_M,
             "feature_jitter_m": FEATURE_JITTER_M,
             "tile_m": TILE_M,
-            "lamp_share": LAMP_SHARE,
-            "vent_share": VENT_SHARE,
+            "lamp_share": LAMP_FRACTION,
+            "vent_share": VENT_FRACTION,
             "kidnap_m": KIDNAP_M,
             "start_sigma": list(START_SIGMA),
         },
@@ -243,14 +243,14 @@ def _short(i: Interval) -> str:
 
 def _health(rows: list[dict[str, Any]]) -> Table:
     """The counters that say something; all of them are in the JSON."""
-    shares = ("ess_share", "ancestors_share", "fit_residual", "nis", "nis_in_bounds", "mode_weight")
+    health = ("ess_share", "ancestors_share", "fit_residual", "nis", "nis_in_bounds", "mode_weight")
     counts = ("observations", "outliers", "rejected_updates", "slips", "searches", "recoveries", "tile_slips")
-    heads = (*(n.replace("_", "\n") for n in shares), *(n.replace("_", "\n") for n in counts))
+    heads = (*(n.replace("_", "\n") for n in health), *(n.replace("_", "\n") for n in counts))
     t = Table("experiment", "filter", *heads, title="Health with every estimate, and counters: means over runs")
     for r in rows:
-        cells = (f"{r[k]:.3f}" if k in r else "-" for k in (f"health_{n}" for n in shares))
-        told = (f"{r[k]:.1f}" if k in r else "-" for k in (f"count_{n}" for n in counts))
-        t.add_row(f"{r['experiment']} {r['setting']}", r["filter"], *cells, *told)
+        cells = (f"{r[k]:.3f}" if k in r else "-" for k in (f"health_{n}" for n in health))
+        counted = (f"{r[k]:.1f}" if k in r else "-" for k in (f"count_{n}" for n in counts))
+        t.add_row(f"{r['experiment']} {r['setting']}", r["filter"], *cells, *counted)
     return t
 
 

@@ -26,7 +26,7 @@ from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, project
 from ceilvo.calibration_file import write_calibration
 from ceilvo.camera import CameraModel
 from ceilvo.config import Config, Features
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.replay.overlay import draw_overlay
 from ceilvo.daemon.replay.trajectory import (

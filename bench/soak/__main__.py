@@ -25,7 +25,7 @@ from ceilvo.bench.soak.fault_plan import Stroke, current, strokes
 from ceilvo.bench.soak.parts import Heard, Listener, Usage, Watcher, free_port, set_base_fault, usage
 from ceilvo.bench.soak.verdict import judge
 from ceilvo.config import Config
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.drivers.base.mock_base import ReceivedTelegram
 from ceilvo.files import write_atomic
 from ceilvo.sim.base import SimBase
@@ -130,16 +130,16 @@ class Soak:
         )
 
     def _supervise(self, daemon: subprocess.Popen[bytes], base: SimBase, listener: Listener, watcher: Watcher) -> None:
-        told = {"base": "", "zenoh": "", "process": ""}
+        reported = {"base": "", "zenoh": "", "process": ""}
         next_usage_s = 0.0
         while daemon.poll() is None and self._now_s() < self._seconds:
             t_s = self._now_s()
-            for part in told:
+            for part in reported:
                 name = current(self.plan, t_s, part)
-                if name != told[part]:
-                    self._change(part, told[part], name, daemon, base, listener, watcher)
-                    told[part] = name
-            if t_s >= next_usage_s and told["process"] != "stopped":
+                if name != reported[part]:
+                    self._change(part, reported[part], name, daemon, base, listener, watcher)
+                    reported[part] = name
+            if t_s >= next_usage_s and reported["process"] != "stopped":
                 next_usage_s = max(t_s, 0.0) + _USAGE_PERIOD_S
                 self.usage.append(usage(daemon.pid, t_s))
             time.sleep(_TICK_S)

@@ -18,7 +18,7 @@ from ceilvo import __version__
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose, input_json
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json

@@ -119,9 +119,7 @@ def test_every_module_imports_from_the_installed_copy(installed: Path, tmp_path:
 
 
 def test_the_default_configuration_comes_with_the_code(installed: Path, tmp_path: Path) -> None:
-    code = (
-        "import ceilvo.config.reader as c\nfrom ceilvo.config import Config\nprint(c.render_config(Config()), end='')\n"
-    )
+    code = "from ceilvo.config import Config, rendering\nprint(rendering.render_config(Config()), end='')\n"
     assert python(installed, code, tmp_path) == (ROOT / "config.yaml").read_text()
 
 

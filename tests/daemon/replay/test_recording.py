@@ -18,7 +18,8 @@ from hypothesis.extra.numpy import arrays
 from ceilvo.calibration_file import parse_calibration, render_calibration
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.config import Recorder as RecorderConfig
-from ceilvo.config.reader import parse_config, render_config
+from ceilvo.config.reader import parse_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.app.process import Daemon, Plan
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
