@@ -1,7 +1,7 @@
 """Map and last pose on disk: JSON, versioned, checksummed, replaced in one step (docs/files.md).
 
 What load_state returns is a hypothesis and never the truth: the robot may have been carried while the daemon was not
-running. Start from it with `relocalising` set until landmarks confirm it.
+running.
 """
 
 from __future__ import annotations
