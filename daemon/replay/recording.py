@@ -37,7 +37,9 @@ from ceilvo.types import Estimate, Frame, State
 log = logging.getLogger("ceilvo")
 
 JPEG_QUALITY = 80
+"""Of pictures that are to look at; chosen."""
 _SILENT_BASE_S = 1.0
+"""A base silent for longer is a fault worth a recording; chosen: many times its period."""
 
 Note = Callable[[str], None]
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.relocalisation.lattice import CALM, SURPRISED, LatticeBelief, neighbours, periods
+from ceilvo.daemon.relocalisation.lattice import SLIP_CHANCE, SLIP_CHANCE_3_SIGMA, LatticeBelief, neighbours, periods
 from ceilvo.daemon.relocalisation.view_score import at_least, unexplained
 from ceilvo.daemon.slam.pose_filter import SURE
 from ceilvo.daemon.slam.spatial_index import IndexedMap
@@ -170,14 +170,14 @@ def test_belief_in_tiles_is_bayes_rule():
     t = LatticeBelief.at_home(neighbours(TILE_M * np.eye(2)))
     log_likelihood = np.zeros(9)
     log_likelihood[3] = 4.0
-    t.weigh(log_likelihood, SURPRISED)
-    expected = np.full(9, SURPRISED / 8)
-    expected[0] = 1 - SURPRISED
+    t.weigh(log_likelihood, SLIP_CHANCE_3_SIGMA)
+    expected = np.full(9, SLIP_CHANCE_3_SIGMA / 8)
+    expected[0] = 1 - SLIP_CHANCE_3_SIGMA
     expected *= np.exp(log_likelihood)
     np.testing.assert_allclose(t.weight, expected / expected.sum())
     assert t.weight[3] < 0.95
     for _ in range(3):
-        t.weigh(log_likelihood, CALM)
+        t.weigh(log_likelihood, SLIP_CHANCE)
     assert t.weight[3] > 0.95
     t.settle()
     assert t.weight[0] == 1.0
