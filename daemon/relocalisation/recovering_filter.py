@@ -224,10 +224,9 @@ class RecoveringFilter:
             return SLIP_CHANCE
         if state.known is None:
             return SLIP_CHANCE_MAPPING
-        again = m.surprised > 1
-        return (
-            SLIP_CHANCE_3_SIGMA if again or state.trimmed_nis > chi_square_bounds(dof, 3.0)[1] else SLIP_CHANCE_2_SIGMA
-        )
+        if m.surprised > 1 or state.trimmed_nis > chi_square_bounds(dof, 3.0)[1]:
+            return SLIP_CHANCE_3_SIGMA
+        return SLIP_CHANCE_2_SIGMA
 
     def _watch_lattice(self, obs: Observations) -> None:
         """Belief in this tile against its neighbours, where association was left to the filter."""

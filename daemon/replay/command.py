@@ -29,7 +29,7 @@ from ceilvo.errors import FileFormatError
 from ceilvo.types import Estimate
 
 _REFERENCE_TOLERANCE_S = 0.01
-"""A reference pose belongs to an estimate when their stamps differ by no more; chosen: a third of the period of 30 Hz."""
+"""A reference pose belongs to an estimate when their stamps differ by no more; chosen: a third of 30 Hz' period."""
 _PROGRESS_EVERY = 10
 """Estimates between two lines of progress; chosen."""
 

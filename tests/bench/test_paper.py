@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import ceilvo.daemon
-from ceilvo.bench.paper import __main__ as paper
+from ceilvo.bench.paper import command as paper
 from ceilvo.bench.paper import tables as paper_tables
 from ceilvo.bench.paper.ekf import EkfNearestNeighbour
 from ceilvo.bench.paper.filters import redraw_without_curve

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ceilvo import se2
-from ceilvo.bench.vision import __main__ as vision
+from ceilvo.bench.vision import command as vision
 from ceilvo.bench.vision.baselines import DescriptorMatcher, PointTracker
 from ceilvo.bench.vision.conditions import LAP, conditions, misjudged
 from ceilvo.bench.vision.metrics import CrossingScore, MotionScore
