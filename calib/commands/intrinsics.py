@@ -33,7 +33,7 @@ from ceilvo.calib.solve.intrinsics import (
     fit_best,
     problems,
 )
-from ceilvo.calib.solve.lens import camera_of
+from ceilvo.calib.solve.lens import guessed_camera
 from ceilvo.calib.targets.board import Board, BoardFinder, other_board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.errors import CalibrationError
@@ -195,7 +195,7 @@ def _is_new(board: Board, shots: list[Shot], ids: Any, uv: Any, picture: Picture
     if not shots:
         return True
     h, w = picture.gray.shape
-    guess = camera_of("pinhole", np.array([0.8 * w, 0.8 * w, w / 2, h / 2, 0, 0, 0, 0, 0.0]), (w, h))
+    guess = guessed_camera((w, h))
     pose = board_pose(guess, Shot("", board.corners_m[ids], uv))
     for shot in shots:
         other = board_pose(guess, shot)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.solve.grid import from_grid
 from ceilvo.calib.solve.station import Station, errors_against_grid
+from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.daemon.slam.association import sigma
 
@@ -44,7 +45,7 @@ def check(calibration: Calibration, stations: list[Station]) -> Check:
     Raises:
         CalibrationError: fewer than six pictures show the grid, or it is not regular.
     """
-    tile_m = calibration.tile_m or 0.6
+    tile_m = calibration.tile_m or USUAL_TILE_M
     _, roll, pitch = mount_angles(calibration.camera_from_base)
     now, _ = from_grid(calibration.camera, [s.views[0] for s in stations], tile_m, (roll, pitch))
     errors = errors_against_grid(calibration, stations, tile_m, now.height_m)

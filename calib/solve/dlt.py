@@ -15,7 +15,9 @@ from ceilvo.camera import CameraModel
 Array = NDArray[np.float64]
 
 _LENS = 4
+"""fx, fy, cx, cy."""
 _DISTORTION = 5
+"""Coefficients of the pinhole model, all zero here."""
 
 
 def from_points_alone(xyz_m: Array, uv_px: Array, size: tuple[int, int]) -> tuple[Mounting, CameraModel, Array]:

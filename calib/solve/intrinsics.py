@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
-from ceilvo.calib.solve.lens import camera_of
+from ceilvo.calib.solve.lens import camera_of, guessed_camera, reprojection
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -195,8 +195,7 @@ def _solve(
 
 def _reproject(camera: CameraModel, shot: Shot, pose: Array) -> Array:
     points = shot.xyz_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
-    off = camera.pixels(points) - shot.uv_px
-    return np.asarray(np.nan_to_num(off, nan=1e3).ravel())
+    return reprojection(camera, points, shot.uv_px)
 
 
 def _rms_each(fit: bundle.BundleFit) -> Array:
@@ -262,7 +261,7 @@ class Coverage:
 def coverage(shots: list[Shot], size: tuple[int, int]) -> Coverage:
     cells = np.zeros((6, 8), np.int64)
     reach, tilts, distances = 0.0, [], []
-    guess = camera_of("pinhole", np.array([0.8 * size[0], 0.8 * size[0], size[0] / 2, size[1] / 2, *np.zeros(5)]), size)
+    guess = guessed_camera(size)
     for shot in shots:
         u = np.clip((shot.uv_px / np.array(size) * [8, 6]).astype(int), 0, [7, 5])
         np.add.at(cells, (u[:, 1], u[:, 0]), 1)

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.joint import Joint
-from ceilvo.calib.solve.lens import lens_of, with_lens_error
+from ceilvo.calib.solve.lens import lens_of, reprojection, with_lens_error
 from ceilvo.calibration import mount_angles, mount_rotation
+from ceilvo.calibration_check import HEIGHTS_M
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
-
-HEIGHTS_M = (0.3, 30.0)
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def from_points(camera: CameraModel, xyz_m: Array, uv_px: Array, intrinsics_cov:
 def points_residual(camera: CameraModel, p: Array, xyz_m: Array, uv_px: Array) -> Array:
     """p: roll, pitch, height, yaw, x, y."""
     rays = (xyz_m - np.array([p[4], p[5], -p[2]])) @ mount_rotation(p[3], p[0], p[1]).T
-    return np.asarray(np.nan_to_num(camera.pixels(rays) - uv_px, nan=1e3).ravel())
+    return reprojection(camera, rays, uv_px)
 
 
 def _point_starts(camera: CameraModel, xyz_m: Array, uv_px: Array) -> list[Array]:

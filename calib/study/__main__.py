@@ -35,6 +35,7 @@ from ceilvo.calib.solve.lens import parameters_of
 from ceilvo.calib.solve.mount.experiment import calibrate as calibrate_mount
 from ceilvo.calib.solve.mount.tracks import MountPicture
 from ceilvo.calib.solve.station import Station, errors_against_grid
+from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.study import drive as drive_study
 from ceilvo.calib.targets.board import Board, BoardFinder
 from ceilvo.calib.targets.ceiling_view import CeilingReader
@@ -66,7 +67,7 @@ def commission(rig: Calibration, seed: int) -> RigResult:
     """Lens, projection and mount of one rig as `calib --simulate` does them, with two thirds of its pictures."""
     bench = VirtualBench(rig, seed=seed, world_seed=1 + seed % 3)
     lens = _lens(bench, shots=20)
-    reader, tile_m = CeilingReader(lens.camera), rig.tile_m or 0.6
+    reader, tile_m = CeilingReader(lens.camera), rig.tile_m or USUAL_TILE_M
     views = [v for v in (reader(p.gray) for p in bench.places(14)) if v.ok]
     projection, _ = from_grid(lens.camera, views, tile_m, reader.tilt_rad, lens.cov)
     camera, cov = lens.camera, lens.cov
@@ -105,7 +106,7 @@ def with_noise(found: Calibration, rig: Calibration, seed: int) -> Calibration:
         view = reader(p.gray)
         if view.ok:
             stations.setdefault(p.label, Station(p.label, [])).views.append(view)
-    errors = errors_against_grid(found, list(stations.values()), found.tile_m or 0.6)
+    errors = errors_against_grid(found, list(stations.values()), found.tile_m or USUAL_TILE_M)
     return replace(found, noise=sigma.fit(errors, seed).curves)
 
 
