@@ -155,4 +155,6 @@ def _projection_problems(c: Calibration) -> Iterator[str]:
         yield f"projection: found a camera {off:.0f} deg off the vertical, expected it to look up, at most {most:.0f}"
     beside_m = float(np.hypot(*c.mount_xy_m))
     if beside_m > _MOUNT_MOST_M:
-        yield f"projection: found a camera {beside_m:.3g} m beside the base's origin, expected at most {_MOUNT_MOST_M:g}"
+        yield (
+            f"projection: found a camera {beside_m:.3g} m beside the base's origin, expected at most {_MOUNT_MOST_M:g}"
+        )

@@ -24,6 +24,8 @@ _PLANES = 200
 _MIRRORED, _UNRELATED = 0.8, 0.6
 """Of the pixels' scatter that an affine map of the points explains: above, its sign counts; below, the list is
 shuffled. Chosen."""
+_NO_SPREAD = 1e-12
+"""Keeps a division by zero away."""
 _CUBIC = 1e-3
 """Second smallest singular value of the DLT over the largest: below it M has a second solution."""
 
@@ -153,9 +155,9 @@ def _handedness(xyz: Array, uv: Array) -> Iterator[str]:
 def _general(xyz: Array, uv: Array) -> Iterator[str]:
     """The DLT's own rank: a twisted cubic or two lines through the camera have more than one solution."""
     x = xyz - xyz.mean(axis=0)
-    x = x / max(float(np.sqrt(np.mean(x**2))), 1e-12)
+    x = x / max(float(np.sqrt(np.mean(x**2))), _NO_SPREAD)
     p = uv - uv.mean(axis=0)
-    p = p / max(float(np.sqrt(np.mean(p**2))), 1e-12)
+    p = p / max(float(np.sqrt(np.mean(p**2))), _NO_SPREAD)
     h = np.column_stack([x, np.ones(len(x))])
     zero = np.zeros_like(h)
     rows = np.concatenate([np.column_stack([h, zero, -p[:, :1] * h]), np.column_stack([zero, h, -p[:, 1:] * h])])
