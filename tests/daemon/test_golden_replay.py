@@ -5,30 +5,19 @@ What is right is proved elsewhere, against the simulator's truth; here nothing m
 
 from __future__ import annotations
 
-import importlib.util
-import json
-import sys
-from pathlib import Path
-
+import golden_drives as drives
 import numpy as np
 import pytest
 
-DRIVES = Path(__file__).parents[1] / "golden" / "pipeline" / "drives.py"
-_spec = importlib.util.spec_from_file_location("golden_drives", DRIVES)
-assert _spec is not None and _spec.loader is not None
-drives = importlib.util.module_from_spec(_spec)
-sys.modules[_spec.name] = drives
-_spec.loader.exec_module(drives)
-
 CASES = [(name, method) for name, methods in drives.METHODS.items() for method in methods]
-SAME_PLATFORM = json.loads(DRIVES.with_name("platform.json").read_text()) == drives.fingerprint()
+SAME_PLATFORM = drives.on_the_same_platform()
 ELSEWHERE = 1e-9
 
 
 @pytest.mark.parametrize(("name", "method"), CASES)
 def test_every_estimate_is_as_it_was(name: str, method: str) -> None:
     figures, words = drives.table(drives.estimates(drives.load(name, method)))
-    with np.load(DRIVES.with_name(f"{name}.{method}.npz"), allow_pickle=False) as f:
+    with np.load(drives.HERE / f"{name}.{method}.npz", allow_pickle=False) as f:
         before, said = f["figures"], f["words"].tolist()
     assert figures.shape == before.shape
     if SAME_PLATFORM:
@@ -43,5 +32,5 @@ def test_a_change_of_the_method_is_noticed(monkeypatch: pytest.MonkeyPatch) -> N
     """The comparison can fail: another seed of the filter gives other estimates."""
     monkeypatch.setattr(drives, "PIPELINE_SEED", drives.PIPELINE_SEED + 1)
     figures, _ = drives.table(drives.estimates(drives.load("lap", "pf")))
-    with np.load(DRIVES.with_name("lap.pf.npz"), allow_pickle=False) as f:
+    with np.load(drives.HERE / "lap.pf.npz", allow_pickle=False) as f:
         assert np.max(np.abs(figures[:, :3] - f["figures"][:, :3])) > ELSEWHERE

@@ -1,6 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """The loops of reference.py over pixels, compiled; see points.pyx."""
 
+import cv2
 import numpy as np
 
 from ceilvo.daemon.vision.kernel import arguments
@@ -74,7 +75,7 @@ cdef Picture picture_of(const int16_t[:, ::1] dx, const int16_t[:, ::1] dy, cons
 cdef inline float degrees(float y, float x) noexcept nogil:
     """Angle of (x, y), [0, 360); minimax polynomial of the arc tangent, within 0.001 degrees."""
     cdef float ax = fabsf(x), ay = fabsf(y), two = 2, turn = 360
-    cdef float low = ax if ax < ay else ay, high = ay if ax < ay else ax
+    cdef float low = ax if ax < ay else ay, high = ax if ax > ay else ay
     cdef float t = low / high if high > 0 else <float>0, q = t * t
     cdef float a = t * (<float>0.99997726 + q * (<float>-0.33262347 + q * (<float>0.19354346 + q * (
         <float>-0.11643287 + q * (<float>0.05265332 + q * <float>-0.01172120)))))
@@ -164,7 +165,7 @@ def level_points(
     check_pixels("mask", mask.shape[0], mask.shape[1], &p)
     check_pixels("rank", rank.shape[0], rank.shape[1], &p)
     arguments.check_lookup((lookup.shape[0], lookup.shape[1]), (p.height, p.width))
-    cdef Py_ssize_t n, room = np.count_nonzero(mask)
+    cdef Py_ssize_t n, room = cv2.countNonZero(np.asarray(mask))
     uv_px, phi_deg = np.empty((room, 2), np.float32), np.empty(room, np.float32)
     cdef float[:, ::1] uv = uv_px
     cdef float[::1] phi = phi_deg
@@ -213,22 +214,24 @@ cdef inline Py_ssize_t peak(
     const Picture *p, const Search *s, const Segment *g, Py_ssize_t major, float centre, Py_ssize_t begin, Py_ssize_t end
 ) noexcept nogil:
     """Where in [begin, end] across the edge the gradient has its best local maximum, -1 without any."""
-    cdef Py_ssize_t at = major * g.onward + begin * g.beside, best = -1, i
-    cdef uint32_t before = square(p, at - g.beside), here = square(p, at), after
+    cdef Py_ssize_t at = major * g.onward + (begin - 1) * g.beside, best = -1, i
+    cdef uint32_t before, here = square(p, at), after = square(p, at + g.beside)
     cdef float one = 1, best_score = 0, score, rise
     for i in range(begin, end + 1):
-        after = square(p, at + g.beside)
-        if here >= s.least and here >= before and here > after:
-            rise = <float>p.dx[at] * g.ux + <float>p.dy[at] * g.uy
-            score = <float>here if s.strongest else s.reach + one - fabsf(<float>i - centre)
-            if rise > 0 and rise * rise >= g.narrow * <float>here and score > best_score:
-                best, best_score = i, score
-        before, here = here, after
         at += g.beside
+        before, here, after = here, after, square(p, at + g.beside)
+        if (here < s.least) | (here < before) | (here <= after):
+            continue
+        rise = <float>p.dx[at] * g.ux + <float>p.dy[at] * g.uy
+        if (rise <= 0) | (rise * rise < g.narrow * <float>here):
+            continue
+        score = <float>here if s.strongest else s.reach + one - fabsf(<float>i - centre)
+        if score > best_score:
+            best, best_score = i, score
     return best
 
 
-cdef Py_ssize_t follow_segment(
+cdef inline Py_ssize_t follow_segment(
     const Picture *p, const Search *s, const Segment *g, Py_ssize_t places, Py_ssize_t *last, int32_t line, Found *found
 ) noexcept nogil:
     """Add the points along a segment; at how many places it was looked for."""
@@ -267,7 +270,7 @@ cdef inline Py_ssize_t places_along(const double *line, double stride) noexcept 
     return <Py_ssize_t>length if length > 0 and length < FAR else 0
 
 
-cdef Py_ssize_t follow_line(
+cdef inline Py_ssize_t follow_line(
     const Picture *p, const RawOfLevel *t, const Search *s, const double *l, int32_t line, Found *found
 ) noexcept nogil:
     """Add the points near a predicted edge; at how many places it was looked for."""

@@ -141,10 +141,22 @@ def project(
     return out[0], out[1]
 
 
+cdef struct Points:
+    const float *x
+    const float *y
+    const float *rho
+    const float *tangent
+
+
 cdef void give(
-    const float[::1] x, const float[::1] y, const float[::1] rho, const float[::1] tangent, const Py_ssize_t *e,
-    const double *offset, const Py_ssize_t *first, double gate, float[:, ::1] out, int32_t *line, Py_ssize_t *kept
+    const Points *points, const Py_ssize_t *e, const double *offset, const Py_ssize_t *first, double gate,
+    float[:, ::1] out, int32_t *line, Py_ssize_t *kept
 ) noexcept nogil:
+    """Points near a line of their group, and that line; kept: the groups' new bounds."""
+    cdef float *x = &out[0, 0]
+    cdef float *y = &out[1, 0]
+    cdef float *rho = &out[2, 0]
+    cdef float *tangent = &out[3, 0]
     cdef Py_ssize_t i, k, last, n = 0
     cdef float r
     cdef int g
@@ -153,14 +165,14 @@ cdef void give(
         for i in range(e[g], e[g + 1]):
             if k > last:
                 break  # no lines in this group
-            r = rho[i]
+            r = points.rho[i]
             # neighbours in the picture are mostly on the same line: walk from the last one
             while k < last and r - offset[k] > offset[k + 1] - r:
                 k += 1
             while k > first[g] and offset[k] - r >= r - offset[k - 1]:
                 k -= 1
             if fabs(r - offset[k]) < gate:
-                out[0, n], out[1, n], out[2, n], out[3, n] = x[i], y[i], r, tangent[i]
+                x[n], y[n], rho[n], tangent[n] = points.x[i], points.y[i], r, points.tangent[i]
                 line[n] = <int32_t>k
                 n += 1
         kept[g + 1] = n
@@ -189,8 +201,9 @@ def assign(
     out, line_out = np.empty((4, n), np.float32), np.empty(n, np.int32)
     cdef float[:, ::1] v = out
     cdef int32_t[::1] line = line_out
+    cdef Points points = Points(&x[0], &y[0], &rho[0], &tangent[0])
     with nogil:
-        give(x, y, rho, tangent, e, &offset[0], first, gate, v, &line[0], kept)
+        give(&points, e, &offset[0], first, gate, v, &line[0], kept)
     x_out, y_out, rho_out, tangent_out = out[:, : kept[4]]
     return x_out, y_out, rho_out, tangent_out, line_out[: kept[4]], (0, kept[1], kept[2], kept[3], kept[4])
 

@@ -1,6 +1,6 @@
 """Golden drives: what a camera and wheels gave, what was asked for, and every estimate that came of it.
 
-`python tests/golden/pipeline/drives.py` renders the drives and estimates anew; with --estimates only the estimates.
+`python tests/golden/pipeline/golden_drives.py` renders the drives and estimates anew; --estimates: only estimates.
 Either is a decision: the estimates change only where the method was meant to change.
 """
 
@@ -118,7 +118,7 @@ def record(name: str) -> None:
         "uv_px": np.concatenate([c.uv_px for c in found]).astype(np.float32),
         "xy_base_m": np.concatenate([c.xy_base_m for c in found]).astype(np.float32),
         "cov_base_m2": np.concatenate([c.cov_base_m2[:, [0, 0, 1], [0, 1, 1]] for c in found]).astype(np.float32),
-        "kind": np.concatenate([c.kind for c in found]).astype(np.uint8),
+        "kind": np.concatenate([c.crossing_type for c in found]).astype(np.uint8),
         "frame": np.array(
             [
                 [c.psi_rad, c.psi_sigma_rad, *c.tilt_rad, *c.tilt_sigma_rad, *c.common_cov_m2[[0, 0, 1], [0, 1, 1]]]
@@ -219,6 +219,11 @@ def table(run: Iterator[Estimate]) -> tuple[np.ndarray, list[str]]:
         rows.append([float(v) for v in figures])
         words.append(f"{e.state.name} {e.reason} | {m.failure or ''}")
     return np.array(rows), words
+
+
+def on_the_same_platform() -> bool:
+    """Whether estimates must be equal to the last bit."""
+    return bool(json.loads((HERE / "platform.json").read_text()) == fingerprint())
 
 
 def fingerprint() -> dict[str, str]:
