@@ -11,7 +11,7 @@ import cv2
 from hypothesis import settings
 
 from ceilvo.sim import world
-from ceilvo.sim.ceiling import Ceiling
+from ceilvo.sim.ceiling.ceiling import Ceiling
 from ceilvo.sim.renderer import Renderer
 
 settings.register_profile("fixed", derandomize=True, deadline=None, print_blob=True, max_examples=60)

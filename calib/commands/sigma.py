@@ -25,7 +25,7 @@ from ceilvo.calib.session.common import (
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, Seen, collect
 from ceilvo.calib.solve.sigma import Curve, Errors, Noise, fit, problems
-from ceilvo.calib.solve.station import Stand, errors_against_grid
+from ceilvo.calib.solve.station import Station, errors_against_grid
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calib.targets.points_file import ask_on_terminal, in_metres, read_table
 from ceilvo.calib.targets.sources import Picture
@@ -33,8 +33,12 @@ from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.errors import CalibrationError
 
 STEP = "sigma"
-_STANDS, _LOOKS = 18, 4
+_STATIONS, _LOOKS = 18, 4
+"""Chosen: 18 places, whose scatter is known to a sixth, and four looks at each, which halve a picture's own noise."""
 _STILL_PX = 0.6
+"""Median move of the crossings below which nothing moved; a crossing has about 0.1 px of noise."""
+_TURN_RAD = 7.0
+"""Beyond a full turn: headings are in degrees."""
 _ERRORS = ("r_m", "dx_m", "dy_m", "dtheta_rad")
 _POSES = ("x_m", "y_m", "theta_rad", "seen_x_m", "seen_y_m", "seen_theta_rad")
 
@@ -103,7 +107,7 @@ def errors_of_csv(path: Path, units: str | None) -> Errors:
         return Errors(t["r_m"], t["dx_m"], t["dy_m"], t["dtheta_rad"])
     t = read_table(path, _POSES)
     t = in_metres(path, t, ("x_m", "y_m", "seen_x_m", "seen_y_m"), units, ask_on_terminal)
-    if np.abs(t["theta_rad"]).max() > 7.0:
+    if np.abs(t["theta_rad"]).max() > _TURN_RAD:
         raise CalibrationError(
             f"{path}: theta_rad reaches {np.abs(t['theta_rad']).max():g}, expected radians; is it in degrees?"
         )
@@ -151,7 +155,7 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
     calibration = _so_far(session)
     if calibration.tile_m is None:
         raise CalibrationError("sigma: found no tile size in the session, standing still needs it; measure with --csv")
-    bench = bench_of(args).stands(_STANDS, _LOOKS) if args.simulate else None
+    bench = bench_of(args).stations(_STATIONS, _LOOKS) if args.simulate else None
     got = collect(
         args,
         session,
@@ -160,21 +164,21 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         bench,
         tilt_rad=mount_angles(calibration.camera_from_base)[1:],
         wanted=_wanted,
-        enough=lambda c: len(stands(c)) > _STANDS,
+        enough=lambda c: len(stations(c)) > _STATIONS,
     )
-    whole = [s for s in stands(got) if len(s.views) >= 2]
+    whole = [s for s in stations(got) if len(s.views) >= 2]
     return errors_against_grid(calibration, whole, calibration.tile_m), f"standing at {len(whole)} places"
 
 
-def stands(c: Collection) -> list[Stand]:
+def stations(c: Collection) -> list[Station]:
     """Runs of pictures in which nothing moved."""
-    out: list[Stand] = []
+    out: list[Station] = []
     last: Seen | None = None
     for seen in c.seen:
         if last is not None and seen.label == last.label and _still(seen.view, last.view):
             out[-1].views.append(seen.view)
         else:
-            out.append(Stand(seen.label, [seen.view]))
+            out.append(Station(seen.label, [seen.view]))
         last = seen
     return out
 
@@ -185,7 +189,7 @@ def _still(a: GridView, b: GridView) -> bool:
 
 
 def _wanted(c: Collection, view: GridView, _: Picture) -> bool:
-    """Live: up to the usual number of looks at each stand."""
+    """Live: up to the usual number of looks at each station."""
     run = 0
     for seen in reversed(c.seen):
         if not _still(view, seen.view):

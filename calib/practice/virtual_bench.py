@@ -12,19 +12,27 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calib.practice.virtual_board import board_shots
-from ceilvo.calib.solve.mount import RUN, SPIN
+from ceilvo.calib.solve.mount.tracks import RUN, SPIN
 from ceilvo.calib.targets.board import Board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
-from ceilvo.sim.ceiling_layout import CrossingKind
+from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec
 
 Array = NDArray[np.float64]
 
 WHEEL_SCALE = 1.008
+"""Of the true distance, that the wheels report."""
 _FRAME_NS = 100_000_000
+"""Between two pictures of the bench."""
+_MIDDLE = (0.3, 0.7)
+"""Of the room's side, where the robot is put."""
+_WANDER_M, _WOBBLE_RAD, _RUN_M = 0.001, 0.01, 2.4
+"""Of somebody who turns and pushes a robot by hand; chosen, measured on nobody."""
+_TAPE_M, _PROTRACTOR_RAD = 0.001, 0.002
+"""Sigma of poses measured by hand; chosen."""
 
 
 @dataclass(frozen=True)
@@ -60,23 +68,23 @@ class VirtualBench:
         """The robot stands here and there, turned every way."""
         rng = self._rng(1)
         room = self._world.spec.lap.room_m
-        poses = [np.array([*rng.uniform(0.3 * room, 0.7 * room, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(count)]
+        poses = [np.array([*rng.uniform(*_middle(room), 2), rng.uniform(-np.pi, np.pi)]) for _ in range(count)]
         return self._pictures([Place(p, f"place {i}") for i, p in enumerate(poses)], 1)
 
     def spin_and_run(self, spin_frames: int = 150, run_frames: int = 60, turns: float = 4.0) -> Iterator[Picture]:
-        """Round and round on the spot, wandering by a millimetre, then 2.4 m straight on with a hand's wobble."""
+        """Round and round on the spot, wandering, then straight on with a hand's wobble."""
         rng = self._rng(2)
         room = self._world.spec.lap.room_m
         middle = np.array([0.5 * room, 0.5 * room])
-        wander = 0.001 * np.column_stack([_smooth(rng, spin_frames, turns) for _ in range(2)])
+        wander = _WANDER_M * np.column_stack([_smooth(rng, spin_frames, turns) for _ in range(2)])
         turn = np.linspace(0, 2 * np.pi * (turns + 0.05), spin_frames) + rng.uniform(-3, 3)
         spin = [np.array([*(middle + w), a]) for w, a in zip(wander, turn, strict=True)]
         heading = rng.uniform(-3, 3)
-        pose = np.array([*(middle - 1.2 * np.array([np.cos(heading), np.sin(heading)])), heading])
+        pose = np.array([*(middle - 0.5 * _RUN_M * np.array([np.cos(heading), np.sin(heading)])), heading])
         run = [pose]
-        wobble = 0.01 * _smooth(rng, run_frames)
+        wobble = _WOBBLE_RAD * _smooth(rng, run_frames)
         for i in range(1, run_frames):
-            step = np.array([2.4 / run_frames, 0.0, 0.0])
+            step = np.array([_RUN_M / run_frames, 0.0, 0.0])
             turned = wobble[i] - wobble[i - 1]
             pose = se2.compose(se2.compose(pose, np.array([0, 0, 0.5 * turned])), step)
             pose = se2.compose(pose, np.array([0, 0, 0.5 * turned]))
@@ -85,16 +93,16 @@ class VirtualBench:
         places += [Place(p, RUN, w) for p, w in zip(run, _wheels(run), strict=True)]
         return self._pictures(places, 3)
 
-    def stands(self, count: int, looks: int) -> Iterator[Picture]:
+    def stations(self, count: int, looks: int) -> Iterator[Picture]:
         """Several places, several turns at each, several pictures of each."""
         rng = self._rng(4)
         room = self._world.spec.lap.room_m
         places = []
         for i in range(count):
             if i % 3 == 0:
-                at = rng.uniform(0.3 * room, 0.7 * room, 2)
+                at = rng.uniform(*_middle(room), 2)
             pose = np.array([*at, rng.uniform(-np.pi, np.pi)])
-            places += [Place(pose, f"stand {i}")] * looks
+            places += [Place(pose, f"station {i}")] * looks
         return self._pictures(places, 5)
 
     def circles(
@@ -103,23 +111,23 @@ class VirtualBench:
         """What a person would measure with a tape, on circles about a crossing of joints, and pictures of each pose."""
         rng = self._rng(6)
         room = self._world.spec.lap.room_m
-        xy, kind = self._world.ceiling.true_crossings()
-        xy = xy[kind == CrossingKind.CROSS]
+        xy, crossing_type = self._world.ceiling.true_crossings()
+        xy = xy[crossing_type == CrossingType.CROSS]
         mark = xy[np.argmin(np.hypot(*(xy - 0.5 * room).T))]
-        poses, said = [], []
+        poses, measured = [], []
         for r in radii_m:
             for k in range(each):
                 a = 2.0 * np.pi * (k + rng.uniform(0, 0.5)) / each
                 pose = np.array([r * np.cos(a), r * np.sin(a), rng.uniform(-np.pi, np.pi)])
-                x, y, heading = pose + rng.normal(0, 1, 3) * [0.001, 0.001, 0.002]
-                said.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
+                x, y, heading = pose + rng.normal(0, 1, 3) * [_TAPE_M, _TAPE_M, _PROTRACTOR_RAD]
+                measured.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
                 poses.append(Place(pose + np.array([*mark, 0.0]), "circle"))
-        return said, self._pictures(poses, 7)
+        return measured, self._pictures(poses, 7)
 
-    def drive(self, frames: int, rate_hz: float = 10.0, lap_share: float = 1.0) -> Iterator[Picture]:
+    def drive(self, frames: int, rate_hz: float = 10.0, lap_fraction: float = 1.0) -> Iterator[Picture]:
         """The lap of the simulated robot."""
         seconds = frames / rate_hz
-        span_s = self._world.path.lap_m / self._world.spec.lap.speed_mps * lap_share + 2.0
+        span_s = self._world.path.lap_m / self._world.spec.lap.speed_mps * lap_fraction + 2.0
         for i in range(frames):
             t = i / rate_hz * (span_s / seconds)
             gray = self._world.frame_at(t)
@@ -133,6 +141,11 @@ class VirtualBench:
 
     def _rng(self, stream: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, 0xBE9C4, stream])
+
+
+def _middle(room_m: float) -> tuple[float, float]:
+    """From and to, of both coordinates, where the robot is put."""
+    return _MIDDLE[0] * room_m, _MIDDLE[1] * room_m
 
 
 def _smooth(rng: np.random.Generator, n: int, turns: float = 1.0) -> Array:

@@ -1,4 +1,4 @@
-"""The doctor's checks of the computer itself: service, clock, disk, limits."""
+"""The doctor's checks of the computer itself and of what is installed on it: service, clock, disk, limits, kernel."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ from ceilvo.config import Config
 from ceilvo.daemon.doctor.findings import Finding, fine, note, wrong
 from ceilvo.daemon.map.map_file import load_map, load_state
 from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME
+from ceilvo.daemon.vision import kernel
 from ceilvo.drivers.host.machine import Machine
 from ceilvo.errors import FileFormatError
 
 UNIT, INSTALLED = "ceilvod.service", "/etc/systemd/system/ceilvod.service"
 PACKAGED = "/opt/ceilvo/share/ceilvo/ceilvod.service"
 MEMORY_BYTES = 400_000_000
+"""Memory that should be free; chosen with a margin for large maps."""
 STATE_BYTES = 20_000_000
+"""Disk that map and pose need besides the recorder; chosen."""
 OPEN_FILES = 256
+"""Descriptors the process may have; chosen: far above what cameras, serial lines and Zenoh open."""
 
 
 def daemon_state(machine: Machine) -> tuple[list[Finding], str]:
@@ -136,6 +140,18 @@ def limits(machine: Machine) -> Iterator[Finding]:
     if good:
         known = "" if memory is None else f"{memory / 1e6:.0f} MB of memory, "
         yield fine("limits", f"{known}{cores} processors")
+
+
+def compiled_kernel() -> Iterator[Finding]:
+    """Whether the loops over edge points are compiled; without a compiler the installation does without."""
+    if kernel.COMPILED:
+        yield fine("kernel", "compiled")
+    else:
+        yield note(
+            "kernel",
+            "not compiled: NumPy stands in, and a frame takes 2 to 4 times as long; 'apt install gcc python3-dev' and "
+            "install ceilvo again",
+        )
 
 
 def _available_bytes(machine: Machine) -> int | None:

@@ -1,7 +1,7 @@
 """Map and last pose on disk: JSON, versioned, checksummed, replaced in one step (docs/files.md).
 
 What load_state returns is a hypothesis and never the truth: the robot may have been carried while the daemon was not
-running. Start from it with `relocalising` set until landmarks confirm it.
+running.
 """
 
 from __future__ import annotations
@@ -25,10 +25,15 @@ Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
 VERSION = 1
+"""Of both formats; docs/files.md."""
 MAX_MAP_BYTES = 64 * 2**20
+"""Largest map file that is read; chosen: far beyond filter.max_landmarks."""
 MAX_STATE_BYTES = 64 * 2**10
+"""Largest state file that is read; one has less than 1 kB."""
 MAX_COORDINATE_M = 1e6
+"""Coordinates beyond it are damage: no building is so large."""
 _MAX_INT = 2**62
+"""Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 _MAP_FORMAT, _STATE_FORMAT = "ceilvo-map", "ceilvo-state"
 _REMEDY = {
     _MAP_FORMAT: "move it away to let the daemon build a new map, or restore a backup",

@@ -27,7 +27,7 @@ from ceilvo.types import Estimate, Landmarks, State
 
 VERSION = 1
 MAX_PARTICLES = 2000
-"""A larger set is thinned evenly: the message is for looking at."""
+"""A larger set is thinned uniformly: the message is for looking at, and this many are about 150 kB."""
 
 
 QUERIES = ("map", "calibration", "config")

@@ -11,6 +11,7 @@ from ceilvo.daemon.slam.spatial_index import unpacked
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
+"""Landmarks that arrays grow by at least; chosen."""
 _REFRESH = 64
 """Landmarks out of view whose summary is renewed per update, so that its cost does not grow with the map."""
 

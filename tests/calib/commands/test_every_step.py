@@ -36,7 +36,7 @@ Gray = NDArray[np.uint8]
 Run = Callable[..., tuple[int, str, str]]
 Stock = dict[str, list[Picture]]
 
-STEPS = {"intrinsics": "board", "projection": "places", "mount": "spin_and_run", "sigma": "stands", "check": "places"}
+STEPS = {"intrinsics": "board", "projection": "places", "mount": "spin_and_run", "sigma": "stations", "check": "places"}
 EVERY = {**STEPS, "survey": "drive"}
 ON_PROJECTION = ("mount", "sigma", "check", "survey")
 Prepare = Callable[[str], None]
@@ -133,7 +133,7 @@ def test_a_step_works_live(
         (run_intrinsics, "_LIVE_MOST", 6),
         (run_projection, "_PICTURES", 8),
         (run_mount, "_TURN_RAD", 6.3),
-        (run_sigma, "_STANDS", 7),
+        (run_sigma, "_STATIONS", 7),
         (run_check, "_PICTURES", 8),
     ):
         monkeypatch.setattr(module, name, value)
@@ -160,8 +160,8 @@ def test_no_camera_is_one_line_and_leaves_nothing(run: Run, prepare: Prepare, kn
     prepare(step)
     before = results(known_lens.folder)
     code, _, err = run(step, "--device", "/dev/video-none", *options(step))
-    told = [line for line in err.splitlines() if "now " not in line]  # mount says what to drive first
-    assert code == 1 and len(told) == 1 and "/dev/video-none: no such device" in told[0]
+    lines = [line for line in err.splitlines() if "now " not in line]  # mount says what to drive first
+    assert code == 1 and len(lines) == 1 and "/dev/video-none: no such device" in lines[0]
     assert results(known_lens.folder) == before
 
 
@@ -194,9 +194,9 @@ def test_pictures_that_are_no_use_are_rejected_with_their_reason(
     [
         ("projection", "3 pictures, at least 5 needed"),
         ("mount", "found 3 usable pictures of the spin, 12 needed"),
-        ("sigma", "stands, at least 6 needed"),
+        ("sigma", "stations, at least 6 needed"),
         ("survey", "found 3 usable frames, at least 10 needed"),
-        ("check", "stands, at least 6 needed"),
+        ("check", "stations, at least 6 needed"),
     ],
 )
 def test_too_few_pictures_are_said_so(

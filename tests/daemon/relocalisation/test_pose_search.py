@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.relocalisation.lattice import CALM, SURPRISED, Tiles, lattice, periods
+from ceilvo.daemon.relocalisation.lattice import SLIP_CHANCE, SLIP_CHANCE_3_SIGMA, LatticeBelief, neighbours, periods
 from ceilvo.daemon.relocalisation.view_score import at_least, unexplained
 from ceilvo.daemon.slam.pose_filter import SURE
-from ceilvo.daemon.slam.spatial_index import KnownMap
+from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import UNLABELLED, Landmarks, Motion, Observations
 
@@ -49,7 +49,7 @@ POINTS = st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.integers(
 @given(POINTS, POINTS, st.floats(0.01, 5.0))
 def test_the_index_finds_what_brute_force_finds(landmarks, points, reach):
     m, q = np.array(landmarks), np.array(points)
-    known = KnownMap(map_of(m[:, :2], m[:, 2].astype(np.int64)))
+    known = IndexedMap(map_of(m[:, :2], m[:, 2].astype(np.int64)))
     kind = q[:, 2].astype(np.int64)
     apart = np.hypot(q[:, None, 0] - m[:, 0], q[:, None, 1] - m[:, 1])
     near = known.near(q[:, :2], reach)
@@ -160,24 +160,24 @@ def test_with_lamps_the_grid_gives_the_pose_and_never_the_mean_of_two_tiles():
 def test_the_period_of_a_grid_and_of_nothing():
     basis = periods(grid(lamps=10))
     assert np.allclose(np.sort(np.abs(basis), axis=None), [0, 0, TILE_M, TILE_M], atol=1e-3)
-    assert len(lattice(basis)) == 9
-    assert np.allclose(lattice(basis)[0], 0.0)
+    assert len(neighbours(basis)) == 9
+    assert np.allclose(neighbours(basis)[0], 0.0)
     assert len(periods(random_map(np.random.default_rng(SEED)))) == 0
-    assert lattice(np.empty((0, 2))).tolist() == [[0.0, 0.0]]
+    assert neighbours(np.empty((0, 2))).tolist() == [[0.0, 0.0]]
 
 
 def test_belief_in_tiles_is_bayes_rule():
-    t = Tiles(lattice(TILE_M * np.eye(2)))
+    t = LatticeBelief.at_home(neighbours(TILE_M * np.eye(2)))
     log_likelihood = np.zeros(9)
     log_likelihood[3] = 4.0
-    t.weigh(log_likelihood, SURPRISED)
-    expected = np.full(9, SURPRISED / 8)
-    expected[0] = 1 - SURPRISED
+    t.weigh(log_likelihood, SLIP_CHANCE_3_SIGMA)
+    expected = np.full(9, SLIP_CHANCE_3_SIGMA / 8)
+    expected[0] = 1 - SLIP_CHANCE_3_SIGMA
     expected *= np.exp(log_likelihood)
     np.testing.assert_allclose(t.weight, expected / expected.sum())
     assert t.weight[3] < 0.95
     for _ in range(3):
-        t.weigh(log_likelihood, CALM)
+        t.weigh(log_likelihood, SLIP_CHANCE)
     assert t.weight[3] > 0.95
     t.settle()
     assert t.weight[0] == 1.0
@@ -196,7 +196,7 @@ def test_the_chance_of_so_many_is_the_binomial_tail():
 
 
 def test_lamps_that_no_landmark_explains_are_a_surprise_and_crossings_alone_are_not():
-    known, pose = KnownMap(grid(lamps=30)), np.zeros(3)
+    known, pose = IndexedMap(grid(lamps=30)), np.zeros(3)
     at = known.landmarks.xy_map_m
     seen = np.flatnonzero(np.hypot(*at.T) < 1.6)
     view = Observations(
