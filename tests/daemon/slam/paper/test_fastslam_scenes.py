@@ -166,7 +166,7 @@ def test_curve_fit_beats_systematic_resampling_in_the_paper_s_regime():
     (pfcf, pfcf_map), (pf, pf_map) = np.mean(table, axis=0)
     wins = int(np.sum(np.array(table)[:, 0, 0] < np.array(table)[:, 1, 0]))
     print(
-        f"\nseeds {seeds}: position pfcf {pfcf:.4f} m, pf {pf:.4f} m (ratio {pfcf / pf:.2f}, better on {wins} of {len(seeds)}); "
+        f"\nseeds {seeds}: position pfcf {pfcf:.4f} m, pf {pf:.4f} m (ratio {pfcf / pf:.2f}, better on {wins}); "
         f"features {pfcf_map:.4f}, {pf_map:.4f} m (ratio {pfcf_map / pf_map:.2f})"
     )
     assert pfcf < pf
