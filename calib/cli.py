@@ -11,6 +11,7 @@ from ceilvo.errors import CeilvoError
 
 STEPS = (intrinsics, projection, mount, sigma, survey, check, report)
 _INTERRUPTED = 130
+"""As shells have it: 128 + SIGINT."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -14,6 +14,32 @@ from ceilvo.errors import CalibrationError
 
 DISTORTION_COUNTS = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
 """How many coefficients OpenCV's models take."""
+HEIGHTS_M = (0.3, 30.0)
+"""Of a ceiling above the camera, chosen: from a cellar's to a hall's; beyond it units or axes are mixed up."""
+TILES_M = (0.05, 10.0)
+"""Side of a tile; the usual ones have 0.3 to 1.2 m, beyond these units are mixed up."""
+_WIDTHS_PX, _HEIGHTS_PX = (64, 7680), (64, 4320)
+"""From a thumbnail to 8K UHD."""
+_FOCALS_PX = (10.0, 1e5)
+"""From a fisheye on the smallest picture to a telephoto on the largest."""
+_CENTRE = (-0.5, 1.5)
+"""Principal point over the picture's size: a cropped sensor's may lie outside, but not by more than half of it."""
+_DISTORTION_MOST = 1e3
+"""Of a coefficient; a rational model's may be large, these are rubbish."""
+_NOISE_R_MOST_M, _SIGMA_MOST_M, _SIGMA_MOST_RAD = 100.0, 10.0, 1.0
+"""Of the noise curves: beyond what a ceiling shows and what would still be called a measurement."""
+_COEFFICIENTS_MOST = 8
+"""Of a noise polynomial; calib fits four at the most."""
+_CURVE_POINTS = 64
+"""At which a noise curve must be above zero; chosen, polynomials of few coefficients are smooth between them."""
+_FLAT = 1e-9
+"""Singular value over the largest below which M's left block has no inverse."""
+_SHEAR = 1.25
+"""Largest over smallest singular value: 1 for a rotation; a measured M has skew and an aspect ratio of a little."""
+_LEAN_MOST_RAD = float(np.radians(80.0))
+"""Of a camera that looks up; beyond it the ceiling is not in the picture."""
+_MOUNT_MOST_M = 5.0
+"""From the base's origin; chosen, indoor robots are smaller."""
 
 
 def check_fits(calibration: Calibration, camera_name: str, camera_id: str, width: int, height: int) -> None:
@@ -45,8 +71,8 @@ def value_problems(c: Calibration) -> Iterator[str]:
     yield from _camera_problems(c.camera)
     yield from _noise_problems(c.noise)
     yield from _projection_problems(c)
-    if c.tile_m is not None and not 0.05 <= c.tile_m <= 10.0:
-        yield f"tile_m: found {c.tile_m:g}, expected 0.05 to 10 or null"
+    if c.tile_m is not None and not TILES_M[0] <= c.tile_m <= TILES_M[1]:
+        yield f"tile_m: found {c.tile_m:g}, expected {TILES_M[0]:g} to {TILES_M[1]:g} or null"
     if c.created and not _is_date(c.created):
         yield f"created: found {c.created!r}, expected an ISO date such as 2026-01-31, or nothing"
 
@@ -61,12 +87,12 @@ def _is_date(text: str) -> bool:
 
 def _camera_problems(c: CameraModel) -> Iterator[str]:
     ranges = (
-        ("width_px", 64, 7680),
-        ("height_px", 64, 4320),
-        ("fx_px", 10.0, 1e5),
-        ("fy_px", 10.0, 1e5),
-        ("cx_px", -0.5 * c.width_px, 1.5 * c.width_px),
-        ("cy_px", -0.5 * c.height_px, 1.5 * c.height_px),
+        ("width_px", *_WIDTHS_PX),
+        ("height_px", *_HEIGHTS_PX),
+        ("fx_px", *_FOCALS_PX),
+        ("fy_px", *_FOCALS_PX),
+        ("cx_px", _CENTRE[0] * c.width_px, _CENTRE[1] * c.width_px),
+        ("cy_px", _CENTRE[0] * c.height_px, _CENTRE[1] * c.height_px),
     )
     for key, low, high in ranges:
         value = getattr(c, key)
@@ -77,8 +103,8 @@ def _camera_problems(c: CameraModel) -> Iterator[str]:
         yield f"camera.kind: found {c.kind!r}, expected pinhole or fisheye"
     elif len(c.distortion) not in counts:
         yield f"camera.distortion: found {len(c.distortion)} numbers, expected {_either(counts)} for {c.kind}"
-    if not all(abs(k) <= 1e3 for k in c.distortion):
-        yield f"camera.distortion: found {c.distortion}, expected coefficients of at most 1000"
+    if not all(abs(k) <= _DISTORTION_MOST for k in c.distortion):
+        yield f"camera.distortion: found {c.distortion}, expected coefficients of at most {_DISTORTION_MOST:g}"
 
 
 def _either(counts: tuple[int, ...]) -> str:
@@ -86,22 +112,22 @@ def _either(counts: tuple[int, ...]) -> str:
 
 
 def _noise_problems(n: NoiseCurves) -> Iterator[str]:
-    if not 0.0 <= n.r_min_m < n.r_max_m <= 100.0:
+    if not 0.0 <= n.r_min_m < n.r_max_m <= _NOISE_R_MOST_M:
         yield f"noise.r_min_m, r_max_m: found {n.r_min_m:g} and {n.r_max_m:g}, expected 0 <= r_min_m < r_max_m <= 100"
         return
-    r = np.linspace(n.r_min_m, n.r_max_m, 64)
+    r = np.linspace(n.r_min_m, n.r_max_m, _CURVE_POINTS)
     for key in ("sigma_x_m", "sigma_y_m"):
         k = getattr(n, key)
-        if not 1 <= len(k) <= 8:
+        if not 1 <= len(k) <= _COEFFICIENTS_MOST:
             yield f"noise.{key}: found {len(k)} coefficients, expected 1 to 8"
             continue
         sigma = np.polynomial.polynomial.polyval(r, k)
-        if not (np.isfinite(sigma).all() and sigma.min() > 0.0 and sigma.max() <= 10.0):
+        if not (np.isfinite(sigma).all() and sigma.min() > 0.0 and sigma.max() <= _SIGMA_MOST_M):
             yield (
                 f"noise.{key}: found values from {sigma.min():.3g} to {sigma.max():.3g} m between r_min_m and r_max_m, "
                 "expected above 0 and at most 10"
             )
-    if not 0.0 < n.sigma_theta_rad <= 1.0:
+    if not 0.0 < n.sigma_theta_rad <= _SIGMA_MOST_RAD:
         yield f"noise.sigma_theta_rad: found {n.sigma_theta_rad:g}, expected above 0 and at most 1"
 
 
@@ -114,16 +140,21 @@ def _projection_problems(c: Calibration) -> Iterator[str]:
         return
     left = np.linalg.solve(c.camera.matrix, c.projection[:, :3])
     spread = np.linalg.svd(left, compute_uv=False)
-    if spread[2] <= 1e-9 * spread[0] or spread[0] > 1.25 * spread[2]:
+    if spread[2] <= _FLAT * spread[0] or spread[0] > _SHEAR * spread[2]:
         yield (
             "projection: found a left 3 x 3 block that is not the camera matrix times a rotation (singular values "
             f"{spread[0]:.3g}, {spread[1]:.3g}, {spread[2]:.3g}, expected equal); calibrate again"
         )
         return
-    if not 0.3 <= c.ceiling_height_m <= 30.0:
-        yield f"projection: found a ceiling {c.ceiling_height_m:.3g} m above the camera, expected 0.3 to 30"
-    if c.camera_from_base[2, 2] < np.cos(np.radians(80.0)):
-        off = np.degrees(np.arccos(np.clip(c.camera_from_base[2, 2], -1.0, 1.0)))
-        yield f"projection: found a camera {off:.0f} deg off the vertical, expected it to look up, at most 80"
-    if np.hypot(*c.mount_xy_m) > 5.0:
-        yield f"projection: found a camera {np.hypot(*c.mount_xy_m):.3g} m beside the base's origin, expected at most 5"
+    low, high = HEIGHTS_M
+    if not low <= c.ceiling_height_m <= high:
+        yield f"projection: found a ceiling {c.ceiling_height_m:.3g} m above the camera, expected {low:g} to {high:g}"
+    upward = float(np.clip(c.camera_from_base[2, 2], -1.0, 1.0))
+    if upward < np.cos(_LEAN_MOST_RAD):
+        off, most = np.degrees([np.arccos(upward), _LEAN_MOST_RAD])
+        yield f"projection: found a camera {off:.0f} deg off the vertical, expected it to look up, at most {most:.0f}"
+    beside_m = float(np.hypot(*c.mount_xy_m))
+    if beside_m > _MOUNT_MOST_M:
+        yield (
+            f"projection: found a camera {beside_m:.3g} m beside the base's origin, expected at most {_MOUNT_MOST_M:g}"
+        )

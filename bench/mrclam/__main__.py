@@ -1,4 +1,4 @@
-"""`python -m ceilvo.bench.mrclam`; apart from command.py, for what is in a __main__ cannot be sent to other processes."""
+"""`python -m ceilvo.bench.mrclam`; apart from command.py, which other processes can import."""
 
 import sys
 

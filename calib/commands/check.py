@@ -20,6 +20,7 @@ from ceilvo.errors import CalibrationError
 
 STEP = "check"
 _PICTURES = 12
+""""A dozen"; chosen: less than a minute's work."""
 _GO_ON_S = 600.0
 """An interrupted check goes on for so long; later the camera may have been knocked in between."""
 

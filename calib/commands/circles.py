@@ -27,6 +27,9 @@ Note = Callable[[str], None]
 
 SAMPLES = "sigma-circles"
 _NEAR_M = 0.15
+"""From where the feature was measured: a quarter of a tile, so that it is no neighbour."""
+_FAR_M = 20.0
+"""From the feature: beyond it, it is not in view, and the numbers are millimetres."""
 _ASK = "x y heading of the robot, in m and deg from the feature (Enter: done): "
 
 
@@ -47,7 +50,7 @@ def parse_pose(text: str) -> Array | str:
         return f"found {text!r}, expected three numbers: x y heading"
     if not np.isfinite([x, y, heading]).all():
         return f"found {text!r}, expected numbers"
-    if max(abs(x), abs(y)) > 20.0:
+    if max(abs(x), abs(y)) > _FAR_M:
         return f"{max(abs(x), abs(y)):g} m looks like millimetres, expected metres"
     if abs(heading) > 360.0:
         return f"a heading of {heading:g}, expected degrees up to 360"

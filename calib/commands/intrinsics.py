@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ceilvo.calib.evaluate.coverage import coverage, coverage_picture
 from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import intrinsics_result, update_file
 from ceilvo.calib.session.common import (
@@ -28,21 +29,27 @@ from ceilvo.calib.solve.intrinsics import (
     Intrinsics,
     Shot,
     board_pose,
-    coverage,
-    coverage_picture,
     fit_best,
     problems,
 )
-from ceilvo.calib.solve.lens import camera_of
+from ceilvo.calib.solve.lens import guessed_camera
 from ceilvo.calib.targets.board import Board, BoardFinder, other_board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.errors import CalibrationError
 
 STEP = "intrinsics"
 _SIMULATED = 26
+"""Pictures of the virtual bench: enough for every gate."""
 _LIVE_MOST = 60
+"""Pictures at which a live run ends in any case."""
 _LIVE_FRAMES = 20_000
+"""Frames looked at; 11 minutes at 30 Hz."""
 _NEW_VIEW = 0.12
+"""Distance over distance, or rad, by which a live view of the board must differ from those taken."""
+_LIVE_ENOUGH = 15
+"""Pictures at which a live run ends when the picture is covered."""
+_MARKER = 0.72
+"""Of a ChArUco square, that its marker fills; chosen."""
 
 
 def add(commands: Subcommands) -> None:
@@ -80,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     fit, scores = fit_best(shots, size, args.model, keep_all=args.keep_all)
     progress.end()
     covered = coverage(shots, size)
-    bad = problems(fit, covered)
+    bad = covered.missing() + problems(fit)
     result = intrinsics_result(fit, scores, camera_id) | {
         "coverage": covered.text,
         "problems": bad,
@@ -101,7 +108,7 @@ def _board(args: argparse.Namespace) -> Board:
             f"--square-mm: found {args.square_mm:g}, which looks like metres; expected {1e3 * args.square_mm:g}"
         )
     square = args.square_mm / 1e3
-    marker = (args.marker_mm or 0.72 * args.square_mm) / 1e3
+    marker = (args.marker_mm or _MARKER * args.square_mm) / 1e3
     return Board(args.board, args.columns, args.rows, square, marker, args.dictionary)
 
 
@@ -160,7 +167,7 @@ def _collect(
                 progress.tell(f"{len(shots)} taken, {rejected} rejected; {covered.text}")
                 if source.info.live:
                     session.write("intrinsics/live.png", _png(coverage_picture(shots, size, picture.gray)))
-                    if (len(shots) >= 15 and not covered.missing()) or len(shots) >= _LIVE_MOST:
+                    if (len(shots) >= _LIVE_ENOUGH and not covered.missing()) or len(shots) >= _LIVE_MOST:
                         break
             if source.info.live and seen >= _LIVE_FRAMES:
                 break
@@ -195,7 +202,7 @@ def _is_new(board: Board, shots: list[Shot], ids: Any, uv: Any, picture: Picture
     if not shots:
         return True
     h, w = picture.gray.shape
-    guess = camera_of("pinhole", np.array([0.8 * w, 0.8 * w, w / 2, h / 2, 0, 0, 0, 0, 0.0]), (w, h))
+    guess = guessed_camera((w, h))
     pose = board_pose(guess, Shot("", board.corners_m[ids], uv))
     for shot in shots:
         other = board_pose(guess, shot)

@@ -36,8 +36,11 @@ Array = NDArray[np.float64]
 
 STEP = "mount"
 _TURNS = 4
+"""Of the spin: four halve the wandering's part in the offset (docs/calibration.md)."""
 _TURN_RAD = float(np.radians(360.0 * _TURNS + 15.0))
+"""The turns, and 15 deg more: directions are known modulo a quarter turn, steps add up with errors."""
 _RUN_M = 2.0
+"""Of the run; chosen: fits most rooms, and mount.MIN_RUN_M is less than half of it."""
 _SMALL_FRACTION = 0.01
 """Of the picture from one to the next: dozens on a run, under a high ceiling as well."""
 _ASK = {

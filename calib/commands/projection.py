@@ -28,9 +28,11 @@ from ceilvo.calib.solve.dlt import from_points_alone
 from ceilvo.calib.solve.grid import from_grid
 from ceilvo.calib.solve.joint import Joint
 from ceilvo.calib.solve.projection import Mounting, from_points, plausible
+from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.targets.click_page import ClickPage
 from ceilvo.calib.targets.marks import clicked, detected, read_marks
 from ceilvo.calib.targets.points_file import ask_on_terminal, read_points
+from ceilvo.calibration_check import TILES_M
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -38,8 +40,17 @@ Array = NDArray[np.float64]
 
 STEP = "projection"
 _LOOKS = 10
+"""Live pictures in which markers are looked for; chosen: their mean has a third of a corner's noise."""
 _PICTURES = 20
+"""Of the grid; chosen: beyond them sigma shrinks by less than a fifth for half as many again."""
 _FEW = 5
+"""Below it the pictures' own scatter, from which sigma comes, is not known."""
+_MILLIMETRES = (50.0, 10_000.0)
+"""A tile or a height in this range can only be millimetres: no tile has 50 m, no ceiling hangs at 50 m."""
+_LISTED, _SHOWN = 12, 5
+"""Worst points in the result and on the screen."""
+_SIZES_PX = (16, 16_384)
+"""Of a picture: --size is wrong beyond them."""
 
 
 def add(commands: Subcommands) -> None:
@@ -52,7 +63,7 @@ def add(commands: Subcommands) -> None:
         epilog="example: calib projection --device /dev/video0 --tile-m 0.6; "
         "points: CSV x_m,y_m,z_m,u_px,v_px, x and y in base, z 0 on the ceiling and negative below, raw pixels",
     )
-    p.add_argument("--tile-m", type=float, help="side of the ceiling's tiles; simulated: 0.6")
+    p.add_argument("--tile-m", type=float, help=f"side of the ceiling's tiles; simulated: {USUAL_TILE_M:g}")
     p.add_argument(
         "--height-m", type=float, help="ceiling above the camera by tape, to a tenth; decides where two grids fit"
     )
@@ -86,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any) -> tuple[Mounting, dict[str, Any]]:
     tile_m = tile_of(args)
-    if args.height_m is not None and args.height_m > 50.0:
+    if args.height_m is not None and args.height_m > _MILLIMETRES[0]:
         raise CalibrationError(
             f"--height-m: found {args.height_m:g}, which looks like millimetres; expected {args.height_m / 1e3:g}"
         )
@@ -110,15 +121,16 @@ def _lens(joint: Joint, board: dict[str, Any]) -> dict[str, Any]:
 
 
 def tile_of(args: argparse.Namespace) -> float:
-    tile_m = 0.6 if args.tile_m is None and args.simulate else args.tile_m
+    tile_m = USUAL_TILE_M if args.tile_m is None and args.simulate else args.tile_m
     if tile_m is None:
         raise CalibrationError(
             "projection: found no tile size, expected --tile-m (measure one tile, joint to joint) or --points"
         )
-    if 50.0 <= tile_m <= 10_000.0:
+    if _MILLIMETRES[0] <= tile_m <= _MILLIMETRES[1]:
         raise CalibrationError(f"--tile-m: found {tile_m:g}, which looks like millimetres; expected {tile_m / 1e3:g}")
-    if not 0.05 <= tile_m <= 10.0:
-        raise CalibrationError(f"--tile-m: found {tile_m:g}, expected 0.05 to 10")
+    low, high = TILES_M
+    if not low <= tile_m <= high:
+        raise CalibrationError(f"--tile-m: found {tile_m:g}, expected {low:g} to {high:g}")
     return float(tile_m)
 
 
@@ -165,7 +177,7 @@ def _sound(how: str, xyz: Array, uv: Array, size: tuple[int, int], known_lens: b
 
 def _of_points(found: Mounting, how: str) -> tuple[Mounting, dict[str, Any]]:
     off = np.hypot(*found.residual_px.T)
-    listed = [f"point {i + 1}: {off[i]:.2f} px" for i in np.argsort(-off)[:12]]
+    listed = [f"point {i + 1}: {off[i]:.2f} px" for i in np.argsort(-off)[:_LISTED]]
     return found, {"method": how, "points": len(off), "points_off": listed}
 
 
@@ -174,7 +186,7 @@ def _without_lens(args: argparse.Namespace, session: Session) -> tuple[Mounting,
     if args.points is None and args.marks is None:
         raise CalibrationError("--size: found neither --points nor --marks; without them 'calib intrinsics' is needed")
     w, _, h = args.size.partition("x")
-    if not (w.isdigit() and h.isdigit() and 16 <= int(w) <= 16384 and 16 <= int(h) <= 16384):
+    if not (w.isdigit() and h.isdigit() and all(_SIZES_PX[0] <= int(v) <= _SIZES_PX[1] for v in (w, h))):
         raise CalibrationError(f"--size: found {args.size!r}, expected WIDTHxHEIGHT, for example 640x480")
     if session.result("intrinsics") is not None and not session.force:
         raise CalibrationError(
@@ -234,4 +246,4 @@ def _rows(m: Mounting, extra: dict[str, Any]) -> list[tuple[str, str]]:
     if m.xy_m is not None and m.yaw_rad is not None:
         rows.append(("offset", f"{m.xy_m[0]:+.4f} +- {s[4]:.4f}, {m.xy_m[1]:+.4f} +- {s[5]:.4f} m in base"))
         rows.append(("yaw", f"{np.degrees(m.yaw_rad):+.3f} +- {np.degrees(s[3]):.3f} deg"))
-    return rows + [("worst points", line) for line in extra.get("points_off", [])[:5]]
+    return rows + [("worst points", line) for line in extra.get("points_off", [])[:_SHOWN]]

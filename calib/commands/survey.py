@@ -32,6 +32,7 @@ from ceilvo.types import Frame
 
 STEP = "survey"
 _SIMULATED = 240
+"""Frames of the virtual bench, one lap."""
 
 
 def add(commands: Subcommands) -> None:

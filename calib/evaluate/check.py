@@ -9,15 +9,20 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.solve.grid import from_grid
 from ceilvo.calib.solve.station import Station, errors_against_grid
+from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.daemon.slam.association import sigma
 
 Array = NDArray[np.float64]
 
 HEIGHT_FRACTION = 0.005
+"""Of the height, that it may be off beside three sigma; chosen: 11 mm under 2.2 m."""
 TILT_RAD = float(np.radians(0.3))
+"""That the tilt may be off beside three sigma; chosen: 12 mm on a ceiling at 2.2 m."""
 RMS_PX = 0.6
+"""Of the grid's fit; chosen, a lens that changed is above."""
 NIS_HIGH = 2.0
+"""Of the errors against the noise curves: 1.4 times what they say."""
 LOOK_PX = 0.1
 """Own error of a crossing in one picture, which comes on top of the curves as in the daemon."""
 
@@ -44,7 +49,7 @@ def check(calibration: Calibration, stations: list[Station]) -> Check:
     Raises:
         CalibrationError: fewer than six pictures show the grid, or it is not regular.
     """
-    tile_m = calibration.tile_m or 0.6
+    tile_m = calibration.tile_m or USUAL_TILE_M
     _, roll, pitch = mount_angles(calibration.camera_from_base)
     now, _ = from_grid(calibration.camera, [s.views[0] for s in stations], tile_m, (roll, pitch))
     errors = errors_against_grid(calibration, stations, tile_m, now.height_m)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
+from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.station import in_base
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.integrity.staleness import MIN_UPDATES
@@ -18,13 +19,35 @@ Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 CELL_M = 0.5
+"""Side of the map's places; chosen: about a tile."""
 FEW_CROSSINGS = 8.0
+"""In view, median of a place; chosen."""
 DARK_LEVEL = 25.0
+"""Grey level, median of a place; chosen: a tenth of the range."""
 AMBIGUOUS = 0.9
+"""Of what is in view, that looks the same one tile on; under the simulated ceiling it is 0.76 (docs/calibration.md)."""
 FLICKER = 0.01
+"""Ripple over mean that counts; chosen: 1 %."""
 HIGHEST_NIS = 6.0
+"""With good calibrations the mean was 0.4 to 4, by rig and ceiling (docs/calibration.md)."""
 _MATCH_M = 0.05
+"""Within which two crossings are the same."""
 _MAINS = ((50.0, 10_000), (60.0, 8_333))
+"""Hz, and the exposure in us that one half-period of it takes."""
+_OUTLINE = (17, 13)
+"""Pixels across and down from which the part of the ceiling in view is outlined."""
+_NEAR = 1.5
+"""Times the ceiling's height, up to which crossings are counted: beyond 56 deg off the vertical few are found."""
+_POOR_PLACES, _FAILED = 0.1, 0.05
+"""Fractions of places with few crossings or little light, and of frames without motion, that are allowed; chosen."""
+_MIN_FRAMES = 16
+"""For flicker: two smoothing windows."""
+_NOISE_SIGMAS = 4.0
+"""By which a ripple must stand out of the frames' own noise."""
+_SLOW = 0.08
+"""Of the frame rate: a slower alias cannot be told from driving under another lamp."""
+_NEIGHBOURS = 9
+"""Frames of the running median that is taken off."""
 
 
 @dataclass
@@ -70,10 +93,10 @@ class Survey:
         self.light: list[tuple[float, float]] = []
         self.nis: list[tuple[float, float]] = []
         camera = calibration.camera
-        x, y = np.linspace(0, camera.width_px - 1, 17), np.linspace(0, camera.height_px - 1, 13)
+        x, y = np.linspace(0, camera.width_px - 1, _OUTLINE[0]), np.linspace(0, camera.height_px - 1, _OUTLINE[1])
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         on_ceiling = in_base(calibration, grid)
-        near = np.hypot(*(on_ceiling - calibration.mount_xy_m).T) < 1.5 * calibration.ceiling_height_m
+        near = np.hypot(*(on_ceiling - calibration.mount_xy_m).T) < _NEAR * calibration.ceiling_height_m
         hull = cv2.convexHull(on_ceiling[near].astype(np.float32))
         self._seen_m2 = max(float(cv2.contourArea(hull)), 1e-3)
         self._reach_m = float(np.hypot(*(on_ceiling[near] - calibration.mount_xy_m).T).max())
@@ -129,14 +152,14 @@ class Survey:
         """What keeps the ceiling from a PASS, with what to do."""
         out = []
         n = max(len(self.cells), 1)
-        if len(self.poor()) > 0.1 * n:
+        if len(self.poor()) > _POOR_PLACES * n:
             out.append(
                 f"{len(self.poor())} of {n} places have fewer than {FEW_CROSSINGS:.0f} crossings in view: "
                 "more light, a wider lens, or let the wheels bridge them (red on the map)"
             )
-        if len(self.dark()) > 0.1 * n:
+        if len(self.dark()) > _POOR_PLACES * n:
             out.append(f"{len(self.dark())} of {n} places are dark: a longer exposure or light (blue on the map)")
-        if self.failed > 0.05:
+        if self.failed > _FAILED:
             out.append(f"vision failed in {100 * self.failed:.0f} % of the frames, 5 allowed: drive slower, more light")
         if self.mean_nis is not None and self.mean_nis > HIGHEST_NIS:
             out.append(
@@ -201,15 +224,15 @@ def flicker(light: list[tuple[float, float]]) -> Flicker:
     """From (time s, grey level) of consecutive frames; ripple at twice the mains shows at its alias."""
     t = np.array([a for a, _ in light])
     y = np.array([b for _, b in light])
-    if len(t) < 16 or np.ptp(t) <= 0:
+    if len(t) < _MIN_FRAMES or np.ptp(t) <= 0:
         return Flicker(0.0, 0.0, (), False)
     rate = 1.0 / float(np.median(np.diff(t)))
     ripple = y / np.maximum(_smooth(y), 1.0) - 1.0
     best, mains, visible = 0.0, 0.0, False
-    noise = 1.4826 * float(np.median(np.abs(ripple))) * np.sqrt(2.0 / len(y)) * 4.0
+    noise = bundle.MAD_TO_SIGMA * float(np.median(np.abs(ripple))) * np.sqrt(2.0 / len(y)) * _NOISE_SIGMAS
     for hz, _ in _MAINS:
         alias = abs(2 * hz - rate * round(2 * hz / rate))
-        if alias < 0.08 * rate:  # too slow to tell from driving under another lamp
+        if alias < _SLOW * rate:
             continue
         visible = True
         a = 2.0 * abs(np.mean(ripple * np.exp(-2j * np.pi * 2 * hz * t)))
@@ -221,6 +244,6 @@ def flicker(light: list[tuple[float, float]]) -> Flicker:
 
 
 def _smooth(y: Array) -> Array:
-    """Median of 9 neighbours."""
-    padded = np.pad(y, 4, mode="edge")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
+    """Median of _NEIGHBOURS."""
+    padded = np.pad(y, _NEIGHBOURS // 2, mode="edge")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1)

@@ -24,7 +24,15 @@ from ceilvo.sim.world import World, WorldSpec
 Array = NDArray[np.float64]
 
 WHEEL_SCALE = 1.008
+"""Of the true distance, that the wheels report."""
 _FRAME_NS = 100_000_000
+"""Between two pictures of the bench."""
+_MIDDLE = (0.3, 0.7)
+"""Of the room's side, where the robot is put."""
+_WANDER_M, _WOBBLE_RAD, _RUN_M = 0.001, 0.01, 2.4
+"""Of somebody who turns and pushes a robot by hand; chosen, measured on nobody."""
+_TAPE_M, _PROTRACTOR_RAD = 0.001, 0.002
+"""Sigma of poses measured by hand; chosen."""
 
 
 @dataclass(frozen=True)
@@ -60,23 +68,23 @@ class VirtualBench:
         """The robot stands here and there, turned every way."""
         rng = self._rng(1)
         room = self._world.spec.lap.room_m
-        poses = [np.array([*rng.uniform(0.3 * room, 0.7 * room, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(count)]
+        poses = [np.array([*rng.uniform(*_middle(room), 2), rng.uniform(-np.pi, np.pi)]) for _ in range(count)]
         return self._pictures([Place(p, f"place {i}") for i, p in enumerate(poses)], 1)
 
     def spin_and_run(self, spin_frames: int = 150, run_frames: int = 60, turns: float = 4.0) -> Iterator[Picture]:
-        """Round and round on the spot, wandering by a millimetre, then 2.4 m straight on with a hand's wobble."""
+        """Round and round on the spot, wandering, then straight on with a hand's wobble."""
         rng = self._rng(2)
         room = self._world.spec.lap.room_m
         middle = np.array([0.5 * room, 0.5 * room])
-        wander = 0.001 * np.column_stack([_smooth(rng, spin_frames, turns) for _ in range(2)])
+        wander = _WANDER_M * np.column_stack([_smooth(rng, spin_frames, turns) for _ in range(2)])
         turn = np.linspace(0, 2 * np.pi * (turns + 0.05), spin_frames) + rng.uniform(-3, 3)
         spin = [np.array([*(middle + w), a]) for w, a in zip(wander, turn, strict=True)]
         heading = rng.uniform(-3, 3)
-        pose = np.array([*(middle - 1.2 * np.array([np.cos(heading), np.sin(heading)])), heading])
+        pose = np.array([*(middle - 0.5 * _RUN_M * np.array([np.cos(heading), np.sin(heading)])), heading])
         run = [pose]
-        wobble = 0.01 * _smooth(rng, run_frames)
+        wobble = _WOBBLE_RAD * _smooth(rng, run_frames)
         for i in range(1, run_frames):
-            step = np.array([2.4 / run_frames, 0.0, 0.0])
+            step = np.array([_RUN_M / run_frames, 0.0, 0.0])
             turned = wobble[i] - wobble[i - 1]
             pose = se2.compose(se2.compose(pose, np.array([0, 0, 0.5 * turned])), step)
             pose = se2.compose(pose, np.array([0, 0, 0.5 * turned]))
@@ -92,7 +100,7 @@ class VirtualBench:
         places = []
         for i in range(count):
             if i % 3 == 0:
-                at = rng.uniform(0.3 * room, 0.7 * room, 2)
+                at = rng.uniform(*_middle(room), 2)
             pose = np.array([*at, rng.uniform(-np.pi, np.pi)])
             places += [Place(pose, f"station {i}")] * looks
         return self._pictures(places, 5)
@@ -111,7 +119,7 @@ class VirtualBench:
             for k in range(each):
                 a = 2.0 * np.pi * (k + rng.uniform(0, 0.5)) / each
                 pose = np.array([r * np.cos(a), r * np.sin(a), rng.uniform(-np.pi, np.pi)])
-                x, y, heading = pose + rng.normal(0, 1, 3) * [0.001, 0.001, 0.002]
+                x, y, heading = pose + rng.normal(0, 1, 3) * [_TAPE_M, _TAPE_M, _PROTRACTOR_RAD]
                 measured.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
                 poses.append(Place(pose + np.array([*mark, 0.0]), "circle"))
         return measured, self._pictures(poses, 7)
@@ -133,6 +141,11 @@ class VirtualBench:
 
     def _rng(self, stream: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, 0xBE9C4, stream])
+
+
+def _middle(room_m: float) -> tuple[float, float]:
+    """From and to, of both coordinates, where the robot is put."""
+    return _MIDDLE[0] * room_m, _MIDDLE[1] * room_m
 
 
 def _smooth(rng: np.random.Generator, n: int, turns: float = 1.0) -> Array:

@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 _SQUARE_TEXELS = 64
+"""Of the board's picture."""
 _SUPER = 2
+"""Rays a pixel along each axis, averaged."""
 
 
 class BoardRenderer:

@@ -23,6 +23,7 @@ Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 DEFAULT_SESSION = Path("commissioning")
 FAILED = 1
+"""Exit code of a FAIL."""
 _ORDER = ("intrinsics", "projection", "mount", "sigma", "survey", "check", "report")
 
 

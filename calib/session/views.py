@@ -21,6 +21,9 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 
 _LIVE_FRAMES = 20_000
+"""Frames looked at; 11 minutes at 30 Hz."""
+MOVED, _TURNED_RAD = 0.04, float(np.radians(5.0))
+"""Of the picture's width, and turn, between two live views; chosen: neighbours would repeat each other's errors."""
 
 
 @dataclass(frozen=True)
@@ -116,14 +119,14 @@ def collect(
     return out
 
 
-def moved(out: Collection, view: GridView, picture: Picture, fraction: float = 0.04) -> bool:
-    """A live view is worth keeping when the ceiling moved in it by a fraction of its width, or turned by 5 deg."""
+def moved(out: Collection, view: GridView, picture: Picture, fraction: float = MOVED) -> bool:
+    """A live view is worth keeping when the ceiling moved in it by a fraction of its width, or turned."""
     if not out.seen:
         return True
     last = out.seen[-1].view
     d = np.hypot(*(view.uv_px[:, None] - last.uv_px[None]).transpose(2, 0, 1)).min(axis=1)
     turned = abs(float(np.angle(np.exp(4j * (view.psi_rad - last.psi_rad)))) / 4.0)
-    return bool(np.median(d) > fraction * picture.gray.shape[1] or turned > np.radians(5.0))
+    return bool(np.median(d) > fraction * picture.gray.shape[1] or turned > _TURNED_RAD)
 
 
 def _record(seen: Seen) -> dict[str, Any]:

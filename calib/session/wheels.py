@@ -26,6 +26,11 @@ Wheels = Callable[[Picture], Array | None]
 FILE = "wheels.csv"
 _COLUMNS = ("x_m", "y_m", "theta_rad")
 _FIRST_ANSWER_S = 2.0
+"""That a base is waited for; chosen."""
+_POLL_S = 0.02
+"""How often it is asked."""
+_TURN_RAD = 2.0 * np.pi + 0.1
+"""Between two pictures; more means degrees. The excess is for rounding."""
 
 
 def no_wheels(picture: Picture) -> Array | None:
@@ -51,7 +56,7 @@ def recorded(folder: Path, units: str | None = None) -> Wheels:
             f"{path}: column 'name': found {'a picture twice' if all(names) else 'none, or an empty field'}, "
             f"expected the picture's file name in each row; the first line must be name,{','.join(_COLUMNS)}"
         )
-    if float(np.abs(np.diff(table["theta_rad"])).max(initial=0.0)) > np.pi * 2.0 + 0.1:
+    if float(np.abs(np.diff(table["theta_rad"])).max(initial=0.0)) > _TURN_RAD:
         raise CalibrationError(f"{path}: theta_rad jumps by more than a turn, expected radians; is it in degrees?")
     poses = dict(zip(names, np.column_stack([table[c] for c in _COLUMNS]), strict=True))
     return lambda picture: poses.get(picture.name)
@@ -93,7 +98,7 @@ def live_base(
     try:
         until = time.monotonic() + patience_s
         while not link.snapshot().up and time.monotonic() < until:
-            time.sleep(0.02)
+            time.sleep(_POLL_S)
         if link.snapshot().up:
             note(f"wheels from the base at {settings.port}")
             yield link

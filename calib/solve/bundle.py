@@ -16,10 +16,34 @@ Residuals = Callable[[int, Array, Array], Array]
 MAD_TO_SIGMA = 1.4826
 """Standard deviation over median absolute deviation of a Gaussian, 1 / Phi^-1(3/4)."""
 _ROUNDS = 60
+"""Steps at the most; chosen: a fit that goes on so long does not converge."""
 _MANY_VIEWS = 8
+"""Views from which their scatter alone says how large sigma is; chosen, below it chance may understate it."""
 _STEP = 1e-6
+"""Relative step of central differences: near the cube root of double precision, where their error is least."""
 _RESCALES = 10
-_LEAST_LEFT = 1e-3  # of a view without which the rest says nothing
+"""Times that the robust scale is found anew; chosen."""
+_LEAST_LEFT = 1e-3
+"""Of a view without which the rest says nothing: its score is not blown up beyond a thousandfold."""
+_SETTLED = 0.8
+"""Of the scale before: one that shrank by less is the robust scale; chosen."""
+_DAMPING, _DAMPING_LEAST = 1e-4, 1e-12
+_DAMPING_UP, _DAMPING_DOWN = 8.0, 10.0
+_TRIES = 12
+"""Levenberg-Marquardt: damping at first and at least, its factors after a step that failed or went well (about
+Marquardt's ten), and steps tried before it gives up: damping has then grown 1e10 times."""
+_GAIN_LEAST, _COST_LEAST = 1e-14, 1e-24
+"""Relative gain, and cost in squares of the residuals' unit, at which nothing but rounding is left."""
+_NEAR_ZERO, _STEP_NEAR_ZERO = 1e-3, 0.1
+"""A parameter below this is differentiated with steps of a tenth: distortion and angles are small, pixels are not."""
+_SCALE_LEAST = 1e-9
+"""Of residuals without noise, so that they do not all count as outliers."""
+_TINY = 1e-300
+"""Keeps a division by zero away."""
+_DIAGONAL_LEAST = 1e-12
+"""Keeps damping alive for a parameter that nothing depends on."""
+_RANK = 1e-12
+"""Eigenvalue over the largest below which a view says nothing in that direction."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +89,7 @@ def solve(
     for _ in range(1 if huber is None else _RESCALES):
         x, v = _descend(residuals, x, v, scale, (start, info), rounds)
         before, scale = scale, _scale(residuals, x, v, huber)
-        if scale > 0.8 * before:
+        if scale > _SETTLED * before:
             break
     return _finish(residuals, x, v, scale, info)
 
@@ -79,22 +103,22 @@ def _descend(
     def cost_of(p: Array, q: Array) -> float:
         return _cost(residuals, p, q, scale) + float((p - start) @ info @ (p - start))
 
-    damping, cost = 1e-4, cost_of(x, v)
+    damping, cost = _DAMPING, cost_of(x, v)
     for _ in range(rounds):
         blocks = _blocks(residuals, x, v, scale)
         improved, trial = False, cost
-        for _ in range(12):
+        for _ in range(_TRIES):
             dx, dv = _step(blocks, info, x - start, damping)
             trial = cost_of(x + dx, v + dv)
             if np.isfinite(trial) and trial <= cost:
                 improved = True
                 break
-            damping *= 8.0
+            damping *= _DAMPING_UP
         if not improved:
             break
         gain, cost = cost - trial, trial
-        x, v, damping = x + dx, v + dv, max(damping / 10.0, 1e-12)
-        if gain <= 1e-14 * max(cost, 1e-300) or cost < 1e-24:
+        x, v, damping = x + dx, v + dv, max(damping / _DAMPING_DOWN, _DAMPING_LEAST)
+        if gain <= _GAIN_LEAST * max(cost, _TINY) or cost < _COST_LEAST:
             break
     return x, v
 
@@ -104,7 +128,7 @@ def _scale(residuals: Residuals, x: Array, v: Array, huber: float | None) -> flo
     if huber is None:
         return np.inf
     every = np.concatenate([residuals(i, x, v[i]) for i in range(len(v))])
-    return huber * max(MAD_TO_SIGMA * float(np.median(np.abs(every))), 1e-9)
+    return huber * max(MAD_TO_SIGMA * float(np.median(np.abs(every))), _SCALE_LEAST)
 
 
 def _cost(residuals: Residuals, x: Array, v: Array, scale: float) -> float:
@@ -156,7 +180,7 @@ def _blocks(residuals: Residuals, x: Array, v: Array, scale: float) -> list[_Blo
         r = residuals(i, x, v[i])
         a = _jacobian(partial(_vary_shared, residuals, i, v[i]), x)
         b = _jacobian(partial(residuals, i, x), v[i])
-        w = np.minimum(1.0, scale / np.maximum(np.abs(r), 1e-300))
+        w = np.minimum(1.0, scale / np.maximum(np.abs(r), _TINY))
         aw, bw = a * w[:, None], b * w[:, None]
         out.append((aw.T @ a, bw.T @ b, aw.T @ b, aw.T @ r, bw.T @ r))
     return out
@@ -170,7 +194,7 @@ def _jacobian(f: Callable[[Array], Array], p: Array) -> Array:
     """Central differences."""
     columns = []
     for k in range(len(p)):
-        h = _STEP * max(abs(p[k]), 1.0 if abs(p[k]) > 1e-3 else 0.1)
+        h = _STEP * max(abs(p[k]), 1.0 if abs(p[k]) > _NEAR_ZERO else _STEP_NEAR_ZERO)
         up, down = p.copy(), p.copy()
         up[k] += h
         down[k] -= h
@@ -182,10 +206,10 @@ def _step(blocks: list[_Block], info: Array, off: Array, damping: float) -> tupl
     p = len(info)
     s = info.copy()
     g = info @ off
-    s[np.diag_indices(p)] += damping * np.maximum(sum(np.diag(b[0]) for b in blocks), 1e-12)
+    s[np.diag_indices(p)] += damping * np.maximum(sum(np.diag(b[0]) for b in blocks), _DIAGONAL_LEAST)
     inner = []
     for aa, bb, ab, ga, gb in blocks:
-        bb = bb + np.diag(damping * np.maximum(np.diag(bb), 1e-12))
+        bb = bb + np.diag(damping * np.maximum(np.diag(bb), _DIAGONAL_LEAST))
         inverse = np.linalg.pinv(bb)
         s += aa - ab @ inverse @ ab.T
         g += ga - ab @ inverse @ gb
@@ -225,7 +249,7 @@ def _unshrunk(score: Array, own: Array, bread: Array) -> Array:
     if not len(score):
         return score
     value, vector = np.linalg.eigh(own)
-    kept = value > 1e-12 * max(float(value[-1]), 1e-300)
+    kept = value > _RANK * max(float(value[-1]), _TINY)
     root = vector[:, kept] * np.sqrt(value[kept])
     left, turn = np.linalg.eigh(np.eye(int(kept.sum())) - root.T @ bread @ root)
     part = turn.T @ (vector[:, kept] / np.sqrt(value[kept])).T @ score
@@ -240,5 +264,5 @@ def widest(fit: BundleFit) -> Array:
 
 def at_least(cov: Array, floor: Array) -> Array:
     """cov with no variance below the floor's."""
-    grow = np.sqrt(np.maximum(np.diag(floor) / np.maximum(np.diag(cov), 1e-300), 1.0))
+    grow = np.sqrt(np.maximum(np.diag(floor) / np.maximum(np.diag(cov), _TINY), 1.0))
     return np.asarray(cov * np.outer(grow, grow))

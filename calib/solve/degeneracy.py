@@ -10,9 +10,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _FLAT = 0.01
+"""Spread across over spread along, below which points are on a line or in a plane: 1 %."""
 _SMALL_FRACTION = 0.12
+"""Of the picture, that points must cover; chosen: below it tilt and place cannot be told apart."""
 _SAME_PX, _SAME_M = 0.5, 1e-4
+"""Half a pixel, a tenth of a millimetre: nobody marks or measures finer."""
+_FAR_PX, _FAR_M = 20.0, 1e-3
+"""Apart by more than measuring errors explain."""
+_KNOWN_LENS_NEEDS, _UNKNOWN_LENS_NEEDS = 4, 6
+"""Points: a pose has six unknowns, four points leave no second pose; M has eleven, two equations a point."""
+_PLANES = 200
+"""Tried of three points at random; chosen: of ten points with two strays half of them have no stray."""
+_MIRRORED, _UNRELATED = 0.8, 0.6
+"""Of the pixels' scatter that an affine map of the points explains: above, its sign counts; below, the list is
+shuffled. Chosen."""
+_NO_SPREAD = 1e-12
+"""Keeps a division by zero away."""
 _CUBIC = 1e-3
+"""Second smallest singular value of the DLT over the largest: below it M has a second solution."""
 
 
 def layout_problem(xyz_m: Array, uv_px: Array, size: tuple[int, int], known_lens: bool) -> str:
@@ -31,7 +46,7 @@ def _problems(xyz: Array, uv: Array, size: tuple[int, int], known_lens: bool) ->
     if not (np.isfinite(xyz).all() and np.isfinite(uv).all()):
         yield "a coordinate is not a number"
         return
-    need = 4 if known_lens else 6
+    need = _KNOWN_LENS_NEEDS if known_lens else _UNKNOWN_LENS_NEEDS
     if len(xyz) < need:
         yield f"{len(xyz)} points, at least {need} needed with{'' if known_lens else 'out'} a known lens"
         return
@@ -47,9 +62,9 @@ def _problems(xyz: Array, uv: Array, size: tuple[int, int], known_lens: bool) ->
 def _same(xyz: Array, uv: Array, need: int) -> Iterator[str]:
     d3 = _distances(xyz)
     d2 = _distances(uv)
-    if (i := np.argwhere((d3 < _SAME_M) & (d2 > 20.0))).size:
+    if (i := np.argwhere((d3 < _SAME_M) & (d2 > _FAR_PX))).size:
         yield f"points {i[0][0] + 1} and {i[0][1] + 1} are the same place on the ceiling, but far apart in the picture"
-    if (i := np.argwhere((d2 < _SAME_PX) & (d3 > 10 * _SAME_M))).size:
+    if (i := np.argwhere((d2 < _SAME_PX) & (d3 > _FAR_M))).size:
         yield f"points {i[0][0] + 1} and {i[0][1] + 1} are the same pixel, but different places"
     distinct = len(xyz) - len({int(j) for _, j in np.argwhere(d3 < _SAME_M)})
     if distinct < need:
@@ -91,7 +106,7 @@ def _but_few(xyz: Array, most: int) -> int:
     n = len(xyz)
     best = n
     rng = np.random.default_rng(1)
-    for _ in range(200):
+    for _ in range(_PLANES):
         three = xyz[rng.choice(n, 3, replace=False)]
         normal = np.cross(three[1] - three[0], three[2] - three[0])
         if np.linalg.norm(normal) < 1e-9:
@@ -131,18 +146,18 @@ def _handedness(xyz: Array, uv: Array) -> Iterator[str]:
     affine = np.linalg.lstsq(ground, uv, rcond=None)[0][:2].T
     left = uv - ground @ np.linalg.lstsq(ground, uv, rcond=None)[0]
     explained = 1.0 - float(np.sum(left**2)) / float(np.sum((uv - uv.mean(axis=0)) ** 2))
-    if explained > 0.8 and np.linalg.det(affine) < 0:
+    if explained > _MIRRORED and np.linalg.det(affine) < 0:
         yield "the picture is a mirror image of the points: x and y, or u and v, are swapped or have the wrong sign"
-    elif explained < 0.6:
+    elif explained < _UNRELATED:
         yield "the pixels have nothing to do with the points: is the list sorted the same way?"
 
 
 def _general(xyz: Array, uv: Array) -> Iterator[str]:
     """The DLT's own rank: a twisted cubic or two lines through the camera have more than one solution."""
     x = xyz - xyz.mean(axis=0)
-    x = x / max(float(np.sqrt(np.mean(x**2))), 1e-12)
+    x = x / max(float(np.sqrt(np.mean(x**2))), _NO_SPREAD)
     p = uv - uv.mean(axis=0)
-    p = p / max(float(np.sqrt(np.mean(p**2))), 1e-12)
+    p = p / max(float(np.sqrt(np.mean(p**2))), _NO_SPREAD)
     h = np.column_stack([x, np.ones(len(x))])
     zero = np.zeros_like(h)
     rows = np.concatenate([np.column_stack([h, zero, -p[:, :1] * h]), np.column_stack([zero, h, -p[:, 1:] * h])])

@@ -15,7 +15,11 @@ from ceilvo.camera import CameraModel
 Array = NDArray[np.float64]
 
 _LENS = 4
+"""fx, fy, cx, cy."""
 _DISTORTION = 5
+_TINY = 1e-300
+"""Keeps a division by zero away."""
+"""Coefficients of the pinhole model, all zero here."""
 
 
 def from_points_alone(xyz_m: Array, uv_px: Array, size: tuple[int, int]) -> tuple[Mounting, CameraModel, Array]:
@@ -86,7 +90,7 @@ def _normalising(points: Array) -> tuple[Array, Array]:
     """Homogeneous transform to zero mean and unit spread, and the transformed points."""
     d = points.shape[1]
     mean = points.mean(axis=0)
-    scale = np.sqrt(d) / max(float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1)))), 1e-300)
+    scale = np.sqrt(d) / max(float(np.sqrt(np.mean(np.sum((points - mean) ** 2, axis=1)))), _TINY)
     t = np.eye(d + 1)
     t[:d, :d] *= scale
     t[:d, d] = -scale * mean

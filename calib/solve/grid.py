@@ -9,21 +9,33 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.joint import refine
-from ceilvo.calib.solve.lens import lens_of, with_lens_error
-from ceilvo.calib.solve.projection import HEIGHTS_M, Mounting
+from ceilvo.calib.solve.lens import lens_of, reprojection, with_lens_error
+from ceilvo.calib.solve.projection import Mounting
 from ceilvo.calib.solve.tile_grid import Spacing, tile_index, tile_spacings
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calibration import mount_rotation
+from ceilvo.calibration_check import HEIGHTS_M
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
 _ROUGHLY = 1.1
+"""Factor to which --height-m is known: a tape, to a tenth."""
 _ON_GRID = 0.25
+"""Fraction of the crossings that must be on the grid; chosen: lamps and vents may be the larger part."""
 _SUPPORT = 0.35
+"""Harmonic mean of crossings on the grid and nodes seen that a grid must have; chosen."""
 _RIVAL = 0.8
+"""Of the winner's support, from which the runner-up makes the answer doubtful (docs/calibration.md)."""
 _HUBER = 3.0
+"""Robust standard deviations beyond which a crossing counts linearly."""
+_OUTLIER, _OUTLIER_PX = 5.0, 0.3
+"""A crossing that is off by more does not belong: robust standard deviations, and px, which a good one may have."""
+_MIN_CROSSINGS = 4
+"""Left in a picture: a pose has three unknowns, a crossing two equations."""
+_ROUNDS = 30
+"""Least squares' steps at the most; from the lattice it is near."""
 
 
 @dataclass(frozen=True)
@@ -135,15 +147,15 @@ def _grid_fit(
 ) -> tuple[bundle.BundleFit, list[GridSample]]:
     """Robust first, then without the crossings that do not belong."""
     views = np.array([[s.start[0] * tile_m, s.start[1] * tile_m, s.start[2]] for s in samples])
-    fit = _grid_solve(camera, samples, tile_m, start, views, rounds=30, huber=_HUBER)
+    fit = _grid_solve(camera, samples, tile_m, start, views, rounds=_ROUNDS, huber=_HUBER)
     noise = bundle.MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(fit.residuals))))
     clean = []
     for sample, r in zip(samples, fit.residuals, strict=True):
-        good = (np.abs(r.reshape(-1, 2)) < max(5.0 * noise, 0.3)).all(axis=1)
+        good = (np.abs(r.reshape(-1, 2)) < max(_OUTLIER * noise, _OUTLIER_PX)).all(axis=1)
         clean.append(replace(sample, index=sample.index[good], uv_px=sample.uv_px[good]))
-    keep = [i for i, s in enumerate(clean) if len(s.index) >= 4]
+    keep = [i for i, s in enumerate(clean) if len(s.index) >= _MIN_CROSSINGS]
     clean = [clean[i] for i in keep]
-    return _grid_solve(camera, clean, tile_m, fit.shared, fit.views[keep], rounds=30), clean
+    return _grid_solve(camera, clean, tile_m, fit.shared, fit.views[keep], rounds=_ROUNDS), clean
 
 
 def _grid_solve(
@@ -171,4 +183,4 @@ def grid_residual(camera: CameraModel, sample: GridSample, tile_m: float, shared
     """Pixels; shared: roll, pitch, height; view: the camera's x, y in the lattice (m) and heading."""
     xyz = np.column_stack([sample.index * tile_m - view[:2], np.full(len(sample.index), shared[2])])
     rays = xyz @ mount_rotation(view[2], shared[0], shared[1]).T
-    return np.asarray(np.nan_to_num(camera.pixels(rays) - sample.uv_px, nan=1e3).ravel())
+    return reprojection(camera, rays, sample.uv_px)

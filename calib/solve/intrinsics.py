@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
-from ceilvo.calib.solve.lens import camera_of
+from ceilvo.calib.solve.lens import camera_of, reprojection
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -18,16 +18,39 @@ Array = NDArray[np.float64]
 MODELS = ("pinhole", "pinhole8", "fisheye")
 """Lens models: pinhole with 5 or 8 coefficients of distortion, fisheye with 4."""
 _COUNT = {"pinhole": 5, "pinhole8": 8, "fisheye": 4}
+"""Coefficients of distortion."""
 NAMES = {
     "pinhole": ("k1", "k2", "p1", "p2", "k3"),
     "pinhole8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
 MIN_SHOTS = 6
+"""Six poses and the lens leave a chessboard's corners redundant; fewer leave too little for folds."""
 _FOLDS = 4
+"""Of the choice of the model; chosen."""
 _BETTER = 0.03
+"""A model with more coefficients must predict shots left out better by more than 3 % (docs/calibration.md)."""
 _OUTLIER = 3.0
+"""Times the shots' median rms beyond which a shot is dropped (docs/calibration.md)."""
 _MOST_DROPPED = 0.3
+"""Fraction of the shots; where more do not fit, the model or the board is wrong."""
+_MIN_PER_FOLD = 3
+"""Shots; smaller folds only cost time."""
+_FOCALS = (0.6, 0.85, 1.2, 0.35)
+"""Focal lengths over the picture's width to start from, the likely ones first: 80, 61, 45 and 110 deg across."""
+_ROUNDS_TRY, _ROUNDS_START, _ROUNDS_FOLD = 8, 25, 15
+"""Least squares' steps at the most: to compare starts, to prepare the folds, and for a fold, which starts near."""
+_GOOD_START_PX = 1.0
+"""rms after few steps at which no other start is tried."""
+_FRONT = 0.1
+"""Cosine to the axis from which a ray can be projected to a plane to find a first pose."""
+RMS_PX, _FOCAL_SIGMA, _CENTRE_SIGMA_PX = 0.5, 0.003, 2.0
+"""Gates of a PASS; OpenCV's own chessboard pictures have 0.18 px (docs/calibration.md), simulated rigs
+0.1 px of 410."""
+_SANE_PX = 3.0
+"""rms up to which the pinhole fit's outliers are outliers, and not what the model lacks."""
+_FOLDED_PX = 0.5
+"""A corner of the picture that comes back elsewhere from its ray: the distortion folds over."""
 
 
 @dataclass(frozen=True)
@@ -128,14 +151,14 @@ def choose_model(
 def _held_out_rms(shots: list[Shot], size: tuple[int, int], model: str) -> float:
     """Each fold's corners against the lens of the other folds; only the board's pose is fitted to them."""
     total, count = 0.0, 0
-    folds = min(_FOLDS, len(shots) // 3)
+    folds = min(_FOLDS, len(shots) // _MIN_PER_FOLD)
     if folds < 2:
         raise CalibrationError(f"intrinsics: found {len(shots)} usable pictures, expected at least {MIN_SHOTS}")
-    start = _fit(shots, size, model, rounds=25)
+    start = _fit(shots, size, model, rounds=_ROUNDS_START)
     for k in range(folds):
         rest = [s for i, s in enumerate(shots) if i % folds != k]
         poses = np.array([p for i, p in enumerate(start.views) if i % folds != k])
-        camera = camera_of(model, _solve(rest, size, model, start.shared, poses, rounds=15).shared, size)
+        camera = camera_of(model, _solve(rest, size, model, start.shared, poses, rounds=_ROUNDS_FOLD).shared, size)
         for i, shot in enumerate(shots):
             if i % folds == k:
                 r = _pose_residual(camera, shot, start.views[i])
@@ -144,21 +167,21 @@ def _held_out_rms(shots: list[Shot], size: tuple[int, int], model: str) -> float
 
 
 def _pose_residual(camera: CameraModel, shot: Shot, pose: Array) -> Array:
-    fit = bundle.solve(lambda _, __, p: _reproject(camera, shot, p), np.zeros(0), pose[None], rounds=15)
+    fit = bundle.solve(lambda _, __, p: _reproject(camera, shot, p), np.zeros(0), pose[None], rounds=_ROUNDS_FOLD)
     return fit.residuals[0]
 
 
 def _fit(shots: list[Shot], size: tuple[int, int], model: str, rounds: int = 60) -> bundle.BundleFit:
     """From several focal lengths the best start, then all."""
     best: bundle.BundleFit | None = None
-    for focal_per_width in (0.6, 0.85, 1.2, 0.35):
+    for focal_per_width in _FOCALS:
         try:
-            fit = _solve(shots, size, model, *_start(shots, size, model, focal_per_width * size[0]), rounds=8)
+            fit = _solve(shots, size, model, *_start(shots, size, model, focal_per_width * size[0]), rounds=_ROUNDS_TRY)
         except (cv2.error, CalibrationError, np.linalg.LinAlgError):
             continue
         if np.isfinite(fit.rms) and (best is None or fit.rms < best.rms):
             best = fit
-        if best is not None and best.rms < 1.0:
+        if best is not None and best.rms < _GOOD_START_PX:
             break
     if best is None:
         raise CalibrationError("intrinsics: found no lens that explains the corners; is it the right board?")
@@ -174,7 +197,7 @@ def _start(shots: list[Shot], size: tuple[int, int], model: str, f: float) -> tu
 def board_pose(camera: CameraModel, shot: Shot) -> Array:
     """(6,) rotation vector and translation, camera_from_board, by OpenCV's IPPE on rays."""
     rays = camera.rays(shot.uv_px)
-    front = rays[:, 2] > 0.1
+    front = rays[:, 2] > _FRONT
     if np.count_nonzero(front) < 4:
         raise CalibrationError(f"{shot.name}: fewer than 4 corners in front of the camera")
     xy = rays[front, :2] / rays[front, 2:]
@@ -195,115 +218,29 @@ def _solve(
 
 def _reproject(camera: CameraModel, shot: Shot, pose: Array) -> Array:
     points = shot.xyz_m @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
-    off = camera.pixels(points) - shot.uv_px
-    return np.asarray(np.nan_to_num(off, nan=1e3).ravel())
+    return reprojection(camera, points, shot.uv_px)
 
 
 def _rms_each(fit: bundle.BundleFit) -> Array:
     return np.array([np.sqrt(2.0 * np.mean(r**2)) for r in fit.residuals])
 
 
-# -- coverage
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """How well the shots cover what must be covered.
-
-    Attributes:
-        cells: (6, 8) corners in each part of the picture.
-        area: fraction of the parts with a corner in them.
-        reach: farthest corner from the middle over half the diagonal.
-        tilted: shots in which the board leans by 15 deg or more.
-        distance_ratio: farthest over nearest board.
-    """
-
-    cells: NDArray[np.int64]
-    area: float
-    reach: float
-    tilted: int
-    distance_ratio: float
-
-    GATE_AREA = 0.70
-    GATE_REACH = 0.70
-    GATE_TILTED = 3
-    GATE_RATIO = 1.2
-
-    def missing(self) -> list[str]:
-        """What to do next; empty when the gate is passed."""
-        out = []
-        if self.area < self.GATE_AREA or self.reach < self.GATE_REACH:
-            out.append(f"hold the board where the picture is empty: {self.empty_places()}")
-        if self.tilted < self.GATE_TILTED:
-            out.append(f"lean the board by 20 to 45 deg: {self.tilted} such pictures, {self.GATE_TILTED} needed")
-        if self.distance_ratio < self.GATE_RATIO:
-            out.append(
-                f"vary the distance: farthest over nearest is {self.distance_ratio:.2f}, {self.GATE_RATIO} needed"
-            )
-        return out
-
-    def empty_places(self) -> str:
-        rows, columns = ("top", "middle", "bottom"), ("left", "centre", "right")
-        empty = []
-        for i, row in enumerate(np.array_split(self.cells, 3, axis=0)):
-            for j, part in enumerate(np.array_split(row, 3, axis=1)):
-                if np.mean(part > 0) < self.GATE_AREA:
-                    empty.append(f"{rows[i]} {columns[j]}")
-        return ", ".join(empty) or "the corners"
-
-    @property
-    def text(self) -> str:
-        return (
-            f"area {100 * self.area:.0f} %, reach {100 * self.reach:.0f} %, leaning {self.tilted}, "
-            f"distance 1:{self.distance_ratio:.2f}"
-        )
-
-
-def coverage(shots: list[Shot], size: tuple[int, int]) -> Coverage:
-    cells = np.zeros((6, 8), np.int64)
-    reach, tilts, distances = 0.0, [], []
-    guess = camera_of("pinhole", np.array([0.8 * size[0], 0.8 * size[0], size[0] / 2, size[1] / 2, *np.zeros(5)]), size)
-    for shot in shots:
-        u = np.clip((shot.uv_px / np.array(size) * [8, 6]).astype(int), 0, [7, 5])
-        np.add.at(cells, (u[:, 1], u[:, 0]), 1)
-        off = np.hypot(*(shot.uv_px - 0.5 * np.array(size)).T)
-        reach = max(reach, float(off.max()) / float(np.hypot(*size) / 2))
-        pose = board_pose(guess, shot)
-        tilts.append(np.degrees(np.arccos(min(1.0, abs(float(cv2.Rodrigues(pose[:3])[0][2, 2]))))))
-        distances.append(float(np.linalg.norm(pose[3:])))
-    ratio = max(distances) / min(distances) if distances else 1.0
-    return Coverage(cells, float(np.mean(cells > 0)), reach, int(np.sum(np.array(tilts) >= 15.0)), ratio)
-
-
-def coverage_picture(
-    shots: list[Shot], size: tuple[int, int], gray: NDArray[np.uint8] | None = None
-) -> NDArray[np.uint8]:
-    """(H, W, 3) the picture with every corner so far, empty parts shaded."""
-    w, h = size
-    image = np.full((h, w, 3), 60, np.uint8) if gray is None else cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) // 2
-    image = np.ascontiguousarray(image)
-    for (j, i), n in np.ndenumerate(coverage(shots, size).cells):
-        if n == 0:
-            a, b = (int(i * w / 8), int(j * h / 6)), (int((i + 1) * w / 8), int((j + 1) * h / 6))
-            image[a[1] : b[1], a[0] : b[0], 2] = np.minimum(image[a[1] : b[1], a[0] : b[0], 2] + 70, 255)
-    for shot in shots:
-        for u, v in shot.uv_px:
-            cv2.circle(image, (round(float(u)), round(float(v))), max(2, w // 320), (80, 220, 80), -1)
-    return np.asarray(image, np.uint8)
-
-
-def problems(fit: Intrinsics, covered: Coverage, limit_px: float = 0.5) -> list[str]:
+def problems(fit: Intrinsics, limit_px: float = RMS_PX) -> list[str]:
     """What keeps the result from a PASS, with what to do."""
-    out = list(covered.missing())
+    out = []
     if fit.rms_px > limit_px:
         out.append(
             f"rms is {fit.rms_px:.2f} px, at most {limit_px:g} expected: flat board? right size? sharp pictures?"
         )
     f_sigma = max(fit.sigma[0] / fit.camera.fx_px, fit.sigma[1] / fit.camera.fy_px)
-    if f_sigma > 0.003:
-        out.append(f"the focal length is known to {100 * f_sigma:.2f} % only, 0.3 needed: more pictures, leaning")
-    if max(fit.sigma[2:4]) > 2.0:
-        out.append(f"the principal point is known to {max(fit.sigma[2:4]):.1f} px only, 2 needed: more pictures")
+    if f_sigma > _FOCAL_SIGMA:
+        found, needed = 100 * f_sigma, 100 * _FOCAL_SIGMA
+        out.append(f"the focal length is known to {found:.2f} % only, {needed:g} needed: more pictures, leaning")
+    centre_px = max(fit.sigma[2:4])
+    if centre_px > _CENTRE_SIGMA_PX:
+        out.append(
+            f"the principal point is known to {centre_px:.1f} px only, {_CENTRE_SIGMA_PX:g} needed: more pictures"
+        )
     if not _monotone(fit.camera):
         out.append(
             "the distortion folds the picture's corners over: pictures with the board in the corners are missing"
@@ -316,7 +253,7 @@ def _monotone(camera: CameraModel) -> bool:
     w, h = camera.width_px, camera.height_px
     corners = np.array([[0, 0], [w - 1, 0], [0, h - 1], [w - 1, h - 1.0]])
     back = camera.pixels(camera.rays(corners))
-    return bool(np.all(np.hypot(*(back - corners).T) < 0.5))
+    return bool(np.all(np.hypot(*(back - corners).T) < _FOLDED_PX))
 
 
 def fit_best(
@@ -326,7 +263,7 @@ def fit_best(
     if model != "auto":
         return calibrate(shots, size, model, keep_all=keep_all), {}
     first = calibrate(shots, size, "pinhole", keep_all=keep_all)  # outliers are none of the models' business
-    usable = list(first.shots) if first.rms_px < 3.0 else shots
+    usable = list(first.shots) if first.rms_px < _SANE_PX else shots
     chosen, scores = choose_model(usable, size)
     fit = calibrate(usable, size, chosen, keep_all=keep_all)
     gone = {name for name, _ in fit.dropped} | {s.name for s in fit.shots}

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 LensResiduals = Callable[[CameraModel], bundle.Residuals]
 
 _LITTLE = 1e-3
+"""Weight of the board's lens while the grid's own noise is found: only so much that no parameter is free."""
 AGREES = 3.0
 """Mean square by which the parameters may move, in the board's sigma; of nine, one in seven hundred moves more."""
 

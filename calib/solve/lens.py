@@ -13,6 +13,13 @@ from ceilvo.camera import CameraModel
 Array = NDArray[np.float64]
 
 _MODEL_OF = {("fisheye", 4): "fisheye", ("pinhole", 8): "pinhole8", ("pinhole", 5): "pinhole"}
+"""By the camera's kind and number of coefficients."""
+
+
+_GUESSED_FOCAL = 0.8
+"""Focal length over the picture's width of a lens nobody has measured: 64 deg across, a usual webcam's."""
+BEHIND_PX = 1e3
+"""Residual of a point behind the camera, which has no pixel: far, but finite, so that a fit can leave the place."""
 
 
 def camera_of(model: str, p: Array, size: tuple[int, int]) -> CameraModel:
@@ -24,6 +31,17 @@ def camera_of(model: str, p: Array, size: tuple[int, int]) -> CameraModel:
 
 def parameters_of(camera: CameraModel) -> Array:
     return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
+
+
+def guessed_camera(size: tuple[int, int]) -> CameraModel:
+    """Good enough to say how a board leans and how far it is."""
+    w, h = size
+    return camera_of("pinhole", np.array([_GUESSED_FOCAL * w, _GUESSED_FOCAL * w, w / 2, h / 2, *np.zeros(5)]), size)
+
+
+def reprojection(camera: CameraModel, points: Array, uv_px: Array) -> Array:
+    """(2 N,) pixels by which points (N, 3) in the camera's axes miss what was seen of them."""
+    return np.asarray(np.nan_to_num(camera.pixels(points) - uv_px, nan=BEHIND_PX).ravel())
 
 
 def lens_of(camera: CameraModel) -> tuple[Callable[[Array], CameraModel], Array] | None:

@@ -14,15 +14,41 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 
 MIN_CIRCLES = 3
+"""A curve of order one has two unknowns."""
 MIN_PER_CIRCLE = 6
+"""The scatter of six is known to 29 %, 1 / sqrt(2 n)."""
 MAX_ORDER = 3
+"""Of the polynomials; cross-validation takes less where it can."""
 CONFIDENCE = 0.95
+"""Of the band for a whole curve."""
 _FOLDS = 5
+"""Of the cross-validation (docs/calibration.md)."""
 _DRAWS = 4000
+"""For the band's quantile; chosen."""
 _FLOOR_M = 1e-5
+"""0.01 mm: a sigma that is nothing."""
 _SMALL_M = 1e-3
 """Smaller sigmas need not be known to a factor: the crossings' own covariance is added to them."""
 _BINS = 8
+"""Equal parts where radii are spread; chosen."""
+_STREAM = 0x516
+"""Of the random numbers; any constant."""
+_GAP, _SAME_R_M = 0.04, 1e-6
+"""Between two circles: of all radii's span, and m, which rounding may make of one radius."""
+_WIDE = 0.25
+"""Of the span, that one circle's radii may fill; beyond it they are no circles and are cut into equal parts."""
+_ROUNDS = 8
+"""Of weights from the fit itself; chosen."""
+_LEAST_OF_MEAN, _LEAST_OF_MEAN_HELD = 0.2, 0.1
+"""Of the mean sigma, below which a curve does not count as smaller: for weights, and for a fold's likelihood."""
+_CURVE_POINTS = 81
+"""At which curve and band are given."""
+_WIDE_BAND, _SIGMA_MOST_M, _SIGMA_MOST_RAD = 2.5, 0.15, float(np.radians(3.0))
+"""Gates of a PASS; chosen: a factor that the filter's own margins still cover, and a quarter of a tile."""
+_BIAS_SIGMAS, _BIAS_M = 5.0, 0.01
+"""A mean error counts when chance cannot have made it, and when it is larger than what a tape gives."""
+_NOTHING = 1e-9
+"""m or rad: errors that are all smaller are zeros of a wrong column."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +123,7 @@ def fit(errors: Errors, seed: int = 1) -> Noise:
     """
     circle = circles(errors.r_m)
     _enough(errors, circle)
-    rng = np.random.default_rng([seed, 0x516])
+    rng = np.random.default_rng([seed, _STREAM])
     x, y = (_curve(errors.r_m, e, circle, rng) for e in (errors.dx_m, errors.dy_m))
     theta = float(np.sqrt(np.mean(errors.dtheta_rad**2)))
     n = len(errors.r_m)
@@ -112,10 +138,10 @@ def circles(r_m: Array) -> NDArray[np.int64]:
     gaps = np.diff(r_m[order])
     span = float(np.ptp(r_m))
     label = np.zeros(len(r_m), np.int64)
-    label[order[1:]] = np.cumsum(gaps > max(0.04 * span, 1e-6))
+    label[order[1:]] = np.cumsum(gaps > max(_GAP * span, _SAME_R_M))
     counts = np.bincount(label)
     widest = max((float(np.ptp(r_m[label == k])) for k in range(len(counts))), default=0.0)
-    spread = widest > 0.25 * span or len(counts) * MIN_PER_CIRCLE > len(r_m) >= MIN_CIRCLES * MIN_PER_CIRCLE
+    spread = widest > _WIDE * span or len(counts) * MIN_PER_CIRCLE > len(r_m) >= MIN_CIRCLES * MIN_PER_CIRCLE
     if span > 0 and spread:
         bins = min(_BINS, max(len(r_m) // MIN_PER_CIRCLE, 1))
         for k, rows in enumerate(np.array_split(order, bins)):
@@ -141,7 +167,7 @@ def _enough(errors: Errors, circle: NDArray[np.int64]) -> None:
             "measure the robot's heading too"
         )
     for name, e in (("x", errors.dx_m), ("y", errors.dy_m), ("theta", errors.dtheta_rad)):
-        if not np.isfinite(e).all() or float(np.abs(e).max()) < 1e-9:
+        if not np.isfinite(e).all() or float(np.abs(e).max()) < _NOTHING:
             raise CalibrationError(f"sigma: found errors in {name} that are zero or no numbers: right column?")
 
 
@@ -157,18 +183,18 @@ def _wls(at: Array, s: Array, n: Array, order: int) -> tuple[Array, Array]:
     """Coefficients and covariance; var(s) = sigma^2 / 2n with sigma from the fit itself, in a few rounds."""
     v = polyvander(at, order)
     sigma = np.maximum(s, _FLOOR_M)
-    for _ in range(8):
+    for _ in range(_ROUNDS):
         w = 2.0 * n / sigma**2
         info = v.T @ (v * w[:, None])
         c = np.linalg.solve(info, v.T @ (w * s))
-        sigma = np.maximum(v @ c, 0.2 * s.mean())
+        sigma = np.maximum(v @ c, _LEAST_OF_MEAN * s.mean())
     return c, np.linalg.inv(info)
 
 
 def _curve(r: Array, e: Array, circle: NDArray[np.int64], rng: np.random.Generator) -> Curve:
     at, s, n = _scatter(r, e, circle)
     most = min(MAX_ORDER, len(at) - 1)
-    grid = np.linspace(float(r.min()), float(r.max()), 81)
+    grid = np.linspace(float(r.min()), float(r.max()), _CURVE_POINTS)
     scores = _scores(r, e, circle, most, rng)
     order = _choose(scores)
     while order and polyval(grid, _wls(at, s, n, order)[0]).min() <= _FLOOR_M:
@@ -199,7 +225,7 @@ def _scores(r: Array, e: Array, circle: NDArray[np.int64], most: int, rng: np.ra
         held, rest = fold == k, fold != k
         at, s, n = _scatter(r[rest], e[rest], circle[rest])
         for order in range(most + 1):
-            sigma = np.maximum(polyval(r[held], _wls(at, s, n, order)[0]), 0.1 * s.mean())
+            sigma = np.maximum(polyval(r[held], _wls(at, s, n, order)[0]), _LEAST_OF_MEAN_HELD * s.mean())
             out[order, held] = -np.log(sigma) - 0.5 * (e[held] / sigma) ** 2
     return out
 
@@ -234,16 +260,18 @@ def problems(noise: Noise) -> list[str]:
     out = []
     for name, curve, bias, sigma in zip("xy", (noise.x, noise.y), noise.bias_m, noise.bias_sigma_m, strict=True):
         wide = float(np.max(curve.high_m / np.maximum(polyval(curve.r_m, curve.coefficients), _SMALL_M)))
-        if wide > 2.5:
-            out.append(f"sigma_{name} is known to a factor of {wide:.1f} only, 2.5 allowed: more samples a circle")
-        if polyval(curve.r_m, curve.coefficients).max() > 0.15:
+        if wide > _WIDE_BAND:
             out.append(
-                f"sigma_{name} reaches {1e3 * curve.high_m.max():.0f} mm, 150 allowed: were the poses measured well?"
+                f"sigma_{name} is known to a factor of {wide:.1f} only, {_WIDE_BAND:g} allowed: more samples a circle"
             )
-        if abs(bias) > 5.0 * sigma and abs(bias) > 0.01:
+        if polyval(curve.r_m, curve.coefficients).max() > _SIGMA_MOST_M:
+            reached_mm, allowed_mm = 1e3 * curve.high_m.max(), 1e3 * _SIGMA_MOST_M
+            out.append(
+                f"sigma_{name} reaches {reached_mm:.0f} mm, {allowed_mm:g} allowed: were the poses measured well?"
+            )
+        if abs(bias) > _BIAS_SIGMAS * sigma and abs(bias) > _BIAS_M:
             out.append(f"errors in {name} have a mean of {1e3 * bias:+.0f} mm: check the mount and the measured poses")
-    if noise.sigma_theta_rad > np.radians(3.0):
-        out.append(
-            f"sigma_theta is {np.degrees(noise.sigma_theta_rad):.1f} deg, at most 3 expected: check the headings"
-        )
+    if noise.sigma_theta_rad > _SIGMA_MOST_RAD:
+        found, most = np.degrees([noise.sigma_theta_rad, _SIGMA_MOST_RAD])
+        out.append(f"sigma_theta is {found:.1f} deg, at most {most:g} expected: check the headings")
     return out

@@ -19,8 +19,17 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 
 _SAME_FRACTION = 0.1
+"""Of a tile, within which crossings of two pictures of one station are the same."""
 _OUTLIER = 6.0
+"""Times the median off the grid beyond which a crossing does not belong; chosen: five sigma of a good one."""
+_OUTLIER_M = 0.003
+"""What a good crossing may be off, however well the others fit."""
+_ROUNDS = 3
+"""Of leaving out what does not fit; chosen."""
+_MIN_CROSSINGS = 6
+"""Left at a station: laying the grid takes three of twelve coordinates."""
 MIN_STATIONS = 6
+"""What calibration does to one station's crossings is one error: of fewer there is no scatter."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +97,13 @@ def _one(
     xy = np.asarray(np.nanmean(np.stack(seen), axis=0), np.float64)
     grid = first.index.astype(np.float64) * tile_m
     good = np.ones(len(xy), bool)
-    for _ in range(3):
+    for _ in range(_ROUNDS):
         fit = rigid_motion(grid[good], xy[good])
         off = xy - se2.transform(fit, grid)
         size = np.hypot(*off.T)
-        good = size < max(_OUTLIER * float(np.median(size[good])), 0.003)
+        good = size < max(_OUTLIER * float(np.median(size[good])), _OUTLIER_M)
     n = int(good.sum())
-    if n < 6:
+    if n < _MIN_CROSSINGS:
         return None
     psi = np.mean([np.exp(4j * v.psi_rad) for v in station.views])
     direction = float(np.angle(psi)) / 4.0 + mount_angles(calibration.camera_from_base)[0]

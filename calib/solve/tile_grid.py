@@ -17,11 +17,20 @@ from ceilvo.calib.targets.ceiling_view import MIN_CROSSINGS, GridView
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+USUAL_TILE_M = 0.6
+"""Side of the tiles of most suspended ceilings, and of the simulated one."""
 _ON_GRID_TILES = 0.12
+"""A crossing this near to a node, in tiles and along each axis, is on it; by chance one in 17 is."""
 _FINEST, _COARSEST, _TRIED = 0.02, 2.5, 6000
+"""Tile over height: from 0.05 m under 2.5 m to 2.5 m under 1 m; steps of 0.08 %, far below a peak's width."""
 _PEAK_FRACTION = 0.4
+"""Of the highest; chosen: the right spacing's peak may be lower than that of half of it, but not by so much."""
 _MOST_PEAKS = 40
+"""Judged in full, which takes time; chosen."""
+_PERIODS_SEEN = 0.75
+"""Spacing over the widest view: what fits in less than once and a third fits anything."""
 _SAME_SPACING = 0.05
+"""Logarithm of the ratio of two spacings that are one: 5 %."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ def tile_spacings(views: list[GridView], between: tuple[float, float] = (_FINEST
         return []
     score = score / count
     wide = max(float(np.ptp(_in_grid_axes(v), axis=0).min()) for v in views)
-    score[(s > 0.75 * wide) | (s < between[0]) | (s > between[1])] = 0.0  # what fits in less than twice fits anything
+    score[(s > _PERIODS_SEEN * wide) | (s < between[0]) | (s > between[1])] = 0.0
     peaks = np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:]) & (score[1:-1] > 0)) + 1
     peaks = peaks[score[peaks] >= _PEAK_FRACTION * score.max()]
     peaks = peaks[np.argsort(-score[peaks])][:_MOST_PEAKS]

@@ -35,6 +35,7 @@ from ceilvo.calib.solve.lens import parameters_of
 from ceilvo.calib.solve.mount.experiment import calibrate as calibrate_mount
 from ceilvo.calib.solve.mount.tracks import MountPicture
 from ceilvo.calib.solve.station import Station, errors_against_grid
+from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.study import drive as drive_study
 from ceilvo.calib.targets.board import Board, BoardFinder
 from ceilvo.calib.targets.ceiling_view import CeilingReader
@@ -45,6 +46,9 @@ Array = NDArray[np.float64]
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "roll", "pitch", "height", "x", "y", "yaw")
 GENERATING = ((0.004,), (0.003, 0.004), (0.003, 0.0, 0.002), (0.002, 0.001, 0.001, 0.0008))
+"""Coefficients of true sigma(r), m against m: constant, linear and two curved."""
+_RATIO, _INSIDE, _IN_BAND = (0.75, 1.25), 0.95, 0.9
+"""Bars of docs/calibration.md: observed over reported sigma, truth inside three sigma, curves inside the band."""
 FOLDER = Path("build/bench")
 _DECIDE = (
     *("calib/targets", "calib/solve", "calib/practice", "sim", "daemon/pipeline.py"),
@@ -66,7 +70,7 @@ def commission(rig: Calibration, seed: int) -> RigResult:
     """Lens, projection and mount of one rig as `calib --simulate` does them, with two thirds of its pictures."""
     bench = VirtualBench(rig, seed=seed, world_seed=1 + seed % 3)
     lens = _lens(bench, shots=20)
-    reader, tile_m = CeilingReader(lens.camera), rig.tile_m or 0.6
+    reader, tile_m = CeilingReader(lens.camera), rig.tile_m or USUAL_TILE_M
     views = [v for v in (reader(p.gray) for p in bench.places(14)) if v.ok]
     projection, _ = from_grid(lens.camera, views, tile_m, reader.tilt_rad, lens.cov)
     camera, cov = lens.camera, lens.cov
@@ -105,7 +109,7 @@ def with_noise(found: Calibration, rig: Calibration, seed: int) -> Calibration:
         view = reader(p.gray)
         if view.ok:
             stations.setdefault(p.label, Station(p.label, [])).views.append(view)
-    errors = errors_against_grid(found, list(stations.values()), found.tile_m or 0.6)
+    errors = errors_against_grid(found, list(stations.values()), found.tile_m or USUAL_TILE_M)
     return replace(found, noise=sigma.fit(errors, seed).curves)
 
 
@@ -178,7 +182,7 @@ def rigs(count: int, first: int) -> int:
     for k, name in enumerate(NAMES):
         print(f"  {name:<7} {error[k]:>10.2g}  {spread[k]:.2f}  {100 * inside[:, k].mean():.0f} %")
     ratio = float(np.sqrt(np.mean(z**2)))
-    outside = [n for n, s in zip(NAMES, spread, strict=True) if not 0.75 <= s <= 1.25]
+    outside = [n for n, s in zip(NAMES, spread, strict=True) if not _RATIO[0] <= s <= _RATIO[1]]
     print(f"all     inside 3 sigma {100 * inside.mean():.1f} %, observed over reported {ratio:.2f}")
     print(f"parameters beyond 25 %: {', '.join(outside) or 'none'}")
     for r in records:
@@ -186,7 +190,7 @@ def rigs(count: int, first: int) -> int:
             print(f"rig {r['rig']}: {r['refused']}")
     rows = {n: {"ratio": s, "inside": i} for n, s, i in zip(NAMES, spread, inside.mean(axis=0), strict=True)}
     _report("calib-rigs", {"rigs": len(good), "of": count, "inside": inside.mean(), "ratio": ratio, "each": rows})
-    return int(inside.mean() < 0.95) + len(outside) + int(len(good) < count)
+    return int(inside.mean() < _INSIDE) + len(outside) + int(len(good) < count)
 
 
 def drive(count: int, first: int) -> int:
@@ -218,7 +222,7 @@ def curves(count: int, first: int) -> int:
         text = f"inside the 95 % band x {100 * x:.0f} %, y {100 * y:.0f} % (bar 90)"
         print(f"sigma(r) = {k}: {text}", flush=True)
     _report("calib-sigma", {"inside": inside, "of": count})
-    return sum(s < 0.9 for pair in inside.values() for s in pair)
+    return sum(s < _IN_BAND for pair in inside.values() for s in pair)
 
 
 def experiment(coefficients: tuple[float, ...], seed: int, circles: int, each: int) -> sigma.Errors:

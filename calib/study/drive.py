@@ -20,12 +20,21 @@ from ceilvo.types import Estimate, Frame
 Array = NDArray[np.float64]
 
 RATE_HZ = 8.0
+"""Frames a second; chosen for time."""
 GOOD_LAPS, BENT_LAPS = 6, 2
+"""Driven with the found calibration, the first as survey, and with a lens that changed."""
 BENT_K1 = 0.04
+"""By which k1 changes: a knocked lens."""
 DRIFT_BAR = 1.2
+"""Found over true calibration (docs/calibration.md)."""
 _FILTER_SEEDS = 3
+"""Filters a rig, whose errors are taken together."""
 _BLOCK_S = 10.0
+"""Of a rig's own NIS, in random order."""
+_DOF = 20
+"""Of an update, as the monitor is told; its limits hardly depend on it."""
 _HOURS = 200.0
+"""Resampled a rig."""
 
 
 def figures(rig: Calibration, found: Calibration, world_seed: int) -> dict[str, Any]:
@@ -105,7 +114,7 @@ def _watched(series: list[tuple[float, float]], expected: float) -> dict[str, An
     monitor, alarms, first, highest = StalenessMonitor(expected), 0, None, 0.0
     for t, nis in series:
         before = monitor.last.stale
-        now = monitor.add(round(1e9 * t), nis, 20)
+        now = monitor.add(round(1e9 * t), nis, _DOF)
         if now.stale and not before:
             alarms += 1
             first = t - series[0][0] if first is None else first
@@ -167,7 +176,7 @@ def resampled(record: dict[str, Any], rng: np.random.Generator, hours: float = _
         rows = blocks[int(rng.integers(len(blocks)))]
         for j in rows[::4]:  # every fourth update: the mean is the same, and the study four times as quick
             before = monitor.last.stale
-            now = monitor.add(round(1e9 * (i * _BLOCK_S + t[j] - t[rows[0]])), float(nis[j]), 20)
+            now = monitor.add(round(1e9 * (i * _BLOCK_S + t[j] - t[rows[0]])), float(nis[j]), _DOF)
             alarms += int(now.stale and not before)
             highest = max(highest, float(np.nan_to_num(now.mean_nis)) / record["expected_nis"])
     return alarms, hours, highest

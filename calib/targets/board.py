@@ -16,10 +16,31 @@ Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 _SATURATED, _SATURATED_FRACTION = 253, 0.25
+"""Grey level of white, and how much of a picture may have it; chosen: a lamp may be in the picture."""
 _DARK = 18.0
+"""Grey level of the brightest hundredth; chosen."""
 _SOFT_EDGE_PX = 5.0
+"""Width of the sharpest edges, 1.5 px in focus; beyond it corners move with the blur."""
 _CHARUCO_CORNERS = 8
+"""For a pose and something left to judge it by."""
 _BORDER_PX = 2.0
+"""A corner nearer to the picture's edge cannot be refined."""
+_ROOM, _ROOM_TO_MARKER = 0.35, 0.4
+"""Of a square, and of the gap between marker and square, that a corner's window may reach: the next edge is outside."""
+_WINDOWS_PX = (2, 11)
+"""Half side of the window, least and most; OpenCV's own pictures were made with 11 (docs/calibration.md)."""
+_REFINE_STEPS, _REFINE_PX = 40, 1e-3
+"""cornerSubPix ends after so many steps, or when a step is smaller."""
+_AROUND_PX = 5
+"""Of the board, that its sharpness is judged on as well."""
+_SOBEL = 0.125
+"""Scale under which a Sobel filter gives grey levels a pixel."""
+_STEEP_PERCENTILE, _BRIGHT_PERCENTILE, _DARK_PERCENTILE = 99.8, 98, 2
+"""Of gradients and of grey levels, instead of the extremes, which are noise."""
+_FLAT_PICTURE = 0.5
+"""Steepest gradient, grey levels a pixel, of a picture with nothing in it."""
+_SIDES = 40
+"""Corners along a side at the most; chosen, larger ones are typing mistakes."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +64,8 @@ class Board:
 
     def __post_init__(self) -> None:
         low = 3
-        if not (low <= self.columns <= 40 and low <= self.rows <= 40):
-            raise CalibrationError(f"board: found {self.columns} x {self.rows}, expected {low} to 40 each way")
+        if not (low <= self.columns <= _SIDES and low <= self.rows <= _SIDES):
+            raise CalibrationError(f"board: found {self.columns} x {self.rows}, expected {low} to {_SIDES} each way")
         if not 0.001 <= self.square_m <= 1.0:
             raise CalibrationError(
                 f"board: found squares of {self.square_m:g} m, expected 0.001 to 1; is it in millimetres?"
@@ -126,8 +147,8 @@ class BoardFinder:
         low, high = uv.min(axis=0), uv.max(axis=0)
         if (low < _BORDER_PX).any() or (high > np.array([w, h]) - 1 - _BORDER_PX).any():
             return _nothing("a corner lies on the picture's edge")
-        x0, y0 = np.maximum(low.astype(int) - 5, 0)
-        width = edge_width_px(gray[y0 : int(high[1]) + 6, x0 : int(high[0]) + 6])
+        x0, y0 = np.maximum(low.astype(int) - _AROUND_PX, 0)
+        width = edge_width_px(gray[y0 : int(high[1]) + _AROUND_PX + 1, x0 : int(high[0]) + _AROUND_PX + 1])
         if width > _SOFT_EDGE_PX:
             return _nothing(f"blurred: the board's edges are {width:.1f} px wide; hold still, focus, more light")
         return Sighting(ids, self._refine(gray, ids, uv))
@@ -154,11 +175,11 @@ class BoardFinder:
         return np.asarray(ids, np.int64).reshape(-1), np.asarray(corners, np.float64).reshape(-1, 2)
 
     def _refine(self, gray: Gray, ids: NDArray[np.int64], uv: Array) -> Array:
-        room = 0.35  # of a square, to the next thing with edges
+        room = _ROOM
         if self.board.kind == "charuco":
-            room = 0.4 * (self.board.square_m - self.board.marker_m) / self.board.square_m
-        window = self._window or int(np.clip(room * self._spacing_px(ids, uv), 2, 11))
-        until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+            room = _ROOM_TO_MARKER * (self.board.square_m - self.board.marker_m) / self.board.square_m
+        window = self._window or int(np.clip(room * self._spacing_px(ids, uv), *_WINDOWS_PX))
+        until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _REFINE_STEPS, _REFINE_PX)
         corners = uv.astype(np.float32).reshape(-1, 1, 2)
         return np.asarray(cv2.cornerSubPix(gray, corners, (window, window), (-1, -1), until), np.float64).reshape(-1, 2)
 
@@ -183,11 +204,11 @@ def light_problem(gray: Gray) -> str:
 def edge_width_px(gray: Gray) -> float:
     """Width of the sharpest edges: contrast over the steepest gradient, about 1.5 when in focus."""
     soft = cv2.GaussianBlur(gray, (3, 3), 0)
-    dx = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125))
-    dy = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=0.125))
-    steepest = float(np.percentile(np.hypot(dx, dy), 99.8))
-    contrast = float(np.percentile(soft, 98)) - float(np.percentile(soft, 2))
-    return contrast / steepest if steepest > 0.5 else np.inf
+    dx = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=_SOBEL))
+    dy = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=_SOBEL))
+    steepest = float(np.percentile(np.hypot(dx, dy), _STEEP_PERCENTILE))
+    contrast = float(np.percentile(soft, _BRIGHT_PERCENTILE)) - float(np.percentile(soft, _DARK_PERCENTILE))
+    return contrast / steepest if steepest > _FLAT_PICTURE else np.inf
 
 
 def other_board(gray: Gray) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.targets.board import edge_width_px, light_problem
-from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
+from ceilvo.calibration import Calibration, NoiseCurves, mount_angles, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
@@ -23,10 +23,17 @@ Gray = NDArray[np.uint8]
 GROOVES = 4
 """Crossing kind of two grooves (ceilvo.crossing_types)."""
 _LEVEL_ENOUGH_RAD = float(np.radians(0.1))
+"""Tilt left at which the level view is level: a pixel at 64 deg across is 0.1 deg."""
 _ROUNDS = 8
+"""Of levelling the view; each leaves the square of the tilt before."""
+_UNKNOWN_TILT_DEG, _KNOWN_TILT_DEG = 10.0, 1.0
+"""Sigma of the tilt prior: of a camera bolted on by eye, and once the tilt was found."""
 MIN_CROSSINGS = 6
+"""Of joints in a picture; a pose has three unknowns, a crossing two equations."""
 _SOFT_PX = 7.0
+"""Width of the sharpest edges beyond which a picture without joints is called blurred."""
 _ANY_NOISE = NoiseCurves((0.01,), (0.01,), 0.01, 0.0, 1.0)
+"""Of a calibration that only serves the front end, which does not use it."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class CeilingReader:
         """tilt_rad: roll, pitch as ceilvo.calibration.mount_rotation takes them, None = to be found."""
         self._camera = camera
         self._camera_from_level = np.eye(3) if tilt_rad is None else mount_rotation(0.0, *tilt_rad)
-        self._features = replace(Features(), tilt_prior_deg=10.0 if tilt_rad is None else 1.0)
+        self._features = replace(Features(), tilt_prior_deg=_UNKNOWN_TILT_DEG if tilt_rad is None else _KNOWN_TILT_DEG)
         self._known = tilt_rad is not None
         self._prepare()
 
@@ -73,8 +80,7 @@ class CeilingReader:
     @property
     def tilt_rad(self) -> tuple[float, float]:
         """Roll, pitch so far."""
-        r = self._camera_from_level.T
-        return float(np.arctan2(r[2, 1], r[2, 2])), float(-np.arcsin(np.clip(r[2, 0], -1, 1)))
+        return mount_angles(self._camera_from_level)[1:]
 
     def __call__(self, gray: Gray) -> GridView:
         problem = light_problem(gray)
@@ -104,7 +110,7 @@ class CeilingReader:
         if np.count_nonzero(grooves) < MIN_CROSSINGS:
             return _none(f"only {np.count_nonzero(grooves)} crossings of joints seen, {MIN_CROSSINGS} needed")
         self._known = True
-        self._features = replace(self._features, tilt_prior_deg=1.0)
+        self._features = replace(self._features, tilt_prior_deg=_KNOWN_TILT_DEG)
         level = self._provisional.level_view
         centre = np.array([self._camera.cx_px, self._camera.cy_px])
         xy = (found.uv_px[grooves] - centre) / level.focal_px

@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 _MOST_BYTES = 1_000_000
+"""Of a request: far more than clicks need, far less than memory."""
+_PORT_MAX = 0xFFFF
+_POLL_S = 0.2
+"""How soon Ctrl-C is noticed."""
 _PAGE = """<!doctype html><meta charset="utf-8"><title>ceilvo: marks</title>
 <style>body{font:16px sans-serif;background:#222;color:#eee}canvas{cursor:crosshair}</style>
 <p id="ask"></p><p><button id="undo">undo</button></p><canvas id="c"></canvas>
@@ -54,7 +58,7 @@ class ClickPage:
 
     def __init__(self, listen: str = "127.0.0.1:0") -> None:
         host, _, port = listen.rpartition(":")
-        if not host or not port.isdigit() or int(port) > 65535:
+        if not host or not port.isdigit() or int(port) > _PORT_MAX:
             raise CalibrationError(f"--listen: found {listen!r}, expected HOST:PORT, for example 0.0.0.0:8080")
         self._address = (host, int(port))
 
@@ -103,7 +107,7 @@ class ClickPage:
         try:
             print(f"marks: open http://{self._address[0]}:{server.server_port}/ and click {len(names)} marks",
                   file=sys.stderr, flush=True)  # fmt: skip
-            while not done.wait(0.2):
+            while not done.wait(_POLL_S):
                 pass
         finally:
             server.shutdown()

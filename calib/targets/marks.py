@@ -20,6 +20,7 @@ Click = Callable[[Gray, list[str]], Array]
 """A picture and the marks' names in order to (N, 2) pixels."""
 
 _STILL_PX = 1.0
+"""That a marker may move between pictures of a robot that stands."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,11 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 
 _MILLIMETRES_BEYOND = 40.0
+"""No point on a ceiling is seen from so far, and no tape is so long."""
+_PIXELS_FROM = 20.0
+"""Points over a whole picture have larger coordinates."""
+_ABOVE_M = 0.05
+"""Beyond what a tape gives: z is up, the ceiling is 0."""
 Ask = Callable[[str], bool]
 
 
@@ -102,13 +107,13 @@ def _swapped(path: Path, table: dict[str, Array]) -> None:
     """Pixels where metres should be: the columns' names do not go with what is in them."""
     metres = max(float(np.abs(table[c]).max()) for c in ("x_m", "y_m"))
     pixels = max(float(np.abs(table[c]).max()) for c in ("u_px", "v_px"))
-    if pixels < 20.0 and metres < 20.0:
+    if pixels < _PIXELS_FROM and metres < _PIXELS_FROM:
         raise CalibrationError(
             f"{path}: u_px and v_px reach only {pixels:g}, expected pixels; are they in metres, or columns swapped?"
         )
-    if pixels < metres and pixels < 20.0:
+    if pixels < metres and pixels < _PIXELS_FROM:
         raise CalibrationError(f"{path}: x_m, y_m look like pixels and u_px, v_px like metres: columns are swapped")
-    if (table["z_m"] > 0.05).any():
+    if (table["z_m"] > _ABOVE_M).any():
         raise CalibrationError(
             f"{path}: z_m reaches {table['z_m'].max():g}, expected 0 on the ceiling and negative below it; "
             "heights above the floor must have the ceiling's height taken off"

@@ -23,6 +23,12 @@ Gray = NDArray[np.uint8]
 Array = NDArray[np.float64]
 
 
+_PERIOD_NS = 33_333_333
+"""Between pictures of a folder without times; only their order counts."""
+_BAD_FRAMES = 30
+"""In a row, that a camera is given: one second."""
+
+
 @dataclass(frozen=True)
 class Picture:
     """One picture.
@@ -75,7 +81,7 @@ class FolderSource:
         for i, path in enumerate(self._files):
             gray = _read_gray(path)
             problem = "" if gray.size else "no image that OpenCV can read"
-            yield Picture(path.name, (i + 1) * 33_333_333, gray, problem)
+            yield Picture(path.name, (i + 1) * _PERIOD_NS, gray, problem)
 
 
 def _read_gray(path: Path) -> Gray:
@@ -100,12 +106,14 @@ class CameraSource:
             yield Picture(f"frame {frame.seq}", frame.stamp_ns, frame.gray)
 
     def _read(self) -> Frame | None:
-        for _ in range(30):
+        for _ in range(_BAD_FRAMES):
             try:
                 return self._camera.read()
             except BadFrameError:
                 continue
-        raise CameraError(f"{self.info.name}: 30 frames in a row could not be used; check the cable and the format")
+        raise CameraError(
+            f"{self.info.name}: {_BAD_FRAMES} frames in a row could not be used; check the cable and the format"
+        )
 
     def close(self) -> None:
         self._camera.close()

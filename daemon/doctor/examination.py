@@ -17,7 +17,7 @@ from ceilvo.config.reader import load_config
 from ceilvo.daemon.doctor.camera import calibration, camera
 from ceilvo.daemon.doctor.findings import Finding, Patient, fine, note, wrong
 from ceilvo.daemon.doctor.links import base, bus
-from ceilvo.daemon.doctor.system import clock, daemon_state, disk, limits, unit_file
+from ceilvo.daemon.doctor.system import clock, compiled_kernel, daemon_state, disk, limits, unit_file
 from ceilvo.drivers.host.machine import Machine
 from ceilvo.errors import ConfigError
 
@@ -32,6 +32,7 @@ CHECKS: tuple[Check, ...] = (
     lambda p: disk(p.machine, p.state_dir, p.config),
     lambda p: unit_file(p.machine),
     lambda p: limits(p.machine),
+    lambda p: compiled_kernel(),
 )
 
 

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Int16s = NDArray[np.int16]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Ends = tuple[int, int, int, int, int]
+"""Bounds of the four groups of points: 0, then where each ends."""
 
 LOOKUP_STEP_PX = 2
 """Spacing of the look-up: a lens bends by thousandths of a pixel over so little."""

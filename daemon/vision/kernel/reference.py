@@ -1,9 +1,4 @@
-"""Loops over single edge points in NumPy: what the compiled kernel computes, where there is none.
-
-Points stand in four groups, one after the other: axis 0 falling, axis 0 rising, axis 1 falling, axis 1 rising along
-the normal; `ends` are the bounds of the groups. A point's `rho` is its coordinate along its axis' normal, its `tangent`
-that along the line, counted along the normal turned by +90 deg.
-"""
+"""The loops in NumPy: what the compiled ones compute, and what runs where there are none."""
 
 from __future__ import annotations
 
@@ -17,7 +12,6 @@ from ceilvo.daemon.vision.kernel.arguments import (
     LOOKUP_STEP_PX,
     MOST_PLACES,
     SEGMENT_PX,
-    Array,
     Array32,
     Bools,
     Ends,
@@ -29,6 +23,7 @@ from ceilvo.daemon.vision.kernel.arguments import (
     check_lookup,
     check_search,
 )
+from ceilvo.types import Array
 
 
 def level_points(

@@ -13,15 +13,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel, LevelView
-from ceilvo.daemon.vision import edge_tracking, kernel
+from ceilvo.daemon.vision import edge_tracking as bands
+from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel import reference
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, Grids, Look
 
-pytestmark = pytest.mark.skipif(not kernel.COMPILED, reason="ceilvo was installed without a compiler")
+pytest.importorskip("ceilvo.daemon.vision.kernel.points", reason="ceilvo was installed without a compiler")
 BOTH = pytest.mark.parametrize("k", [reference, kernel], ids=["numpy", "compiled"])
+LOOPS = ("level_points", "follow", "split", "vote", "project", "assign", "sums", "extents", "means", "hits")
 NOISE = NoiseCurves((0.05,), (0.05,), sigma_theta_rad=0.02, r_min_m=0.0, r_max_m=6.0)
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -34,7 +37,8 @@ def scene(seed: int, n: int = 500) -> tuple[Any, ...]:
     return rng, x, y, (0, a, b, c, n)
 
 
-def test_without_the_compiled_one_numpy_takes_over() -> None:
+def test_without_it_numpy_takes_over() -> None:
+    assert kernel.COMPILED
     code = (
         "import sys; sys.modules['ceilvo.daemon.vision.kernel.points'] = None\n"
         "from ceilvo.daemon.vision import kernel\n"
@@ -43,6 +47,13 @@ def test_without_the_compiled_one_numpy_takes_over() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ))
     assert done.returncode == 0, done.stderr
+
+
+@BOTH
+def test_there_is_every_loop(k: ModuleType) -> None:
+    defined = {name for name, f in vars(reference).items() if callable(f) and f.__module__ == reference.__name__}
+    assert {n for n in defined if not n.startswith("_")} - {"median"} == set(LOOPS)
+    assert all(callable(getattr(k, name)) for name in LOOPS)
 
 
 def looks(rng: np.random.Generator, h: int, w: int) -> tuple[Any, ...]:
@@ -91,7 +102,7 @@ def test_a_predicted_edge_is_found_where_it_is(k: ModuleType, rising: bool, off_
     )
     focal = calibration.level_view.focal_px
     psi, offset, tilt = 0.4, 12.0, np.array([0.02, -0.03])
-    grids = edge_tracking.look_ups(calibration, 70.0)
+    grids = bands.look_ups(calibration, 70.0)
     uv = np.stack(np.meshgrid(np.arange(160.0), np.arange(120.0)), -1).reshape(-1, 2)
     seen = (calibration.level_view.from_raw(uv) - [camera.cx_px, camera.cy_px]) / focal
     rho, _ = reference.project(*seen.T.astype(np.float32), len(seen), psi, tilt)
@@ -110,33 +121,43 @@ def test_a_predicted_edge_is_found_where_it_is(k: ModuleType, rising: bool, off_
     assert len(k.follow(dx, dy, grids, line, tilt, focal, Look(2.0, 6.0, 20.0, 0.98, False))[0]) == 0
 
 
-def test_follow_refuses_what_does_not_fit() -> None:
-    rng = np.random.default_rng(1)
+@BOTH
+def test_follow_refuses_what_is_too_small(k: ModuleType) -> None:
     dx = np.zeros((40, 60), np.int16)
-    args = looks(rng, 40, 60)
-    with pytest.raises(ValueError, match="dy of 20 x 60 pixels, expected 40 x 60 as dx"):
-        kernel.follow(dx, dx[:20], *args)
-    with pytest.raises(ValueError, match="picture of 2 x 60 pixels"):
-        kernel.follow(dx[:2], dx[:2], *args)
+    grids, lines, tilt, focal, look = looks(np.random.default_rng(1), 40, 60)
+    for picture, tables, how in (
+        (dx[:2], grids, look),
+        (dx, grids._replace(raw_of_level=grids.raw_of_level[:, :1].copy()), look),
+        (dx, grids, look._replace(stride_px=0.0)),
+    ):
+        with pytest.raises(ValueError, match="expected at least 3 x 3, 2 x 2 and a stride above 0"):
+            k.follow(picture, picture, tables, lines, tilt, focal, how)
 
 
 @BOTH
-@pytest.mark.parametrize("width", [8, 9])
-def test_a_look_up_one_column_too_narrow_is_refused(k: ModuleType, width: int) -> None:
-    """What lies beyond it must not reach the output: a pixel's four corners are in it, whether its width is even."""
-    rng = np.random.default_rng(1)
-    dx, dy = rng.integers(-900, 900, (2, 8, width)).astype(np.int16)
-    mask, rank = np.full((8, width), 255, np.uint8), np.zeros((8, width), np.uint16)
-    enough = (width - 2) // LOOKUP_STEP_PX + 2
-    lookup = rng.normal(0, 300, (8, enough, 2)).astype(np.float32)
-    uv, phi = k.level_points(mask, dx, dy, lookup, rank, 65535)
-    assert len(uv) == 6 * (width - 2) and np.isfinite(uv).all() and np.isfinite(phi).all()
-    narrow = np.ascontiguousarray(lookup[:, :-1])
-    with pytest.raises(ValueError, match=f"look-up of 8 x {enough - 1} cells for 8 x {width} pixels"):
-        k.level_points(mask, dx, dy, narrow, rank, 65535)
-    grids, *rest = looks(rng, 8, width)
-    with pytest.raises(ValueError, match=f"look-up of 8 x {enough - 1} cells"):
-        k.follow(dx, dy, grids._replace(lookup=narrow), *rest)
+@pytest.mark.parametrize(("h", "w"), [(9, 12), (9, 13), (10, 12), (10, 13)])
+def test_all_corners_of_a_pixel_must_be_in_the_look_up(k: ModuleType, h: int, w: int) -> None:
+    """Even sizes need as many cells as odd ones: the last pixel inside the border is then on a cell's first corner."""
+    need_h, need_w = (h - 2) // 2 + 2, (w - 2) // 2 + 2
+    beyond = np.full((need_h + 1, need_w + 1, 2), np.nan, np.float32)
+    beyond[:need_h, :need_w] = 1.0
+    rng = np.random.default_rng(0)
+    dx, dy = rng.integers(-900, 900, (2, h, w)).astype(np.int16)
+    mask, rank = np.full((h, w), 255, np.uint8), np.zeros((h, w), np.uint16)
+    grids, *how = looks(rng, h, w)
+
+    def run(lookup: NDArray[np.float32]) -> NDArray[np.float32]:
+        k.follow(dx, dy, grids._replace(lookup=lookup), *how)
+        return np.asarray(k.level_points(mask, dx, dy, lookup, rank, 65535)[0])
+
+    for lookup in (beyond, beyond[:need_h, :need_w].copy()):
+        uv = run(lookup)
+        assert len(uv) == (h - 2) * (w - 2) and np.isfinite(uv).all()
+    for lookup in (beyond[:need_h, : need_w - 1].copy(), beyond[: need_h - 1, :need_w].copy()):
+        with pytest.raises(ValueError, match="look-up of"):
+            k.level_points(mask, dx, dy, lookup, rank, 65535)
+        with pytest.raises(ValueError, match="look-up of"):
+            k.follow(dx, dy, grids._replace(lookup=lookup), *how)
 
 
 @given(SEEDS)
@@ -269,20 +290,6 @@ def test_tilt_columns_are_the_derivatives_of_rho(k: ModuleType) -> None:
     for axis, column in ((0, 2), (1, 3)):
         up, down = (k.project(x, y, half, 0.0, np.eye(2)[axis] * d)[0].astype(np.float64) for d in (h, -h))
         np.testing.assert_allclose(total[:, column], (up - down) / (2 * h), atol=3e-3)
-
-
-def test_wrong_calls_are_refused_and_read_nothing() -> None:
-    f, line = np.zeros(10, np.float32), np.full(10, 7, np.int32)
-    with pytest.raises(ValueError, match="line 7 of 3"):
-        kernel.sums(f, f, line, 5, 3)
-    with pytest.raises(ValueError, match="rho has 10 items, expected 4"):
-        kernel.means(f, np.zeros(4, np.int32), 3)
-    with pytest.raises(ValueError):
-        kernel.assign(f, f, f, f, (0, 2, 4, 6, 99), np.zeros(4), np.ones(4, np.int64), 0.1)
-    with pytest.raises(ValueError):
-        kernel.project(np.zeros(20, np.float32)[::2], f, 0, 1.0, np.zeros(2))
-    with pytest.raises((TypeError, ValueError)):
-        kernel.project(None, f, 0, 1.0, np.zeros(2))
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))

@@ -1,0 +1,108 @@
+"""How well the board's pictures cover what must be covered, and what to hold where next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calib.solve.intrinsics import Shot, board_pose
+from ceilvo.calib.solve.lens import guessed_camera
+
+_CELLS = (6, 8)
+"""Rows and columns of the picture's parts that corners are counted in."""
+_LEANING_DEG = 15.0
+"""From which a board leans: flatter ones cannot tell the focal length from the distance."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How well the shots cover what must be covered.
+
+    Attributes:
+        cells: (6, 8) corners in each part of the picture.
+        area: fraction of the parts with a corner in them.
+        reach: farthest corner from the middle over half the diagonal.
+        tilted: shots in which the board leans by 15 deg or more.
+        distance_ratio: farthest over nearest board.
+    """
+
+    cells: NDArray[np.int64]
+    area: float
+    reach: float
+    tilted: int
+    distance_ratio: float
+
+    GATE_AREA = 0.70
+    """Fraction of the parts of the picture with a corner in them; chosen, as the three below."""
+    GATE_REACH = 0.70
+    """Farthest corner over half the diagonal: the distortion is largest there."""
+    GATE_TILTED = 3
+    """Leaning shots."""
+    GATE_RATIO = 1.2
+    """Farthest over nearest board."""
+
+    def missing(self) -> list[str]:
+        """What to do next; empty when the gate is passed."""
+        out = []
+        if self.area < self.GATE_AREA or self.reach < self.GATE_REACH:
+            out.append(f"hold the board where the picture is empty: {self.empty_places()}")
+        if self.tilted < self.GATE_TILTED:
+            out.append(f"lean the board by 20 to 45 deg: {self.tilted} such pictures, {self.GATE_TILTED} needed")
+        if self.distance_ratio < self.GATE_RATIO:
+            out.append(
+                f"vary the distance: farthest over nearest is {self.distance_ratio:.2f}, {self.GATE_RATIO} needed"
+            )
+        return out
+
+    def empty_places(self) -> str:
+        rows, columns = ("top", "middle", "bottom"), ("left", "centre", "right")
+        empty = []
+        for i, row in enumerate(np.array_split(self.cells, 3, axis=0)):
+            for j, part in enumerate(np.array_split(row, 3, axis=1)):
+                if np.mean(part > 0) < self.GATE_AREA:
+                    empty.append(f"{rows[i]} {columns[j]}")
+        return ", ".join(empty) or "the corners"
+
+    @property
+    def text(self) -> str:
+        return (
+            f"area {100 * self.area:.0f} %, reach {100 * self.reach:.0f} %, leaning {self.tilted}, "
+            f"distance 1:{self.distance_ratio:.2f}"
+        )
+
+
+def coverage(shots: list[Shot], size: tuple[int, int]) -> Coverage:
+    cells = np.zeros(_CELLS, np.int64)
+    reach, tilts, distances = 0.0, [], []
+    guess = guessed_camera(size)
+    for shot in shots:
+        u = np.clip((shot.uv_px / np.array(size) * _CELLS[::-1]).astype(int), 0, [_CELLS[1] - 1, _CELLS[0] - 1])
+        np.add.at(cells, (u[:, 1], u[:, 0]), 1)
+        off = np.hypot(*(shot.uv_px - 0.5 * np.array(size)).T)
+        reach = max(reach, float(off.max()) / float(np.hypot(*size) / 2))
+        pose = board_pose(guess, shot)
+        tilts.append(np.degrees(np.arccos(min(1.0, abs(float(cv2.Rodrigues(pose[:3])[0][2, 2]))))))
+        distances.append(float(np.linalg.norm(pose[3:])))
+    ratio = max(distances) / min(distances) if distances else 1.0
+    return Coverage(cells, float(np.mean(cells > 0)), reach, int(np.sum(np.array(tilts) >= _LEANING_DEG)), ratio)
+
+
+def coverage_picture(
+    shots: list[Shot], size: tuple[int, int], gray: NDArray[np.uint8] | None = None
+) -> NDArray[np.uint8]:
+    """(H, W, 3) the picture with every corner so far, empty parts shaded."""
+    w, h = size
+    rows, columns = _CELLS
+    image = np.full((h, w, 3), 60, np.uint8) if gray is None else cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) // 2
+    image = np.ascontiguousarray(image)
+    for (j, i), n in np.ndenumerate(coverage(shots, size).cells):
+        if n == 0:
+            a, b = (int(i * w / columns), int(j * h / rows)), (int((i + 1) * w / columns), int((j + 1) * h / rows))
+            image[a[1] : b[1], a[0] : b[0], 2] = np.minimum(image[a[1] : b[1], a[0] : b[0], 2] + 70, 255)
+    for shot in shots:
+        for u, v in shot.uv_px:
+            cv2.circle(image, (round(float(u)), round(float(v))), max(2, w // 320), (80, 220, 80), -1)
+    return np.asarray(image, np.uint8)
