@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int64]
 
-CROSSING_KINDS = 9
+CROSSING_TYPES = 9
 
 
-def crossing_kind(kind_axis0: Ints, kind_axis1: Ints) -> Ints:
+def crossing_type_of(kind_axis0: Ints, kind_axis1: Ints) -> Ints:
     """(M,) codes from two (M,) LineKind arrays."""
     return np.asarray(3 * (kind_axis0 + 1) + (kind_axis1 + 1), dtype=np.int64)
 
 
-def turn_kind(kind: Ints, quarter_turns: int) -> Ints:
+def turned_type(kind: Ints, quarter_turns: int) -> Ints:
     """(M,) codes after naming the axes `quarter_turns` x 90 deg further counter-clockwise."""
     if quarter_turns % 4 == 0:
         return kind
     k0, k1 = kind // 3 - 1, kind % 3 - 1
     for _ in range(quarter_turns % 4):
         k0, k1 = k1, -k0
-    return crossing_kind(k0, k1)
+    return crossing_type_of(k0, k1)
 
 
 def quarter_turns(psi_rad: float, reference_rad: float) -> int:

@@ -74,8 +74,8 @@ class Lines:
         free_tilt_rad, free_tilt_sigma_rad: (2,) the same from this frame alone.
         points: (P, 2) px, edge points in the level view that support a line, for pictures and coverage checks.
         point_line: (P,) index of their line.
-        share: of the edge points there are, how many were looked at.
-        evenly: those stand at even distances along their lines, not anywhere.
+        fraction: of the edge points there are, how many were looked at.
+        uniform: those stand at even distances along their lines, not anywhere.
     """
 
     psi_rad: float
@@ -91,8 +91,8 @@ class Lines:
     free_tilt_sigma_rad: Array
     points: NDArray[np.float32]
     point_line: Ints
-    share: float = 1.0
-    evenly: bool = False
+    fraction: float = 1.0
+    uniform: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,8 @@ class Crossings:
         uv_px: (M, 2) in the level view.
         xy_base_m: (M, 2) on the ceiling, in base.
         cov_base_m2: (M, 2, 2).
-        kind: (M,) in 0..8, 3 * (kind of axis-0 line + 1) + (kind of axis-1 line + 1); see features.turn_kind.
+        crossing_type: (M,) in 0..8, 3 * (kind of axis-0 line + 1) + (kind of axis-1 line + 1); see
+            ceilvo.crossing_types.
         psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines.
         common_cov_m2: (2, 2) the part of cov_base_m2 that all crossings of a frame share: an error of the tilt
             shifts them together.
@@ -112,7 +113,7 @@ class Crossings:
     uv_px: Array
     xy_base_m: Array
     cov_base_m2: Array
-    kind: Ints
+    crossing_type: Ints
     psi_rad: float
     psi_sigma_rad: float
     tilt_rad: Array
@@ -120,7 +121,7 @@ class Crossings:
     common_cov_m2: Array
 
     def __len__(self) -> int:
-        return len(self.kind)
+        return len(self.crossing_type)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,7 @@ class Observations:
     Attributes:
         xy_base_m: (K, 2).
         var_m2: (K, 2) diagonal of R along base x and y (eq. 27, squared).
-        kind: (K,) crossing kinds turned into the map's quadrant.
+        crossing_type: (K,) turned into the map's quadrant.
         label: (K,) landmark index, NO_LANDMARK for a feature that no landmark explains, or UNLABELLED where the filter
             shall find out itself.
         heading_rad, heading_var_rad2: heading in the map from the lines' common direction and R33 of eq. 27; an
@@ -180,7 +181,7 @@ class Observations:
 
     xy_base_m: Array
     var_m2: Array
-    kind: Ints
+    crossing_type: Ints
     label: Ints
     heading_rad: float = 0.0
     heading_var_rad2: float = float("inf")
@@ -195,19 +196,19 @@ class Observations:
             self,
             xy_base_m=self.xy_base_m[which],
             var_m2=self.var_m2[which],
-            kind=self.kind[which],
+            crossing_type=self.crossing_type[which],
             label=self.label[which],
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
-    """The map as estimated: ids (L,), xy_map_m (L, 2), cov_m2 (L, 2, 2), kind (L,), sightings (L,)."""
+    """The map as estimated: ids (L,), xy_map_m (L, 2), cov_m2 (L, 2, 2), crossing_type (L,), sightings (L,)."""
 
     ids: Ints
     xy_map_m: Array
     cov_m2: Array
-    kind: Ints
+    crossing_type: Ints
     sightings: Ints
 
     def __len__(self) -> int:

@@ -153,7 +153,7 @@ class WheelSpec:
         scale: travelled over true distance.
         drift_radpm: heading error per metre.
         slips_per_min: mean rate of slip episodes (each 0.2-0.6 s).
-        slip_speed: during one, forward speed is over-counted by up to this share.
+        slip_speed: during one, forward speed is over-counted by up to this fraction.
         slip_turn_radps: and the turn rate is off by up to this much.
     """
 
@@ -181,9 +181,9 @@ class WheelOdometry:
         """(3,) odom_from_base [m, m, rad], theta in [-pi, pi); the identity before time 0."""
         k, offset_s = divmod(max(float(t_s), 0.0), self.CHUNK_S)
         chunk = self._chunk(int(k))
-        j, share = divmod(offset_s / self.STEP_S, 1.0)
+        j, fraction = divmod(offset_s / self.STEP_S, 1.0)
         j = min(int(j), len(chunk) - 2)
-        pose = chunk[j] + share * (chunk[j + 1] - chunk[j])
+        pose = chunk[j] + fraction * (chunk[j + 1] - chunk[j])
         pose[2] = se2.wrap(pose[2])
         return np.asarray(pose)
 

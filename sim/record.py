@@ -20,7 +20,7 @@ from ceilvo.calibration_file import write_calibration
 from ceilvo.errors import CeilvoError, FileFormatError
 from ceilvo.files import write_atomic
 from ceilvo.sim.camera import SimCamera
-from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec, TiltSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera

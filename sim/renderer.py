@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.errors import ConfigError
-from ceilvo.sim.ceiling import Ceiling
+from ceilvo.sim.ceiling.ceiling import Ceiling
 from ceilvo.sim.surroundings import Surface
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class RenderSpec:
 
     Attributes:
         gain: grey levels of a white surface in full light.
-        daylight: share of the room's light that does not come from lamps.
+        daylight: fraction of the room's light that does not come from lamps.
         lit: which of the ceiling's lamps are on, None for all, () for none.
         flicker_hz, flicker_depth: of the lamps' light (mains frequency doubled; depth 0..1).
         switch_groups, switch_period_s: lamps are wired in so many groups; in each period one group in turn is off, and
@@ -106,7 +106,7 @@ class Renderer:
         """One frame, (H, W) uint8, a new array.
 
         Args:
-            pose: map_from_base, (3,), or (K, 3) for K snapshots evenly spread over the exposure.
+            pose: map_from_base, (3,), or (K, 3) for K snapshots spread uniformly over the exposure.
             rng: picks the frame's noise.
             tilt_rad: (2,) or (K, 2), rotation vector about base x and y that turns the camera about its own centre.
             t_s: start of the exposure, for the flicker.
@@ -125,11 +125,11 @@ class Renderer:
     def lamp_shares(self, t_s: float) -> Array:
         """(G,) light of each group of lamps in the exposure that starts at t_s, 1 = steady and on."""
         n = self.spec.switch_groups
-        share = np.full(max(n, 1), self._flicker(t_s))
+        lit = np.full(max(n, 1), self._flicker(t_s))
         if n:
             slot = int(t_s // self.spec.switch_period_s)
-            share[(slot + np.arange(n)) % (n + 1) == 0] = 0.0
-        return share
+            lit[(slot + np.arange(n)) % (n + 1) == 0] = 0.0
+        return lit
 
     def occlusion(self, pose: ArrayLike, tilt_rad: ArrayLike = (0.0, 0.0)) -> Array32:
         """(H, W) how much of each pixel's ceiling is hidden by something else, 0..1."""
@@ -142,11 +142,11 @@ class Renderer:
         self._project(self._texel_from_ray(pose, tilt))
         base, parts = self._textures
         self._sample(base, out)
-        for part, share in zip(parts, lamps, strict=False):
-            if share > 0:
+        for part, lit in zip(parts, lamps, strict=False):
+            if lit > 0:
                 other = np.empty_like(out)
                 self._sample(part, other)
-                cv2.scaleAdd(other, float(share), out, dst=out)
+                cv2.scaleAdd(other, float(lit), out, dst=out)
         if self._surfaces:
             ambient = self._ambient(lamps)
             for light, alpha in self._in_front(pose, tilt):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ceilvo.calibration import Calibration
-from ceilvo.sim.ceiling import Ceiling
-from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.ceiling.ceiling import Ceiling
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltProfile, TiltSpec, WheelOdometry, WheelSpec
 from ceilvo.sim.renderer import Renderer, RenderSpec
 from ceilvo.sim.rig import simulated_calibration

@@ -39,8 +39,8 @@ class Tally:
 
     Attributes:
         wrong_s: by state, seconds with a pose that is more than WRONG_M off.
-        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; told: each, and each
-            false LOST, with the way to it.
+        wrong_events: times that a pose in TRACKING became wrong, by the kind of the last fault; reports: each, and each
+            false LOST, with what led to it.
         false_lost: entries into LOST with a pose that was right; true_lost: with one that was wrong; blind_lost: while
             neither camera nor wheels said anything and until the first motion after that, so that nobody could know.
     """
@@ -50,7 +50,7 @@ class Tally:
     wrong_s: dict[str, float] = field(default_factory=dict)
     faults: dict[str, int] = field(default_factory=dict)
     wrong_events: dict[str, int] = field(default_factory=dict)
-    told: list[str] = field(default_factory=list)
+    reports: list[str] = field(default_factory=list)
     false_lost: int = 0
     true_lost: int = 0
     blind_lost: int = 0
@@ -61,7 +61,7 @@ class Tally:
         for name in ("seconds", "false_lost", "true_lost", "blind_lost", "helped"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.worst_tracking_m = max(self.worst_tracking_m, other.worst_tracking_m)
-        self.told += other.told
+        self.reports += other.reports
         for name in ("state_s", "wrong_s", "faults", "wrong_events"):
             mine, theirs = getattr(self, name), getattr(other, name)
             for key, value in theirs.items():
@@ -208,14 +208,16 @@ class Drive:
             if wrong and not self._was_wrong:
                 self._was_wrong = True
                 t.wrong_events[self._last_fault] = t.wrong_events.get(self._last_fault, 0) + 1
-                t.told.append(f"seed {self._seed} {t.seconds:.1f} s, {off:.2f} m off: {'; '.join(self._news)}")
+                t.reports.append(f"seed {self._seed} {t.seconds:.1f} s, {off:.2f} m off: {'; '.join(self._news)}")
         if not wrong:
             self._was_wrong = False
         if e.state is State.LOST and self._state is not State.LOST:
             name = "blind_lost" if self._blind else "true_lost" if wrong else "false_lost"
             setattr(t, name, getattr(t, name) + 1)
             if name == "false_lost":
-                t.told.append(f"seed {self._seed} {t.seconds:.1f} s, false LOST ({e.reason}): {'; '.join(self._news)}")
+                t.reports.append(
+                    f"seed {self._seed} {t.seconds:.1f} s, false LOST ({e.reason}): {'; '.join(self._news)}"
+                )
         if e.state is not self._state:
             self._news.append(f"{t.seconds:.1f} {e.state.name} {off:.2f} m ({e.reason})")
         self._state = e.state

@@ -16,7 +16,8 @@ import numpy as np
 
 from ceilvo.calibration_file import read_calibration, sign_calibration, write_calibration
 from ceilvo.config import Config
-from ceilvo.config.reader import load_config, render_config
+from ceilvo.config.reader import load_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon.map.map_file import _digest, load_map, load_state, save_map, save_state
 from ceilvo.drivers.base.mock_base import BaseModel
 from ceilvo.drivers.base.protocol import decode_pose, decode_status, encode_pose, encode_status, no_estimate

@@ -50,10 +50,10 @@ class Noise:
 
     def motion_cov(self, motion: Array, seconds: float) -> Array:
         """(3, 3) covariance of a displacement that took some seconds, inflated."""
-        way, turn = float(np.hypot(motion[0], motion[1])), abs(float(motion[2]))
-        forward = self.forward_var[0] * way + self.forward_var[1] * seconds
-        lateral = self.lateral_var[0] * way + self.lateral_var[1] * seconds
-        heading = self.heading_var[0] * turn + self.heading_var[1] * way + self.heading_var[2] * seconds
+        path_m, turn = float(np.hypot(motion[0], motion[1])), abs(float(motion[2]))
+        forward = self.forward_var[0] * path_m + self.forward_var[1] * seconds
+        lateral = self.lateral_var[0] * path_m + self.lateral_var[1] * seconds
+        heading = self.heading_var[0] * turn + self.heading_var[1] * path_m + self.heading_var[2] * seconds
         return self.odometry_factor * np.diag([forward, lateral, heading])
 
     def as_dict(self) -> dict[str, object]:
@@ -120,13 +120,13 @@ def fit(runs: Sequence[Run], world: World) -> Noise:
     at, range_sigma = _spread_by_bin(r, off_range)
     _, bearing_sigma = _spread_by_bin(r, off_bearing)
     motion, error, seconds = odometry_errors(runs)
-    way, turn = np.hypot(motion[:, 0], motion[:, 1]), np.abs(motion[:, 2])
+    path_m, turn = np.hypot(motion[:, 0], motion[:, 1]), np.abs(motion[:, 2])
     return Noise(
         _line(np.column_stack([np.ones(len(at)), at]), range_sigma),  # type: ignore[arg-type]
         _line(np.column_stack([np.ones(len(at)), 1.0 / np.maximum(at, NEAR_M)]), bearing_sigma),  # type: ignore[arg-type]
-        _variances(error[:, 0], np.column_stack([way, seconds])),  # type: ignore[arg-type]
-        _variances(error[:, 1], np.column_stack([way, seconds])),  # type: ignore[arg-type]
-        _variances(error[:, 2], np.column_stack([turn, way, seconds])),  # type: ignore[arg-type]
+        _variances(error[:, 0], np.column_stack([path_m, seconds])),  # type: ignore[arg-type]
+        _variances(error[:, 1], np.column_stack([path_m, seconds])),  # type: ignore[arg-type]
+        _variances(error[:, 2], np.column_stack([turn, path_m, seconds])),  # type: ignore[arg-type]
     )
 
 
@@ -152,8 +152,8 @@ def odometry_errors(runs: Sequence[Run]) -> tuple[Array, Array, Array]:
     motions, errors = [], []
     for run in runs:
         t = np.arange(run.begin_s, run.end_s, WINDOW_S)
-        told, true = run.dead_reckoning(t), run.truth_at(t)
-        motion, real = between(told[:-1], told[1:]), between(true[:-1], true[1:])
+        reported, true = run.dead_reckoning(t), run.truth_at(t)
+        motion, real = between(reported[:-1], reported[1:]), between(true[:-1], true[1:])
         good = np.all(np.isfinite(real), axis=1)
         motions.append(motion[good])
         errors.append(between(real, motion)[good])

@@ -181,7 +181,7 @@ def slam(f: PoseFilter, run: Run, world: World, noise: Noise) -> dict[str, float
     true_from_estimated = rigid_motion(estimated[known], true[known])
     m = f.landmarks()
     index = {int(s): i for i, s in enumerate(world.subject)}
-    at = world.xy_m[[index[int(k)] for k in m.kind]]
+    at = world.xy_m[[index[int(k)] for k in m.crossing_type]]
     return {
         "rmse_aligned_m": rms(np.hypot(*(transform(true_from_estimated, estimated[known]) - true[known]).T)),
         "rmse_m": rms(np.hypot(*(estimated[known] - true[known]).T)),

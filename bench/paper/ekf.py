@@ -48,7 +48,7 @@ class EkfNearestNeighbour:
         self._nis, self._dof = 0.0, 0
         if landmarks is not None and count:
             self._x[3:] = landmarks.xy_map_m.ravel()
-            self._kind = landmarks.kind.copy()
+            self._kind = landmarks.crossing_type.copy()
             for i, c in enumerate(landmarks.cov_m2):
                 self._p[3 + 2 * i : 5 + 2 * i, 3 + 2 * i : 5 + 2 * i] = c
 
@@ -116,7 +116,7 @@ class EkfNearestNeighbour:
         """(K, L) m between where an observation falls and the landmarks; infinite for another kind."""
         at = transform(self._x[:3], obs.xy_base_m)
         off = at[:, None] - self._x[3:].reshape(-1, 2)
-        return np.where(obs.kind[:, None] == self._kind, np.hypot(off[..., 0], off[..., 1]), np.inf)
+        return np.where(obs.crossing_type[:, None] == self._kind, np.hypot(off[..., 0], off[..., 1]), np.inf)
 
     def _model(self, obs: Observations, i: int, j: int) -> tuple[Array, Array, Array]:
         """Jacobian (2, 5) by pose and landmark, innovation (2,) and noise (2, 2), in base."""
@@ -159,7 +159,7 @@ class EkfNearestNeighbour:
         own = g @ self._p[:3, :3] @ g.T + turn @ np.diag(obs.var_m2[i]) @ turn.T
         self._p = np.block([[self._p, cross.T], [cross, own]])
         self._x = np.concatenate([self._x, self._x[:2] + offset])
-        self._kind = np.append(self._kind, obs.kind[i])
+        self._kind = np.append(self._kind, obs.crossing_type[i])
         self._sightings, self._age = np.append(self._sightings, 1), np.append(self._age, 0)
 
     def _forget(self) -> None:

@@ -93,7 +93,7 @@ def mapping(f: PoseFilter, recording: Recording, labelled: bool) -> Figures:
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks() if labelled else None)
         begun = time.process_time()
-        f.predict(Motion(Displacement(step.told), step.told_cov, len(step.seen), 0.0))
+        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0))
         f.update(observations)
         pose, cov, depletion = f.estimate()
         elapsed += time.process_time() - begun
@@ -116,10 +116,10 @@ def mapping(f: PoseFilter, recording: Recording, labelled: bool) -> Figures:
 
 def _map_figures(m: Landmarks, scene: Scene) -> Figures:
     """Errors of the map at the end; kinds are identities, and of landmarks that are there twice the first counts."""
-    first = np.unique(m.kind, return_index=True)[1]
+    first = np.unique(m.crossing_type, return_index=True)[1]
     twice = len(m) - len(first)
-    m = Landmarks(m.ids[first], m.xy_map_m[first], m.cov_m2[first], m.kind[first], m.sightings[first])
-    off = m.xy_map_m - scene.xy_m[m.kind]
+    m = Landmarks(m.ids[first], m.xy_map_m[first], m.cov_m2[first], m.crossing_type[first], m.sightings[first])
+    off = m.xy_map_m - scene.xy_m[m.crossing_type]
     error = np.hypot(*off.T)
     nees = [mahalanobis2(o, c) for o, c in zip(off, m.cov_m2, strict=True)]
     return {
@@ -140,7 +140,7 @@ def on_a_map(f: PoseFilter, recording: Recording, anywhere: bool) -> Figures:
     f.reset(start, cov, known_map(scene.xy_m, scene.kind), known=True)
     machine, errors, claimed, health = StateMachine(States()), [], [], Health()
     for i, step in enumerate(recording.steps):
-        f.predict(Motion(Displacement(step.told), step.told_cov, len(step.seen), 0.0))
+        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0))
         f.update(observed(step, scene, None))
         errors.append(float(np.hypot(*(f.estimate()[0] - step.truth)[:2])))
         health.add(f.estimate()[2])
@@ -216,7 +216,7 @@ def observed(step: Step, scene: Scene, landmarks: Landmarks | None) -> Observati
 
 def labels_of(identity: Ints, landmarks: Landmarks) -> Ints:
     """Index of the landmark whose kind is the identity, NO_LANDMARK where it is not mapped yet."""
-    index = {int(k): i for i, k in reversed(list(enumerate(landmarks.kind)))}
+    index = {int(k): i for i, k in reversed(list(enumerate(landmarks.crossing_type)))}
     return np.array([index.get(int(k), NO_LANDMARK) for k in identity], np.int64)
 
 

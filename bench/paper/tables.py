@@ -169,7 +169,7 @@ def _present(results: Results, experiment: str) -> list[tuple[str, str]]:
 
 
 def other_bars(results: Results) -> list[Bar]:
-    """Grid, kidnap and global start. The bars count of 40 and 60 runs; of fewer, the same share."""
+    """Grid, kidnap and global start. The bars count of 40 and 60 runs; of fewer, the same fraction."""
     out = []
     for row in grid_rows(results):
         if row["filter"] == "pfcf":
@@ -178,11 +178,11 @@ def other_bars(results: Results) -> list[Bar]:
             if np.isfinite(row["to_ekf"].value):
                 value = row["to_ekf"].value
                 out.append(Bar(f"grid {row['setting']}: pfcf / EKF-NN", value, str(row["to_ekf"]), high=1.1))
-    for experiment, share in (("kidnap", 36 / 40), ("global", 57 / 60)):
+    for experiment, least in (("kidnap", 36 / 40), ("global", 57 / 60)):
         for row in recovery_rows(results, experiment):
             if row["filter"] == "pfcf":
                 of = f"{row['recovered']} of {row['runs']} within {RECOVERY_S[experiment]:g} s"
-                out.append(Bar(f"{experiment}: recovered", row["recovered"], of, low=share * row["runs"]))
+                out.append(Bar(f"{experiment}: recovered", row["recovered"], of, low=least * row["runs"]))
                 if experiment == "kidnap":
                     worst = row["wrong_tracking_max_s"]
                     text = f"{worst:.1f} s at worst, {row['wrong_tracking_runs']} runs above"

@@ -23,14 +23,14 @@ FEATURES_PER_SIDE = 4
 FEATURE_MARGIN_M = 0.8
 FEATURE_JITTER_M = 0.3
 TILE_M = 0.6
-LAMP_SHARE, VENT_SHARE = 0.12, 0.05
+LAMP_FRACTION, VENT_FRACTION = 0.12, 0.05
 KIND_CROSSING, KIND_LAMP, KIND_VENT = 0, 1, 2
 KIDNAP_M = 0.4
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Noise of the world, and what the filters are told of it.
+    """Noise of the world, and what the filters are reported of it.
 
     Attributes:
         forward_m_per_m, lateral_m_per_m, heading_rad_per_m: standard deviation of a step's odometry per metre of it.
@@ -79,11 +79,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a recording: what happened, and what the filter is told."""
+    """One step of a recording: what happened, and what the filter is reported."""
 
     truth: Array
-    told: Array
-    told_cov: Array
+    reported: Array
+    reported_cov: Array
     seen: Ints
     xy_base_m: Array
     sigma_m: Array
@@ -146,7 +146,7 @@ def grid_scene(rng: np.random.Generator, with_kinds: bool) -> Scene:
     if not with_kinds:
         return Scene(crossings, kind.astype(np.int64))
     draw = rng.random(len(crossings))
-    lamps, vents = draw < LAMP_SHARE, (draw >= LAMP_SHARE) & (draw < LAMP_SHARE + VENT_SHARE)
+    lamps, vents = draw < LAMP_FRACTION, (draw >= LAMP_FRACTION) & (draw < LAMP_FRACTION + VENT_FRACTION)
     middle = crossings + 0.5 * TILE_M
     kinds = np.concatenate([kind, np.full(lamps.sum(), KIND_LAMP), np.full(vents.sum(), KIND_VENT)])
     return Scene(np.concatenate([crossings, middle[lamps], middle[vents]]), kinds.astype(np.int64))
@@ -164,29 +164,29 @@ def record(
 
     Before step `kidnapped` the robot is carried 0.4 m in a random direction, without odometry.
     """
-    way = lap_steps()
+    lap = lap_steps()
     truth = lap_start()
     for i in range(first):
-        truth = compose(truth, way[i % LAP_STEPS])
+        truth = compose(truth, lap[i % LAP_STEPS])
     start, slipping, out = truth, 0, []
     for i in range(steps):
         if i == kidnapped:
             a = rng.uniform(0.0, 2.0 * np.pi)
             truth = truth + KIDNAP_M * np.array([np.cos(a), np.sin(a), 0.0])
-        step = way[(first + i) % LAP_STEPS]
+        step = lap[(first + i) % LAP_STEPS]
         length = float(np.hypot(*step[:2]))
         if not slipping and rng.random() < setting.slip_per_m * length:
             slipping = setting.slip_steps
         kept = 1.0 - setting.slip_share if slipping else 1.0
-        told = step / [kept, kept, 1.0]
+        reported = step / [kept, kept, 1.0]
         slipping = max(slipping - 1, 0)
         truth = compose(truth, step)
-        out.append(_sense(setting, scene, truth, told, length, rng))
+        out.append(_sense(setting, scene, truth, reported, length, rng))
     return Recording(scene, start, tuple(out), kidnapped)
 
 
 def _sense(
-    setting: Setting, scene: Scene, truth: Array, told: Array, length_m: float, rng: np.random.Generator
+    setting: Setting, scene: Scene, truth: Array, reported: Array, length_m: float, rng: np.random.Generator
 ) -> Step:
     odometry = length_m * np.array([setting.forward_m_per_m, setting.lateral_m_per_m, setting.heading_rad_per_m])
     at = transform(inverse(truth), scene.xy_m)
@@ -198,7 +198,7 @@ def _sense(
     heading = wrap_array(truth[2] + setting.sigma_theta_rad * rng.standard_normal(1))
     return Step(
         truth,
-        told + odometry * rng.standard_normal(3),
+        reported + odometry * rng.standard_normal(3),
         np.diag((setting.assumed * odometry) ** 2),
         seen.astype(np.int64),
         xy,

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ceilvo.bench.soak.__main__ import Soak
+from ceilvo.bench.soak.command import Soak
 from ceilvo.bench.soak.fault_plan import LEAD_S
 from ceilvo.config import Base
 from ceilvo.config.serial_budget import wire_budget

@@ -9,7 +9,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration, projection_matrix
 from ceilvo.camera import CameraModel
-from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera

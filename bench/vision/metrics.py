@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration
-from ceilvo.sim.ceiling_layout import CrossingKind
+from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.world import World
 from ceilvo.types import Crossings, Motion
 
@@ -56,14 +56,14 @@ class CrossingScore:
 
     def __post_init__(self) -> None:
         self._found_px = FOUND_PX if self.calibration is self.world.calibration else FOUND_WRONG_CALIBRATION_PX
-        xy, kind = self.world.ceiling.true_crossings()
+        xy, crossing_type = self.world.ceiling.true_crossings()
         render = self.world.spec.render
         lamps_seen = render.lit is None and render.switch_groups == 0
-        wanted = (kind == CrossingKind.CROSS) | (kind == CrossingKind.TEE)
+        wanted = (crossing_type == CrossingType.CROSS) | (crossing_type == CrossingType.TEE)
         if lamps_seen:
-            wanted |= kind == CrossingKind.LAMP
+            wanted |= crossing_type == CrossingType.LAMP
         self._true = xy[wanted]
-        self._is_lamp = kind[wanted] == CrossingKind.LAMP
+        self._is_lamp = crossing_type[wanted] == CrossingType.LAMP
         self._plausible = np.concatenate([self.world.ceiling.true_intersections(), self._wall_meetings()])
 
     def add(self, crossings: Crossings | None, pose: Array, tilt: Array) -> None:
@@ -94,10 +94,10 @@ class CrossingScore:
         )
         frames = max(len(self.errors_px), 1)
         return {
-            "recall_pct": _share(self.found, self.missed),
-            "recall_grid_pct": _share(self.found - self.lamps_found, self.missed - self.lamps_missed),
-            "recall_lamps_pct": _share(self.lamps_found, self.lamps_missed),
-            "precision_pct": _share(self.right, self.wrong),
+            "recall_pct": _percent(self.found, self.missed),
+            "recall_grid_pct": _percent(self.found - self.lamps_found, self.missed - self.lamps_missed),
+            "recall_lamps_pct": _percent(self.lamps_found, self.lamps_missed),
+            "precision_pct": _percent(self.right, self.wrong),
             "crossing_median_px": _quantile(errors, 0.5),
             "crossing_p95_px": _quantile(errors, 0.95),
             "lamp_corner_p95_px": _quantile(lamps, 0.95),
@@ -216,7 +216,7 @@ def _nearest(a: Array, b: Array) -> Array:
     return np.asarray(np.sqrt(np.min(np.sum((a[:, None] - b[None]) ** 2, axis=2), axis=1)))
 
 
-def _share(good: int, bad: int) -> float:
+def _percent(good: int, bad: int) -> float:
     return 100.0 * good / (good + bad) if good + bad else float("nan")
 
 

@@ -118,13 +118,13 @@ def save_picture(file: Path, picture: NDArray[np.uint8]) -> None:
         raise FileFormatError(f"{file}: cannot be written; check the folder and the disk")
 
 
-def _dark(condition: Condition, share: float, seconds: float) -> bool:
-    return any(0.0 <= (share - start) * seconds < _BLACKOUT_S for start in condition.blackouts_s)
+def _dark(condition: Condition, fraction: float, seconds: float) -> bool:
+    return any(0.0 <= (fraction - start) * seconds < _BLACKOUT_S for start in condition.blackouts_s)
 
 
-def _frame(condition: Condition, gray: NDArray[np.uint8], share: float, seconds: float, k: int) -> NDArray[np.uint8]:
+def _frame(condition: Condition, gray: NDArray[np.uint8], fraction: float, seconds: float, k: int) -> NDArray[np.uint8]:
     """The frame, or what a sensor without light gives."""
-    if not _dark(condition, share, seconds):
+    if not _dark(condition, fraction, seconds):
         return gray
     noise = np.random.default_rng([7, k]).normal(2.0, 1.2, gray.shape)
     return np.asarray(np.clip(np.rint(noise), 0, 255), np.uint8)

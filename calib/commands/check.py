@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.calib.commands.sigma import stands
+from ceilvo.calib.commands.sigma import stations
 from ceilvo.calib.evaluate.check import Check, check
 from ceilvo.calib.session.common import Subcommands, add_step, bench_of, calibration_of, conclude
 from ceilvo.calib.session.session import Session
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         enough=lambda c: len(c.seen) >= _PICTURES,
     )  # fmt: skip
     check_fits(calibration, "the camera", got.camera_id, calibration.camera.width_px, calibration.camera.height_px)
-    found = check(calibration, stands(got))
+    found = check(calibration, stations(got))
     result = _result(found, str(file))
     session.save(STEP, result)
     session.log("checks", {"at": datetime.now(timezone.utc).isoformat(timespec="seconds")} | result)

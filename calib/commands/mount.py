@@ -24,7 +24,8 @@ from ceilvo.calib.session.common import (
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, collect, moved
 from ceilvo.calib.session.wheels import LiveWheels, Wheels, live_base, no_wheels, recorded
-from ceilvo.calib.solve.mount import RUN, SPIN, Mount, Step, calibrate, problems
+from ceilvo.calib.solve.mount.experiment import Mount, calibrate, problems
+from ceilvo.calib.solve.mount.tracks import RUN, SPIN, MountPicture
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.camera import CameraModel
 from ceilvo.config import Base
@@ -37,7 +38,7 @@ STEP = "mount"
 _TURNS = 4
 _TURN_RAD = float(np.radians(360.0 * _TURNS + 15.0))
 _RUN_M = 2.0
-_SMALL_SHARE = 0.01
+_SMALL_FRACTION = 0.01
 """Of the picture from one to the next: dozens on a run, under a high ceiling as well."""
 _ASK = {
     SPIN: f"turn the robot {_TURNS} times round on the spot, slowly, and a little more",
@@ -72,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
         for part in (SPIN, RUN):
             session.set_aside(f"{STEP}-{part}")
     level = np.array([projection[k] for k in ("roll_rad", "pitch_rad", "height_m")])
-    steps = _steps(args, session, camera, level)
-    found = calibrate(camera, steps, tile_m, level, cov)
+    taken = _pictures(args, session, camera, level)
+    found = calibrate(camera, taken, tile_m, level, cov)
     bad = problems(found)
     session.save(STEP, _result(found) | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
     plots.save(session, "mount/paths.svg", plots.paths(found.spin_xy_m.tolist(), found.run_xy_m.tolist()))
@@ -81,11 +82,11 @@ def run(args: argparse.Namespace) -> int:
     return conclude(STEP, _rows(found), bad, args)
 
 
-def _steps(args: argparse.Namespace, session: Session, camera: CameraModel, level: Array) -> list[Step]:
+def _pictures(args: argparse.Namespace, session: Session, camera: CameraModel, level: Array) -> list[MountPicture]:
     """Pictures of the spin, then of the run, each with its wheels where they are known."""
     simulated = list(bench_of(args).spin_and_run()) if args.simulate else None
     base = load_config(args.config).base if args.config is not None else Base(enabled=False)
-    steps: list[Step] = []
+    out: list[MountPicture] = []
     with live_base(base, Progress(STEP).note) as link:
         for part in (SPIN, RUN):
             mine = copy.copy(args)
@@ -106,12 +107,12 @@ def _steps(args: argparse.Namespace, session: Session, camera: CameraModel, leve
                 camera,
                 None if simulated is None else [p for p in simulated if p.label == part],
                 tilt_rad=(level[0], level[1]),
-                wanted=partial(moved, share=_SMALL_SHARE),
+                wanted=partial(moved, fraction=_SMALL_FRACTION),
                 enough=_turned if part == SPIN else lambda c: _travelled(c) * level[2] >= _RUN_M,
                 wheels=wheels,
             )
-            steps += [Step(part, s.view, s.wheels) for s in got.seen]
-    return steps
+            out += [MountPicture(part, s.view, s.wheels) for s in got.seen]
+    return out
 
 
 def _turned(c: Collection) -> bool:

@@ -25,7 +25,7 @@ from ceilvo.calib.session.common import (
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.session.views import Collection, Seen, collect
 from ceilvo.calib.solve.sigma import Curve, Errors, Noise, fit, problems
-from ceilvo.calib.solve.station import Stand, errors_against_grid
+from ceilvo.calib.solve.station import Station, errors_against_grid
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calib.targets.points_file import ask_on_terminal, in_metres, read_table
 from ceilvo.calib.targets.sources import Picture
@@ -33,7 +33,7 @@ from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.errors import CalibrationError
 
 STEP = "sigma"
-_STANDS, _LOOKS = 18, 4
+_STATIONS, _LOOKS = 18, 4
 _STILL_PX = 0.6
 _ERRORS = ("r_m", "dx_m", "dy_m", "dtheta_rad")
 _POSES = ("x_m", "y_m", "theta_rad", "seen_x_m", "seen_y_m", "seen_theta_rad")
@@ -151,7 +151,7 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
     calibration = _so_far(session)
     if calibration.tile_m is None:
         raise CalibrationError("sigma: found no tile size in the session, standing still needs it; measure with --csv")
-    bench = bench_of(args).stands(_STANDS, _LOOKS) if args.simulate else None
+    bench = bench_of(args).stations(_STATIONS, _LOOKS) if args.simulate else None
     got = collect(
         args,
         session,
@@ -160,21 +160,21 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         bench,
         tilt_rad=mount_angles(calibration.camera_from_base)[1:],
         wanted=_wanted,
-        enough=lambda c: len(stands(c)) > _STANDS,
+        enough=lambda c: len(stations(c)) > _STATIONS,
     )
-    whole = [s for s in stands(got) if len(s.views) >= 2]
+    whole = [s for s in stations(got) if len(s.views) >= 2]
     return errors_against_grid(calibration, whole, calibration.tile_m), f"standing at {len(whole)} places"
 
 
-def stands(c: Collection) -> list[Stand]:
+def stations(c: Collection) -> list[Station]:
     """Runs of pictures in which nothing moved."""
-    out: list[Stand] = []
+    out: list[Station] = []
     last: Seen | None = None
     for seen in c.seen:
         if last is not None and seen.label == last.label and _still(seen.view, last.view):
             out[-1].views.append(seen.view)
         else:
-            out.append(Stand(seen.label, [seen.view]))
+            out.append(Station(seen.label, [seen.view]))
         last = seen
     return out
 
@@ -185,7 +185,7 @@ def _still(a: GridView, b: GridView) -> bool:
 
 
 def _wanted(c: Collection, view: GridView, _: Picture) -> bool:
-    """Live: up to the usual number of looks at each stand."""
+    """Live: up to the usual number of looks at each station."""
     run = 0
     for seen in reversed(c.seen):
         if not _still(view, seen.view):

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.solve.grid import from_grid
-from ceilvo.calib.solve.station import Stand, errors_against_grid
+from ceilvo.calib.solve.station import Station, errors_against_grid
 from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.daemon.slam.association import sigma
 
 Array = NDArray[np.float64]
 
-HEIGHT_SHARE = 0.005
+HEIGHT_FRACTION = 0.005
 TILT_RAD = float(np.radians(0.3))
 RMS_PX = 0.6
 NIS_HIGH = 2.0
@@ -38,7 +38,7 @@ class Check:
     stale: tuple[str, ...]
 
 
-def check(calibration: Calibration, stands: list[Stand]) -> Check:
+def check(calibration: Calibration, stations: list[Station]) -> Check:
     """Tilt, height and reprojection from the grid seen now, and the noise curves against what is left.
 
     Raises:
@@ -46,14 +46,14 @@ def check(calibration: Calibration, stands: list[Stand]) -> Check:
     """
     tile_m = calibration.tile_m or 0.6
     _, roll, pitch = mount_angles(calibration.camera_from_base)
-    now, _ = from_grid(calibration.camera, [s.views[0] for s in stands], tile_m, (roll, pitch))
-    errors = errors_against_grid(calibration, stands, tile_m, now.height_m)
+    now, _ = from_grid(calibration.camera, [s.views[0] for s in stations], tile_m, (roll, pitch))
+    errors = errors_against_grid(calibration, stations, tile_m, now.height_m)
     sx, sy = sigma(calibration.noise, errors.r_m)
     look = LOOK_PX * calibration.ceiling_height_m / calibration.camera.fx_px
     nis = float(np.mean(np.concatenate([errors.dx_m**2 / (sx**2 + look**2), errors.dy_m**2 / (sy**2 + look**2)])))
     height_off = now.height_m - calibration.ceiling_height_m
     tilt_off = float(np.hypot(now.roll_rad - roll, now.pitch_rad - pitch))
-    height_limit = HEIGHT_SHARE * calibration.ceiling_height_m + 3.0 * float(now.sigma[2])
+    height_limit = HEIGHT_FRACTION * calibration.ceiling_height_m + 3.0 * float(now.sigma[2])
     tilt_limit = TILT_RAD + 3.0 * float(np.hypot(*now.sigma[:2]))
     stale = []
     if abs(height_off) > height_limit:
@@ -71,6 +71,6 @@ def check(calibration: Calibration, stands: list[Stand]) -> Check:
     if nis > NIS_HIGH:
         stale.append(f"errors are {np.sqrt(nis):.1f} times what the noise curves say: run 'calib sigma' again")
     return Check(
-        height_off, height_limit, tilt_off, tilt_limit, now.rms_px, RMS_PX, nis, NIS_HIGH, len(stands),
+        height_off, height_limit, tilt_off, tilt_limit, now.rms_px, RMS_PX, nis, NIS_HIGH, len(stations),
         tuple(stale),
     )  # fmt: skip

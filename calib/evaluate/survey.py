@@ -162,8 +162,8 @@ class Survey:
         image = np.full((int(h), int(w), 3), 40, np.uint8)
         for (i, j), c in self.cells.items():
             x, y = (i - low[0]) * px_per_cell, (high[1] - 1 - j) * px_per_cell
-            share = min(float(np.median(c.crossings)) / (3 * FEW_CROSSINGS), 1.0)
-            colour = (40, int(60 + 140 * share), int(200 * (1 - share)))
+            richness = min(float(np.median(c.crossings)) / (3 * FEW_CROSSINGS), 1.0)
+            colour = (40, int(60 + 140 * richness), int(200 * (1 - richness)))
             if np.median(c.level) < DARK_LEVEL:
                 colour = (200, 80, 40)
             cv2.rectangle(image, (int(x), int(y)), (int(x + px_per_cell - 2), int(y + px_per_cell - 2)), colour, -1)
@@ -182,7 +182,7 @@ class Survey:
 
 def ambiguity(crossings: Crossings, tile_m: float) -> float:
     """Share of crossings that have one of their kind a tile on, where that is most; 1 = a pure grid."""
-    xy, kind = crossings.xy_base_m, crossings.kind
+    xy, kind = crossings.xy_base_m, crossings.crossing_type
     low, high = xy.min(axis=0) - _MATCH_M, xy.max(axis=0) + _MATCH_M
     worst = 0.0
     for k in range(4):

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.calib.practice.virtual_board import board_shots
-from ceilvo.calib.solve.mount import RUN, SPIN
+from ceilvo.calib.solve.mount.tracks import RUN, SPIN
 from ceilvo.calib.targets.board import Board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
-from ceilvo.sim.ceiling_layout import CrossingKind
+from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec
 
@@ -85,7 +85,7 @@ class VirtualBench:
         places += [Place(p, RUN, w) for p, w in zip(run, _wheels(run), strict=True)]
         return self._pictures(places, 3)
 
-    def stands(self, count: int, looks: int) -> Iterator[Picture]:
+    def stations(self, count: int, looks: int) -> Iterator[Picture]:
         """Several places, several turns at each, several pictures of each."""
         rng = self._rng(4)
         room = self._world.spec.lap.room_m
@@ -94,7 +94,7 @@ class VirtualBench:
             if i % 3 == 0:
                 at = rng.uniform(0.3 * room, 0.7 * room, 2)
             pose = np.array([*at, rng.uniform(-np.pi, np.pi)])
-            places += [Place(pose, f"stand {i}")] * looks
+            places += [Place(pose, f"station {i}")] * looks
         return self._pictures(places, 5)
 
     def circles(
@@ -103,23 +103,23 @@ class VirtualBench:
         """What a person would measure with a tape, on circles about a crossing of joints, and pictures of each pose."""
         rng = self._rng(6)
         room = self._world.spec.lap.room_m
-        xy, kind = self._world.ceiling.true_crossings()
-        xy = xy[kind == CrossingKind.CROSS]
+        xy, crossing_type = self._world.ceiling.true_crossings()
+        xy = xy[crossing_type == CrossingType.CROSS]
         mark = xy[np.argmin(np.hypot(*(xy - 0.5 * room).T))]
-        poses, said = [], []
+        poses, measured = [], []
         for r in radii_m:
             for k in range(each):
                 a = 2.0 * np.pi * (k + rng.uniform(0, 0.5)) / each
                 pose = np.array([r * np.cos(a), r * np.sin(a), rng.uniform(-np.pi, np.pi)])
                 x, y, heading = pose + rng.normal(0, 1, 3) * [0.001, 0.001, 0.002]
-                said.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
+                measured.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
                 poses.append(Place(pose + np.array([*mark, 0.0]), "circle"))
-        return said, self._pictures(poses, 7)
+        return measured, self._pictures(poses, 7)
 
-    def drive(self, frames: int, rate_hz: float = 10.0, lap_share: float = 1.0) -> Iterator[Picture]:
+    def drive(self, frames: int, rate_hz: float = 10.0, lap_fraction: float = 1.0) -> Iterator[Picture]:
         """The lap of the simulated robot."""
         seconds = frames / rate_hz
-        span_s = self._world.path.lap_m / self._world.spec.lap.speed_mps * lap_share + 2.0
+        span_s = self._world.path.lap_m / self._world.spec.lap.speed_mps * lap_fraction + 2.0
         for i in range(frames):
             t = i / rate_hz * (span_s / seconds)
             gray = self._world.frame_at(t)

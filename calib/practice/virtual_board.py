@@ -78,11 +78,11 @@ def board_poses(camera: CameraModel, board: Board, count: int, rng: np.random.Ge
         axis = rng.uniform(0, 2 * np.pi)
         rot = cv2.Rodrigues(lean * np.array([np.cos(axis), np.sin(axis), 0.0]))[0]
         rot = rot @ cv2.Rodrigues(np.array([0, 0, rng.uniform(-0.5, 0.5)]))[0]
-        share = rng.uniform(0.42, 0.75)
+        filled = rng.uniform(0.42, 0.75)
         spot = spots[made % 9] * rng.uniform(0.35, 0.8, 2)
         mid = np.array([camera.width_px - 1.0, camera.height_px - 1.0]) / 2
         ray = camera.rays((mid + spot * mid)[None])[0]
-        distance = width * camera.fx_px / (share * camera.width_px)
+        distance = width * camera.fx_px / (filled * camera.width_px)
         where = ray / max(ray[2], 0.2) * distance
         t = where - rot @ centre
         uv = camera.pixels(xyz @ rot.T + t)

@@ -116,14 +116,14 @@ def collect(
     return out
 
 
-def moved(out: Collection, view: GridView, picture: Picture, share: float = 0.04) -> bool:
-    """A live view is worth keeping when the ceiling moved in it by a share of the picture, or turned by 5 deg."""
+def moved(out: Collection, view: GridView, picture: Picture, fraction: float = 0.04) -> bool:
+    """A live view is worth keeping when the ceiling moved in it by a fraction of its width, or turned by 5 deg."""
     if not out.seen:
         return True
     last = out.seen[-1].view
     d = np.hypot(*(view.uv_px[:, None] - last.uv_px[None]).transpose(2, 0, 1)).min(axis=1)
     turned = abs(float(np.angle(np.exp(4j * (view.psi_rad - last.psi_rad)))) / 4.0)
-    return bool(np.median(d) > share * picture.gray.shape[1] or turned > np.radians(5.0))
+    return bool(np.median(d) > fraction * picture.gray.shape[1] or turned > np.radians(5.0))
 
 
 def _record(seen: Seen) -> dict[str, Any]:

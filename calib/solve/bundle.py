@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 Residuals = Callable[[int, Array, Array], Array]
 """(view, shared parameters, the view's parameters) -> (N,) residuals in units of their noise or in px."""
 
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation over median absolute deviation of a Gaussian, 1 / Phi^-1(3/4)."""
 _ROUNDS = 60
 _MANY_VIEWS = 8
 _STEP = 1e-6
@@ -102,7 +104,7 @@ def _scale(residuals: Residuals, x: Array, v: Array, huber: float | None) -> flo
     if huber is None:
         return np.inf
     every = np.concatenate([residuals(i, x, v[i]) for i in range(len(v))])
-    return huber * max(1.4826 * float(np.median(np.abs(every))), 1e-9)
+    return huber * max(MAD_TO_SIGMA * float(np.median(np.abs(every))), 1e-9)
 
 
 def _cost(residuals: Residuals, x: Array, v: Array, scale: float) -> float:
@@ -196,16 +198,16 @@ def _step(blocks: list[_Block], info: Array, off: Array, damping: float) -> tupl
 def _finish(residuals: Residuals, x: Array, v: Array, scale: float, info: Array) -> BundleFit:
     parts = tuple(residuals(i, x, v[i]) for i in range(len(v)))
     s, n, rss = info.copy(), 0, 0.0
-    told: list[tuple[Array, Array]] = []
+    each_view: list[tuple[Array, Array]] = []
     for (aa, bb, ab, ga, gb), r in zip(_blocks(residuals, x, v, scale), parts, strict=True):
         inverse = np.linalg.pinv(bb)
-        told.append((aa - ab @ inverse @ ab.T, ga - ab @ inverse @ gb))
-        s += told[-1][0]
+        each_view.append((aa - ab @ inverse @ ab.T, ga - ab @ inverse @ gb))
+        s += each_view[-1][0]
         kept = r[np.abs(r) <= scale]
         n, rss = n + len(kept), rss + float(kept @ kept)
     dof = max(n - v.size - len(x), 1)
     bread = np.linalg.pinv(s, hermitian=True)
-    scores = np.array([_unshrunk(score, own, bread) for own, score in told]).reshape(len(told), len(info))
+    scores = np.array([_unshrunk(score, own, bread) for own, score in each_view]).reshape(len(each_view), len(info))
     cluster = bread @ (scores.T @ scores + info * rss / dof) @ bread
     return BundleFit(x, v, bread * rss / dof, cluster, parts, float(np.sqrt(rss / dof)))
 

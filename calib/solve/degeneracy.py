@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _FLAT = 0.01
-_SMALL_SHARE = 0.12
+_SMALL_FRACTION = 0.12
 _SAME_PX, _SAME_M = 0.5, 1e-4
 _CUBIC = 1e-3
 
@@ -116,9 +116,9 @@ def _picture(uv: Array, size: tuple[int, int]) -> Iterator[str]:
     if spread[1] < _FLAT * spread[0]:
         yield "the points are on one line in the picture: the camera is in their plane; does it look up?"
     extent = np.ptp(uv, axis=0) / np.array(size)
-    if extent.max() < _SMALL_SHARE:
+    if extent.max() < _SMALL_FRACTION:
         yield (
-            f"the points cover {100 * extent.max():.0f} % of the picture, at least {100 * _SMALL_SHARE:.0f} needed; "
+            f"the points cover {100 * extent.max():.0f} % of the picture, at least {100 * _SMALL_FRACTION:.0f} needed; "
             "spread them over the picture"
         )
 

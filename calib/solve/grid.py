@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.joint import refine
-from ceilvo.calib.solve.lattice import Lattice, Spacing, spacings, to_lattice
 from ceilvo.calib.solve.lens import lens_of, with_lens_error
 from ceilvo.calib.solve.projection import HEIGHTS_M, Mounting
+from ceilvo.calib.solve.tile_grid import Spacing, tile_index, tile_spacings
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calibration import mount_rotation
 from ceilvo.camera import CameraModel
@@ -35,15 +35,15 @@ class GridSample:
     start: Array
 
 
-def grid_samples(views: list[GridView], tile_share: float) -> list[GridSample | None]:
+def grid_samples(views: list[GridView], tile_over_height: float) -> list[GridSample | None]:
     """For each picture its crossings on the lattice, None where too few are."""
     out: list[GridSample | None] = []
     for view in views:
-        lattice: Lattice | None = to_lattice(view, tile_share)
-        if lattice is None:
+        on_grid = tile_index(view, tile_over_height)
+        if on_grid is None:
             out.append(None)
         else:
-            out.append(GridSample(lattice.index.astype(np.float64), view.uv_px[lattice.used], lattice.xy_yaw))
+            out.append(GridSample(on_grid.index.astype(np.float64), view.uv_px[on_grid.used], on_grid.xy_yaw))
     return out
 
 
@@ -66,11 +66,11 @@ def from_grid(
     Raises:
         CalibrationError: the crossings are not regular, or in two ways.
     """
-    share, evidence = _decided(views, tile_m, height_m)
-    samples = [s for s in grid_samples(views, share) if s is not None]
+    tile_over_height, evidence = _decided(views, tile_m, height_m)
+    samples = [s for s in grid_samples(views, tile_over_height) if s is not None]
     if not samples:
         raise CalibrationError("projection: found no picture with six crossings on the grid; take others")
-    start = np.array([*tilt_rad, tile_m / share])
+    start = np.array([*tilt_rad, tile_m / tile_over_height])
     fit, samples = _grid_fit(camera, samples, tile_m, start)
 
     def of_lens(other: CameraModel) -> bundle.Residuals:
@@ -98,7 +98,7 @@ def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tu
         CalibrationError: nothing does, or it speaks for another as well.
     """
     low, high = HEIGHTS_M if height_m is None else (height_m / _ROUGHLY, height_m * _ROUGHLY)
-    found = spacings(views, (tile_m / high, tile_m / low))
+    found = tile_spacings(views, (tile_m / high, tile_m / low))
     best = found[0] if found else Spacing(tile_m, 0.0, 0.0)
     said = "" if height_m is None else f" for a ceiling {height_m:g} m above the camera, give or take a tenth"
     if best.on_grid < _ON_GRID or best.support < _SUPPORT:
@@ -109,16 +109,17 @@ def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tu
         )
     evidence = f"{100 * best.on_grid:.0f} % of the crossings are on it, {100 * best.filled:.0f} % of its nodes seen"
     if len(found) == 1:
-        return best.share, evidence
+        return best.tile_over_height, evidence
     rival = found[1]
+    height_of_best_m, height_of_rival_m = tile_m / best.tile_over_height, tile_m / rival.tile_over_height
     if rival.support > _RIVAL * best.support:
         raise CalibrationError(
-            f"projection: found two grids that fit, of a ceiling {tile_m / best.share:.2f} m above the camera "
-            f"(support {best.support:.2f}) and {tile_m / rival.share:.2f} m ({rival.support:.2f}); "
+            f"projection: found two grids that fit, of a ceiling {height_of_best_m:.2f} m above the camera "
+            f"(support {best.support:.2f}) and {height_of_rival_m:.2f} m ({rival.support:.2f}); "
             "measure it with a tape and pass --height-m"
         )
-    return best.share, evidence + (
-        f"; the next best, of a ceiling at {tile_m / rival.share:.2f} m, has "
+    return best.tile_over_height, evidence + (
+        f"; the next best, of a ceiling at {height_of_rival_m:.2f} m, has "
         f"{rival.support / best.support:.2f} of the support"
     )
 
@@ -135,7 +136,7 @@ def _grid_fit(
     """Robust first, then without the crossings that do not belong."""
     views = np.array([[s.start[0] * tile_m, s.start[1] * tile_m, s.start[2]] for s in samples])
     fit = _grid_solve(camera, samples, tile_m, start, views, rounds=30, huber=_HUBER)
-    noise = 1.4826 * float(np.median(np.abs(np.concatenate(fit.residuals))))
+    noise = bundle.MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(fit.residuals))))
     clean = []
     for sample, r in zip(samples, fit.residuals, strict=True):
         good = (np.abs(r.reshape(-1, 2)) < max(5.0 * noise, 0.3)).all(axis=1)

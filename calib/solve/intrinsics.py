@@ -151,9 +151,9 @@ def _pose_residual(camera: CameraModel, shot: Shot, pose: Array) -> Array:
 def _fit(shots: list[Shot], size: tuple[int, int], model: str, rounds: int = 60) -> bundle.BundleFit:
     """From several focal lengths the best start, then all."""
     best: bundle.BundleFit | None = None
-    for share in (0.6, 0.85, 1.2, 0.35):
+    for focal_per_width in (0.6, 0.85, 1.2, 0.35):
         try:
-            fit = _solve(shots, size, model, *_start(shots, size, model, share * size[0]), rounds=8)
+            fit = _solve(shots, size, model, *_start(shots, size, model, focal_per_width * size[0]), rounds=8)
         except (cv2.error, CalibrationError, np.linalg.LinAlgError):
             continue
         if np.isfinite(fit.rms) and (best is None or fit.rms < best.rms):
@@ -212,7 +212,7 @@ class Coverage:
 
     Attributes:
         cells: (6, 8) corners in each part of the picture.
-        area: share of the parts with a corner in them.
+        area: fraction of the parts with a corner in them.
         reach: farthest corner from the middle over half the diagonal.
         tilted: shots in which the board leans by 15 deg or more.
         distance_ratio: farthest over nearest board.

@@ -89,7 +89,7 @@ def fit(errors: Errors, seed: int = 1) -> Noise:
     """Curves by weighted least squares on the scatter of each circle, their order by cross-validation.
 
     Args:
-        errors: at three or more distances with six or more each; where r is spread it is cut into equal shares.
+        errors: at three or more distances with six or more each; where r is spread it is cut into equal parts.
         seed: of the folds and of the bands' quantile.
 
     Raises:
@@ -107,7 +107,7 @@ def fit(errors: Errors, seed: int = 1) -> Noise:
 
 
 def circles(r_m: Array) -> NDArray[np.int64]:
-    """(N,) which circle each sample is of: radii that stand apart, else shares of equal number."""
+    """(N,) which circle each sample is of: radii that stand apart, else parts of equal number."""
     order = np.argsort(r_m, kind="stable")
     gaps = np.diff(r_m[order])
     span = float(np.ptp(r_m))

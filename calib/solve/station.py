@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.solve.lattice import to_lattice
 from ceilvo.calib.solve.sigma import Errors
+from ceilvo.calib.solve.tile_grid import tile_index
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.daemon.odometry.rigid import rigid_motion
@@ -18,13 +18,13 @@ from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
 
-_SAME_SHARE = 0.1
+_SAME_FRACTION = 0.1
 _OUTLIER = 6.0
-MIN_STANDS = 6
+MIN_STATIONS = 6
 
 
 @dataclass(frozen=True)
-class Stand:
+class Station:
     """All pictures that were taken at one place and heading."""
 
     label: str
@@ -37,24 +37,24 @@ def in_base(calibration: Calibration, uv_px: Array) -> Array:
 
 
 def errors_against_grid(
-    calibration: Calibration, stands: list[Stand], tile_m: float, height_m: float | None = None
+    calibration: Calibration, stations: list[Station], tile_m: float, height_m: float | None = None
 ) -> Errors:
     """What is left of each crossing when the grid is laid on all of them, in base axes.
 
-    Pictures of one stand are averaged: they share what calibration does to them. The three freedoms of laying the
+    Pictures of one station are averaged: they share what calibration does to them. The three freedoms of laying the
     grid are given back by the usual factor.
 
     Args:
         height_m: of the ceiling above the camera as seen now, to find the grid; None is the calibration's.
 
     Raises:
-        CalibrationError: too few stands under a regular ceiling.
+        CalibrationError: too few stations under a regular ceiling.
     """
-    share = tile_m / (calibration.ceiling_height_m if height_m is None else height_m)
+    tile_over_height = tile_m / (calibration.ceiling_height_m if height_m is None else height_m)
     r, dx, dy, dtheta = [], [], [], []
     used = 0
-    for stand in stands:
-        found = _one(calibration, stand, share, tile_m)
+    for station in stations:
+        found = _one(calibration, station, tile_over_height, tile_m)
         if found is None:
             continue
         used += 1
@@ -63,22 +63,24 @@ def errors_against_grid(
         dx.append(off[:, 0])
         dy.append(off[:, 1])
         dtheta.append(turn)
-    if used < MIN_STANDS:
+    if used < MIN_STATIONS:
         raise CalibrationError(
-            f"sigma: found the ceiling's grid at {used} of {len(stands)} stands, at least {MIN_STANDS} needed; "
+            f"sigma: found the ceiling's grid at {used} of {len(stations)} stations, at least {MIN_STATIONS} needed; "
             "stand at more places, and turned differently"
         )
     return Errors(np.concatenate(r), np.concatenate(dx), np.concatenate(dy), np.array(dtheta))
 
 
-def _one(calibration: Calibration, stand: Stand, share: float, tile_m: float) -> tuple[Array, Array, float] | None:
+def _one(
+    calibration: Calibration, station: Station, tile_over_height: float, tile_m: float
+) -> tuple[Array, Array, float] | None:
     """Crossings in base (K, 2), their errors (K, 2), and the error of the lines' direction."""
-    first = to_lattice(stand.views[0], share)
+    first = tile_index(station.views[0], tile_over_height)
     if first is None:
         return None
-    seen = [in_base(calibration, stand.views[0].uv_px[first.used])]
-    near = _SAME_SHARE * tile_m
-    for view in stand.views[1:]:
+    seen = [in_base(calibration, station.views[0].uv_px[first.used])]
+    near = _SAME_FRACTION * tile_m
+    for view in station.views[1:]:
         other = in_base(calibration, view.uv_px)
         d = np.hypot(*(seen[0][:, None] - other[None]).transpose(2, 0, 1))
         j = d.argmin(axis=1)
@@ -94,7 +96,7 @@ def _one(calibration: Calibration, stand: Stand, share: float, tile_m: float) ->
     n = int(good.sum())
     if n < 6:
         return None
-    psi = np.mean([np.exp(4j * v.psi_rad) for v in stand.views])
+    psi = np.mean([np.exp(4j * v.psi_rad) for v in station.views])
     direction = float(np.angle(psi)) / 4.0 + mount_angles(calibration.camera_from_base)[0]
     turn = float(np.angle(np.exp(4j * (direction - fit[2])))) / 4.0
     return xy[good], off[good] * np.sqrt(2 * n / (2 * n - 3)), turn

@@ -28,12 +28,13 @@ from ceilvo import se2
 from ceilvo.calib.practice.virtual_bench import VirtualBench, random_rig
 from ceilvo.calib.session.assemble import UNMEASURED
 from ceilvo.calib.session.session import Session
-from ceilvo.calib.solve import mount, sigma
+from ceilvo.calib.solve import sigma
 from ceilvo.calib.solve.grid import from_grid
 from ceilvo.calib.solve.intrinsics import Intrinsics, Shot, calibrate
 from ceilvo.calib.solve.lens import parameters_of
-from ceilvo.calib.solve.mount import Step
-from ceilvo.calib.solve.station import Stand, errors_against_grid
+from ceilvo.calib.solve.mount.experiment import calibrate as calibrate_mount
+from ceilvo.calib.solve.mount.tracks import MountPicture
+from ceilvo.calib.solve.station import Station, errors_against_grid
 from ceilvo.calib.study import drive as drive_study
 from ceilvo.calib.targets.board import Board, BoardFinder
 from ceilvo.calib.targets.ceiling_view import CeilingReader
@@ -72,12 +73,12 @@ def commission(rig: Calibration, seed: int) -> RigResult:
     if projection.joint is not None and projection.joint.agrees:
         camera, cov = projection.joint.camera, projection.joint.lens_cov
     level = np.array([projection.roll_rad, projection.pitch_rad, projection.height_m])
-    steps = []
+    pictures = []
     for p in bench.spin_and_run(80, 44):
         view = reader(p.gray)
         if view.ok:
-            steps.append(Step(p.label, view, p.wheels))
-    found = mount.calibrate(camera, steps, tile_m, level, cov)
+            pictures.append(MountPicture(p.label, view, p.wheels))
+    found = calibrate_mount(camera, pictures, tile_m, level, cov)
     yaw, roll, pitch = mount_angles(rig.camera_from_base)
     error = np.concatenate(
         [
@@ -99,12 +100,12 @@ def with_noise(found: Calibration, rig: Calibration, seed: int) -> Calibration:
     """The calibration with noise curves as `calib sigma` finds them by standing still."""
     _, roll, pitch = mount_angles(found.camera_from_base)
     reader = CeilingReader(found.camera, (roll, pitch))
-    stands: dict[str, Stand] = {}
-    for p in VirtualBench(rig, seed=seed, world_seed=1 + seed % 3).stands(15, 2):
+    stations: dict[str, Station] = {}
+    for p in VirtualBench(rig, seed=seed, world_seed=1 + seed % 3).stations(15, 2):
         view = reader(p.gray)
         if view.ok:
-            stands.setdefault(p.label, Stand(p.label, [])).views.append(view)
-    errors = errors_against_grid(found, list(stands.values()), found.tile_m or 0.6)
+            stations.setdefault(p.label, Station(p.label, [])).views.append(view)
+    errors = errors_against_grid(found, list(stations.values()), found.tile_m or 0.6)
     return replace(found, noise=sigma.fit(errors, seed).curves)
 
 
@@ -206,18 +207,18 @@ def drive(count: int, first: int) -> int:
 
 def curves(count: int, first: int) -> int:
     """Print a table; the number of bars missed."""
-    shares = {}
+    inside = {}
     for k in GENERATING:
         hits = [0, 0]
         for seed in range(first, first + count):
             noise = sigma.fit(experiment(k, seed, circles=4, each=20), seed)
             for axis, curve in enumerate((noise.x, noise.y)):
                 hits[axis] += curve.covers(np.asarray(polyval(curve.r_m, k), np.float64))
-        x, y = shares[str(k)] = [h / count for h in hits]
+        x, y = inside[str(k)] = [h / count for h in hits]
         text = f"inside the 95 % band x {100 * x:.0f} %, y {100 * y:.0f} % (bar 90)"
         print(f"sigma(r) = {k}: {text}", flush=True)
-    _report("calib-sigma", {"inside": shares, "of": count})
-    return sum(s < 0.9 for pair in shares.values() for s in pair)
+    _report("calib-sigma", {"inside": inside, "of": count})
+    return sum(s < 0.9 for pair in inside.values() for s in pair)
 
 
 def experiment(coefficients: tuple[float, ...], seed: int, circles: int, each: int) -> sigma.Errors:

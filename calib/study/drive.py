@@ -129,8 +129,8 @@ def summary(records: list[dict[str, Any]]) -> dict[str, Any]:
     ratio = np.sqrt(np.mean(drift["found"] ** 2, axis=0) / np.mean(drift["true"] ** 2, axis=0))
     alarms, hours, highest = 0, 0.0, 0.0
     for r in records:
-        told = resampled(r, np.random.default_rng([r["rig"], 0x57A1E]))
-        alarms, hours, highest = alarms + told[0], hours + told[1], max(highest, told[2])
+        false_alarms, resampled_h, mean = resampled(r, np.random.default_rng([r["rig"], 0x57A1E]))
+        alarms, hours, highest = alarms + false_alarms, hours + resampled_h, max(highest, mean)
     watched = [watched_good(r) for r in records]
     bent = [_watched(series, r["expected_nis"]) for r in records for series in r["bent"]]
     return {

@@ -15,7 +15,7 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
-_SATURATED, _SATURATED_SHARE = 253, 0.25
+_SATURATED, _SATURATED_FRACTION = 253, 0.25
 _DARK = 18.0
 _SOFT_EDGE_PX = 5.0
 _CHARUCO_CORNERS = 8
@@ -171,9 +171,9 @@ class BoardFinder:
 
 def light_problem(gray: Gray) -> str:
     """Why a picture's light makes it useless, "" when it does not."""
-    share = float(np.mean(gray >= _SATURATED))
-    if share > _SATURATED_SHARE:
-        return f"saturated: {100 * share:.0f} % of the picture is white; shorten the exposure"
+    saturated = float(np.mean(gray >= _SATURATED))
+    if saturated > _SATURATED_FRACTION:
+        return f"saturated: {100 * saturated:.0f} % of the picture is white; shorten the exposure"
     level = float(np.percentile(gray, 99))
     if level < _DARK:
         return f"too dark: the brightest part has grey level {level:.0f}; lengthen the exposure"

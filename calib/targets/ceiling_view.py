@@ -100,7 +100,7 @@ class CeilingReader:
         if lines is None:
             return _none("no two straight joints seen")
         found = cross(lines, self._provisional, self._features)
-        grooves = found.kind == GROOVES
+        grooves = found.crossing_type == GROOVES
         if np.count_nonzero(grooves) < MIN_CROSSINGS:
             return _none(f"only {np.count_nonzero(grooves)} crossings of joints seen, {MIN_CROSSINGS} needed")
         self._known = True

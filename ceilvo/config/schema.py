@@ -1,6 +1,6 @@
 """Every key of config.yaml: type, default, range, unit (in the name) and the reason in one line.
 
-The dataclasses here are the schema; ceilvo.config.reader reads, checks and renders files against it.
+The dataclasses here are the schema; ceilvo.config.reader reads files against it, ceilvo.config.rendering writes them.
 """
 
 from __future__ import annotations

@@ -148,7 +148,7 @@ class Estimator:
             return Display(self._pipeline.vision.view, particles, weights, self._pipeline.filter.landmarks())
 
     def counters(self) -> Mapping[str, int]:
-        """Of the filter, see particles.COUNTERS."""
+        """Of the filter, see slam.pose_filter.COUNTERS."""
         with self._lock:
             return self._pipeline.filter.counters()
 

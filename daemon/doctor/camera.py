@@ -18,7 +18,9 @@ from ceilvo.drivers.camera.v4l2_query import Offer
 from ceilvo.errors import CalibrationError, CameraError, CeilvoError, ConfigError
 
 OLD_CALIBRATION_DAYS = 365
+"""An older calibration is worth a check; chosen: lenses are knocked and ceilings renewed."""
 _EXPOSURE_UNIT_US = 100.0
+"""V4L2 counts exposure in 100 us (V4L2_CID_EXPOSURE_ABSOLUTE)."""
 
 
 def camera(p: Patient) -> Iterator[Finding]:

@@ -14,6 +14,7 @@ from ceilvo.drivers.bus.zenoh_session import session_config
 from ceilvo.errors import BaseLinkError, BusError
 
 _CONNECT_S = 1.0
+"""How long an endpoint may take to answer; chosen: a local network takes milliseconds."""
 
 
 def base(p: Patient) -> Iterator[Finding]:

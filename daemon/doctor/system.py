@@ -19,8 +19,11 @@ from ceilvo.errors import FileFormatError
 UNIT, INSTALLED = "ceilvod.service", "/etc/systemd/system/ceilvod.service"
 PACKAGED = "/opt/ceilvo/share/ceilvo/ceilvod.service"
 MEMORY_BYTES = 400_000_000
+"""Memory that should be free; chosen with a margin for large maps."""
 STATE_BYTES = 20_000_000
+"""Disk that map and pose need besides the recorder; chosen."""
 OPEN_FILES = 256
+"""Descriptors the process may have; chosen: far above what cameras, serial lines and Zenoh open."""
 
 
 def daemon_state(machine: Machine) -> tuple[list[Finding], str]:

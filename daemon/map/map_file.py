@@ -1,7 +1,7 @@
 """Map and last pose on disk: JSON, versioned, checksummed, replaced in one step (docs/files.md).
 
 What load_state returns is a hypothesis and never the truth: the robot may have been carried while the daemon was not
-running. Start from it with `relocalising` set until landmarks confirm it.
+running.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_KINDS
+from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
 from ceilvo.types import Landmarks, Pose, State, frozen
@@ -25,10 +25,15 @@ Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
 VERSION = 1
+"""Of both formats; docs/files.md."""
 MAX_MAP_BYTES = 64 * 2**20
+"""Largest map file that is read; chosen: far beyond filter.max_landmarks."""
 MAX_STATE_BYTES = 64 * 2**10
+"""Largest state file that is read; one has less than 1 kB."""
 MAX_COORDINATE_M = 1e6
+"""Coordinates beyond it are damage: no building is so large."""
 _MAX_INT = 2**62
+"""Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 _MAP_FORMAT, _STATE_FORMAT = "ceilvo-map", "ceilvo-state"
 _REMEDY = {
     _MAP_FORMAT: "move it away to let the daemon build a new map, or restore a backup",
@@ -38,7 +43,7 @@ _REMEDY = {
 
 @dataclass(frozen=True, slots=True)
 class StoredMap:
-    """Landmarks, and the direction in map of axis 0 of their kinds (rad)."""
+    """Landmarks, and the direction in map of axis 0 of their types (rad)."""
 
     landmarks: Landmarks
     map_axis_rad: float
@@ -74,7 +79,7 @@ def save_map(path: Path, landmarks: Landmarks, map_axis_rad: float) -> None:
             "id": landmarks.ids.tolist(),
             "xy_map_m": landmarks.xy_map_m.tolist(),
             "cov_xx_xy_yy_m2": np.column_stack([cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]]).tolist(),
-            "kind": landmarks.kind.tolist(),
+            "kind": landmarks.crossing_type.tolist(),
             "sightings": landmarks.sightings.tolist(),
         },
     }
@@ -187,7 +192,7 @@ def _read_map(content: Any) -> StoredMap:
         ids=ids,
         xy_map_m=_floats(table["xy_map_m"], "landmarks.xy_map_m", (n, 2), MAX_COORDINATE_M),
         cov_m2=frozen(cov),
-        kind=_ints(table["kind"], "landmarks.kind", 0, CROSSING_KINDS - 1, n),
+        crossing_type=_ints(table["kind"], "landmarks.kind", 0, CROSSING_TYPES - 1, n),
         sightings=_ints(table["sightings"], "landmarks.sightings", 0, _MAX_INT, n),
     )
     return StoredMap(landmarks, float(_floats(content["map_axis_rad"], "map_axis_rad", (), 10.0)))

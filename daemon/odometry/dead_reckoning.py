@@ -13,6 +13,7 @@ from ceilvo import se2
 from ceilvo.types import Array, Displacement, Motion, Pose, Twist
 
 _NS = 1e-9
+"""Seconds in a nanosecond."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import quarter_turns, turn_kind
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
 from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.matching import mutual_nearest
@@ -131,9 +131,9 @@ class VisualOdometry:
             return None, "no reference"
         turn = _direction_change(ref.psi_rad, crossings.psi_rad, float(guess[2]))
         guess = np.array([guess[0], guess[1], turn])
-        kinds = turn_kind(crossings.kind, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
+        kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
         i, j = mutual_nearest(
-            se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.kind, cfg.match_radius_m
+            se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, cfg.match_radius_m
         )
         if len(i) < cfg.min_inliers:
             return None, f"{len(i)} of {len(crossings)} crossings matched, {cfg.min_inliers} needed"

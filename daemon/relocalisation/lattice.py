@@ -28,31 +28,35 @@ REACH_TILES = 3
 """Tiles that a pose may be off along each axis and be noticed; further takes the place search."""
 CERTAIN = 0.95
 """Weight from which a map in the making takes another shift for certain; chosen."""
+TINY = 1e-300
+"""In place of a weight of zero, whose logarithm there is not."""
 PERIODIC = 0.35
 """Fraction of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
-CALM, WARY, SURPRISED, SURPRISED_MAPPING = 1e-4, 0.05, 0.2, 0.01
-"""Chance per update that the pose is a tile further: always, and when the view surprises (2 sigma; 3 sigma, or
-twice in a row). A map in the making grew along the way of the robot, which ties it to its tile."""
+SLIP_CHANCE, SLIP_CHANCE_2_SIGMA, SLIP_CHANCE_3_SIGMA, SLIP_CHANCE_MAPPING = 1e-4, 0.05, 0.2, 0.01
+"""Chance per update that the pose is a tile further: always; when the NIS is beyond 2 sigma; beyond 3 sigma or twice in
+a row; the same while a map is made, which grew along the robot's path and so is tied to its tile. Chosen."""
+SAME_BINS = 1.5
+"""Shifts within so many bins vote for one period."""
 
 
 def periods(landmarks: Landmarks) -> Array:
     """(P, 2) two shortest shifts, not parallel, under which much of the map looks the same; (0, 2) without period."""
     pick = np.arange(len(landmarks)) if len(landmarks) <= SAMPLE else np.arange(SAMPLE) * (len(landmarks) // SAMPLE)
-    at, kind = landmarks.xy_map_m[pick], landmarks.kind[pick]
+    at, kind = landmarks.xy_map_m[pick], landmarks.crossing_type[pick]
     if len(landmarks) > SAMPLE:  # a compact part, for neighbours must be in it
         centre = landmarks.xy_map_m[len(landmarks) // 2]
         pick = np.argsort(np.hypot(*(landmarks.xy_map_m - centre).T), kind="stable")[:SAMPLE]
-        at, kind = landmarks.xy_map_m[pick], landmarks.kind[pick]
+        at, kind = landmarks.xy_map_m[pick], landmarks.crossing_type[pick]
     off = at[:, None] - at[None]
     length = np.hypot(off[..., 0], off[..., 1])
     near = (kind[:, None] == kind[None]) & (length > SHORTEST_M) & (length < REACH_M) & (off[..., 0] > -BIN_M)
     shifts = off[near]
     if len(shifts) < FEWEST_SHIFTS:
         return np.empty((0, 2))
-    votes = np.array([np.sum(np.hypot(*(shifts - s).T) < 1.5 * BIN_M) for s in shifts[: 2 * SAMPLE]])
+    votes = np.array([np.sum(np.hypot(*(shifts - s).T) < SAME_BINS * BIN_M) for s in shifts[: 2 * SAMPLE]])
     good = votes > PERIODIC * len(at)
     found = shifts[: 2 * SAMPLE][good]
-    return _basis(np.array([np.mean(shifts[np.hypot(*(shifts - s).T) < 1.5 * BIN_M], axis=0) for s in found]))
+    return _basis(np.array([np.mean(shifts[np.hypot(*(shifts - s).T) < SAME_BINS * BIN_M], axis=0) for s in found]))
 
 
 def _basis(shifts: Array) -> Array:
@@ -97,7 +101,7 @@ class LatticeBelief:
         """(S,) of one view at all shifts, with the chance that the pose slipped since the last."""
         n = max(len(self.shifts) - 1, 1)
         mixed = (1.0 - chance) * self.weight + chance * (1.0 - self.weight) / n
-        self.weight = normalised(np.log(np.maximum(mixed, 1e-300)) + log_likelihood)
+        self.weight = normalised(np.log(np.maximum(mixed, TINY)) + log_likelihood)
 
     def settle(self) -> None:
         """Begin anew where another shift is nearly certain: a map in the making ends, and a tile back all is mapped."""
@@ -111,8 +115,8 @@ def tile_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
     xy = landmarks.xy_map_m
     if len(landmarks) < FEWEST_LANDMARKS:
         return np.zeros((0, 2))
-    kinds, counts = np.unique(landmarks.kind, return_counts=True)
-    same = xy[landmarks.kind == kinds[np.argmax(counts)]]
+    kinds, counts = np.unique(landmarks.crossing_type, return_counts=True)
+    same = xy[landmarks.crossing_type == kinds[np.argmax(counts)]]
     if len(same) < FEWEST_LANDMARKS:
         return np.zeros((0, 2))
     apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_KINDS, turn_kind
+from ceilvo.crossing_types import CROSSING_TYPES, turned_type
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
@@ -80,7 +80,7 @@ def search_places(
     best, here, rival = (-1, np.zeros(3)), 0, 0
     for turn in range(4):
         theta = wrap(observations.heading_rad - 0.5 * np.pi * turn)
-        counts = raster.count(observations.xy_base_m @ rotation(theta).T, turn_kind(observations.kind, turn))
+        counts = raster.count(observations.xy_base_m @ rotation(theta).T, turned_type(observations.crossing_type, turn))
         others = counts
         if abs(wrap(theta - float(pose[2]))) < 0.25 * np.pi:
             here = raster.near(counts, pose[:2])
@@ -114,9 +114,9 @@ class _Raster:
         width, height = (int(n) + 2 * pad for n in np.ceil((high - low) / _CELL_M) + 1)
         if width * height > _MOST_CELLS:
             return None
-        images = np.zeros((CROSSING_KINDS, height, width), np.uint8)
+        images = np.zeros((CROSSING_TYPES, height, width), np.uint8)
         col, row = (np.round((xy - low) / _CELL_M).astype(np.int64) + pad).T
-        images[landmarks.kind, row, col] = 1
+        images[landmarks.crossing_type, row, col] = 1
         for image in images:
             image[:] = _widened(image, _DISC_CELLS)
         return _Raster(images, low, pad)

@@ -28,6 +28,10 @@ AGREE_UPDATES = 5
 FORGET, FEW = 0.8, 3.0
 """Poses are given up when the best explains less than half of what the last updates showed: (explained, seen), that
 fade by FORGET per update; of fewer features nothing is concluded, for one may be an outlier."""
+FOUND_SIGMA_RAD = 0.1
+"""A pose with a larger sigma of heading is not found yet; chosen: features at 2 m would be 0.2 m off."""
+MERGED_M, MERGED_RAD = 0.05, 0.05
+"""Poses nearer to each other have become one; far less than the association gate."""
 REGION_M = 6.0
 """How far rivals of a pose are looked for."""
 SAME_RAD = 0.3
@@ -149,7 +153,7 @@ class PoseHypotheses:
         if self.convinced < AGREE_UPDATES:
             return False
         _, cov = self.best()
-        return bool(cov[0, 0] + cov[1, 1] < self.reach_m**2 and cov[2, 2] < 0.1**2)
+        return bool(cov[0, 0] + cov[1, 1] < self.reach_m**2 and cov[2, 2] < FOUND_SIGMA_RAD**2)
 
     # -- weighing
 
@@ -160,7 +164,7 @@ class PoseHypotheses:
         c, s = np.cos(mean[:, 2]), np.sin(mean[:, 2])
         x, y = obs.xy_base_m[k]
         at = np.column_stack([mean[:, 0] + c * x - s * y, mean[:, 1] + s * x + c * y])
-        return self.map.nearest(at, np.full(len(mean), obs.kind[k]), self.reach_m)[0]
+        return self.map.nearest(at, np.full(len(mean), obs.crossing_type[k]), self.reach_m)[0]
 
     def _weigh(self, obs: Observations) -> None:
         """One feature after the other, surest first: evidence and Kalman update of every pose."""
@@ -228,7 +232,7 @@ class PoseHypotheses:
             off[:, 2] = wrap_array(off[:, 2])
             near = left & (
                 (np.einsum("mi,ij,mj->m", off, information[i], off) < 4.0)
-                | ((off[:, 0] ** 2 + off[:, 1] ** 2 < 0.05**2) & (np.abs(off[:, 2]) < 0.05))
+                | ((off[:, 0] ** 2 + off[:, 1] ** 2 < MERGED_M**2) & (np.abs(off[:, 2]) < MERGED_RAD))
             )
             near[:i] = False
             log_weight[i] = np.logaddexp.reduce(log_weight[near])

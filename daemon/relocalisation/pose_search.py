@@ -45,7 +45,7 @@ def poses_from_view(
 def _candidates(known: IndexedMap, region: Ints, obs: Observations, k: int) -> Ints:
     if obs.label[k] >= 0:
         return obs.label[k : k + 1]
-    return np.asarray(region[known.landmarks.kind[region] == obs.kind[k]], np.int64)
+    return np.asarray(region[known.landmarks.crossing_type[region] == obs.crossing_type[k]], np.int64)
 
 
 def _ring(known: IndexedMap, region: Ints, obs: Observations, rng: np.random.Generator) -> tuple[Array, Array]:

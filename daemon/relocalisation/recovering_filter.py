@@ -10,10 +10,10 @@ import numpy as np
 
 from ceilvo.daemon.relocalisation import view_score
 from ceilvo.daemon.relocalisation.lattice import (
-    CALM,
-    SURPRISED,
-    SURPRISED_MAPPING,
-    WARY,
+    SLIP_CHANCE,
+    SLIP_CHANCE_2_SIGMA,
+    SLIP_CHANCE_3_SIGMA,
+    SLIP_CHANCE_MAPPING,
     LatticeBelief,
     neighbours,
     periods,
@@ -65,7 +65,7 @@ class RecoveringState:
     tracker: Any
     refused: int = 0
     surprised: int = 0
-    chance: float = CALM
+    chance: float = SLIP_CHANCE
     settled: int = 0
     lattice: LatticeWatch | None = None
     search: PoseHypotheses | None = None
@@ -188,7 +188,7 @@ class RecoveringFilter:
         """Whether the pose may be another: what matched surprises, is refused, or too much has no landmark."""
         m, state = self._memory, self._tracker.state
         elsewhere = m.lattice is not None and m.lattice.belief.weight[0] < SURE
-        if m.refused or m.chance > CALM or elsewhere:
+        if m.refused or m.chance > SLIP_CHANCE or elsewhere:
             return True
         quiet = state.now - m.settled <= QUIET_UPDATES
         reach_m = self._settings.association_gate_m
@@ -218,14 +218,15 @@ class RecoveringFilter:
         m, state = self._memory, self._tracker.state
         dof = state.nis_dof - 2
         if dof <= 0:
-            return CALM
+            return SLIP_CHANCE
         m.surprised = m.surprised + 1 if state.trimmed_nis > chi_square_bounds(dof, 2.0)[1] else 0
         if not m.surprised:
-            return CALM
+            return SLIP_CHANCE
         if state.known is None:
-            return SURPRISED_MAPPING
-        again = m.surprised > 1
-        return SURPRISED if again or state.trimmed_nis > chi_square_bounds(dof, 3.0)[1] else WARY
+            return SLIP_CHANCE_MAPPING
+        if m.surprised > 1 or state.trimmed_nis > chi_square_bounds(dof, 3.0)[1]:
+            return SLIP_CHANCE_3_SIGMA
+        return SLIP_CHANCE_2_SIGMA
 
     def _watch_lattice(self, obs: Observations) -> None:
         """Belief in this tile against its neighbours, where association was left to the filter."""

@@ -28,7 +28,7 @@ def nearest_landmarks(known: IndexedMap, poses: Array, obs: Observations, reach_
     m, k = len(poses), len(obs)
     at = np.einsum("mij,kj->mki", np.array([rotation(float(t)) for t in poses[:, 2]]), obs.xy_base_m)
     at += poses[:, None, :2]
-    label, distance = known.nearest(at.reshape(-1, 2), np.tile(obs.kind, m), reach_m)
+    label, distance = known.nearest(at.reshape(-1, 2), np.tile(obs.crossing_type, m), reach_m)
     return label.reshape(m, k), distance.reshape(m, k)
 
 
@@ -53,8 +53,8 @@ def unexplained(known: IndexedMap, pose: Array, obs: Observations, reach_m: floa
     """Whether of a type more unlabelled features are without a landmark than outliers explain (2 sigma)."""
     free = obs.label == UNLABELLED
     label = nearest_landmarks(known, pose[None], obs, reach_m)[0][0]
-    for kind in np.unique(obs.kind[free]):
-        of = label[free & (obs.kind == kind)]
+    for kind in np.unique(obs.crossing_type[free]):
+        of = label[free & (obs.crossing_type == kind)]
         if at_least(int(np.count_nonzero(of < 0)), len(of), OUTLIER) < CHANCE:
             return True
     return False

@@ -29,7 +29,9 @@ from ceilvo.errors import FileFormatError
 from ceilvo.types import Estimate
 
 _REFERENCE_TOLERANCE_S = 0.01
+"""A reference pose belongs to an estimate when their stamps differ by no more; chosen: a third of 30 Hz' period."""
 _PROGRESS_EVERY = 10
+"""Estimates between two lines of progress; chosen."""
 
 
 def replay_recording(

@@ -118,7 +118,7 @@ def input_json(given: Input, number: int) -> bytes:
         }
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
-        body["landmarks"] = {k: getattr(given.landmarks, k).tolist() for k in _LANDMARKS}
+        body["landmarks"] = {key: getattr(given.landmarks, name).tolist() for key, (name, _, _) in _LANDMARKS.items()}
     elif isinstance(given, SetPose):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
     elif isinstance(given, Continuation):
@@ -143,13 +143,14 @@ def read_input(data: bytes, frame_of: Callable[[int, int], Frame]) -> tuple[int,
         raise FileFormatError(f"input {data[:60]!r}: {type(e).__name__} {e}; the recording is damaged") from e
 
 
-_LANDMARKS: Mapping[str, tuple[type, tuple[int, ...]]] = {
-    "ids": (np.int64, (-1,)),
-    "xy_map_m": (np.float64, (-1, 2)),
-    "cov_m2": (np.float64, (-1, 2, 2)),
-    "kind": (np.int64, (-1,)),
-    "sightings": (np.int64, (-1,)),
+_LANDMARKS: Mapping[str, tuple[str, type, tuple[int, ...]]] = {
+    "ids": ("ids", np.int64, (-1,)),
+    "xy_map_m": ("xy_map_m", np.float64, (-1, 2)),
+    "cov_m2": ("cov_m2", np.float64, (-1, 2, 2)),
+    "kind": ("crossing_type", np.int64, (-1,)),
+    "sightings": ("sightings", np.int64, (-1,)),
 }
+"""Columns of a map by their key in JSON: field of Landmarks, dtype and shape."""
 
 FrameOf = Callable[[int, int], Frame]
 
@@ -164,7 +165,9 @@ def _read_silence(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
 
 def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     m = body["landmarks"]
-    columns: dict[str, Any] = {k: np.array(m[k], dtype).reshape(shape) for k, (dtype, shape) in _LANDMARKS.items()}
+    columns: dict[str, Any] = {
+        name: np.array(m[key], dtype).reshape(shape) for key, (name, dtype, shape) in _LANDMARKS.items()
+    }
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")
     return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body))

@@ -87,7 +87,7 @@ def draw_overlay(
         if previous_uv_px is not None:
             before = tilted(previous_uv_px, crossings.tilt_rad, level_view)
             _draw_motion(canvas, level_view.to_raw(before), level_view.to_raw(here))
-        for uv, kind in zip(level_view.to_raw(here), crossings.kind, strict=True):
+        for uv, kind in zip(level_view.to_raw(here), crossings.crossing_type, strict=True):
             _draw_crossing(canvas, uv, int(kind))
     if lines is not None:
         _draw_direction(canvas, lines, level_view)

@@ -18,7 +18,7 @@ from ceilvo import __version__
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import render_calibration
 from ceilvo.config import Config
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose, input_json
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
@@ -37,7 +37,9 @@ from ceilvo.types import Estimate, Frame, State
 log = logging.getLogger("ceilvo")
 
 JPEG_QUALITY = 80
+"""Of pictures that are to look at; chosen."""
 _SILENT_BASE_S = 1.0
+"""A base silent for longer is a fault worth a recording; chosen: many times its period."""
 
 Note = Callable[[str], None]
 

@@ -73,6 +73,10 @@ def _same(f: Tree) -> Tree:
     return f
 
 
+def _typed(f: Tree) -> Tree:
+    return {("crossing_type" if k == "kind" else k): v for k, v in f.items()}
+
+
 def _pipeline(f: Tree) -> Tree:
     gap = f["_gap"] if f["_gap"]["failure"] is not None else None
     return {
@@ -157,7 +161,7 @@ def _fast_slam(f: Tree) -> Tree:
     return _renamed(**names, **rest)(f) | {"mean": mean, "cov": cov}
 
 
-_ARRAYS = {"kind": "kind", "sightings": "sightings", "ids": "ids"}
+_ARRAYS = {"crossing_type": "kind", "sightings": "sightings", "ids": "ids"}
 _CLASSES: Mapping[str, Callable[[Tree], Tree]] = {
     "Pipeline": _pipeline,
     "LineFinder": _renamed(
@@ -201,8 +205,8 @@ _CLASSES: Mapping[str, Callable[[Tree], Tree]] = {
     "_Agreement": _renamed(count="_votes", holds="holds"),
     "Confirmation": _hypothesis,
     "Motion": _same,
-    "Crossings": _same,
-    "Landmarks": _same,
+    "Crossings": _typed,
+    "Landmarks": _typed,
     "Depletion": _same,
     "Pfcf": _pfcf,
     "Ukf": _joint_filter,
@@ -244,5 +248,7 @@ _CLASSES: Mapping[str, Callable[[Tree], Tree]] = {
         next_id="_next_id",
         turn="_turn",
     ),
-    "Candidates": _renamed(expire_updates="_expire", xy="xy", cov="cov", kind="kind", count="count", age="_age"),
+    "Candidates": _renamed(
+        expire_updates="_expire", xy="xy", cov="cov", crossing_type="kind", count="count", age="_age"
+    ),
 }

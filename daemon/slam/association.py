@@ -8,7 +8,7 @@ import numpy as np
 
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
-from ceilvo.crossing_types import quarter_turns, turn_kind
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.se2 import transform, wrap
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Ints, Landmarks, Observations, frozen
@@ -73,7 +73,7 @@ def associate(
         map_axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
     """
     turns = quarter_turns(crossings.psi_rad + float(pose[2]), map_axis_rad)
-    kind = turn_kind(crossings.kind, turns)
+    kind = turned_type(crossings.crossing_type, turns)
     sigma_x, sigma_y = sigma(curves, np.hypot(*(crossings.xy_base_m - mount_xy_m).T))
     variance = np.column_stack([sigma_x**2, sigma_y**2])  # R11, R22 of eq. 27, as variances
     variance += np.diagonal(crossings.cov_base_m2, axis1=1, axis2=2)
@@ -81,7 +81,7 @@ def associate(
     return Observations(
         xy_base_m=crossings.xy_base_m,
         var_m2=frozen(variance),
-        kind=kind,
+        crossing_type=kind,
         label=_associate(seen_at, kind, pose[:2], landmarks, settings.association_gate_m),
         heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
         heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
@@ -95,7 +95,7 @@ def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmark
         return label
     reach = np.max(np.hypot(*(xy_map_m - centre_m).T)) + gate_m
     near = np.flatnonzero(np.hypot(*(landmarks.xy_map_m - centre_m).T) <= reach)
-    seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.kind[near], gate_m)
+    seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.crossing_type[near], gate_m)
     label[seen] = near[which]
     return label
 
@@ -112,7 +112,7 @@ def usable(obs: Observations, landmarks: int) -> Observations:
     return Observations(
         obs.xy_base_m[good],
         np.maximum(obs.var_m2[good], VAR_FLOOR),
-        obs.kind[good],
+        obs.crossing_type[good],
         label,
         obs.heading_rad,
         obs.heading_var_rad2,

@@ -253,11 +253,11 @@ class JointFilter:
         gate = self.settings.association_gate_m
         if self._state.known is not None:
             near = self._state.known.near(xy, gate)
-            at, kind = self._state.known.landmarks.xy_map_m[near], self._state.known.landmarks.kind[near]
+            at, kind = self._state.known.landmarks.xy_map_m[near], self._state.known.landmarks.crossing_type[near]
         else:
             near = self._candidates_near(xy, gate, label, obs.label[free])
-            at, kind = self._state.joint.xy(near), self._state.joint.kind[near]
-        seen, which = mutual_nearest(xy, obs.kind[free], at, kind, gate)
+            at, kind = self._state.joint.xy(near), self._state.joint.crossing_type[near]
+        seen, which = mutual_nearest(xy, obs.crossing_type[free], at, kind, gate)
         label[free[seen]] = near[which]
         return usable(replace(obs, label=label), ALL_LABELS)
 
@@ -304,7 +304,7 @@ class JointFilter:
         xy, reach = j.xy(labels), DUPLICATE_FRACTION * self.settings.association_gate_m
         near = self._candidates_near(xy, reach, np.empty(0, np.int64), np.array([UNLABELLED]))
         apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
-        same = (apart < reach) & (j.kind[labels][:, None] == j.kind[near]) & (labels[:, None] != near)
+        same = (apart < reach) & (j.crossing_type[labels][:, None] == j.crossing_type[near]) & (labels[:, None] != near)
         pairs = np.argwhere(same)
         if len(pairs):
             a, b = int(labels[pairs[0, 0]]), int(near[pairs[0, 1]])
@@ -318,10 +318,10 @@ class JointFilter:
 
     def _be_born(self, obs: Observations, which: Ints) -> None:
         j, cfg = self._state.joint, self.settings
-        xy, kind = transform(j.pose, obs.xy_base_m[which]), obs.kind[which]
+        xy, kind = transform(j.pose, obs.xy_base_m[which]), obs.crossing_type[which]
         near = self._candidates_near(xy, cfg.association_gate_m, np.empty(0, np.int64), np.array([UNLABELLED]))
         apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
-        apart[kind[:, None] != j.kind[near]] = np.inf
+        apart[kind[:, None] != j.crossing_type[near]] = np.inf
         fresh = np.min(apart, axis=1, initial=np.inf) > DUPLICATE_FRACTION * cfg.association_gate_m
         if len(near):  # nor where it may be one that is known, seen badly
             off = apart**2 / (np.max(obs.var_m2[which], axis=1)[:, None] + np.max(j.packed(near)[:, [0, 2]], axis=1))

@@ -27,7 +27,7 @@ class JointMap:
     Attributes:
         mean, cov: (3 + 2 W,), (3 + 2 W, 3 + 2 W) [m, m, rad, m, m, ...].
         label_of: (W,) row of the landmark in each slot.
-        ids, kind, sightings: (L,) as in Landmarks.
+        ids, crossing_type, sightings: (L,) as in Landmarks.
         seen_at: (L,) update that saw it last.
         confirmed: (L,) seen often enough to be shown.
         slot: (L,) its place in the window, -1 outside.
@@ -39,7 +39,7 @@ class JointMap:
     cov: Array
     label_of: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    crossing_type: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     sightings: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     seen_at: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
@@ -56,7 +56,7 @@ class JointMap:
         return JointMap(mean, np.array(cov, np.float64) + np.diag(JITTER))
 
     def __len__(self) -> int:
-        return len(self.kind)
+        return len(self.crossing_type)
 
     # -- the pose
 
@@ -108,7 +108,7 @@ class JointMap:
 
     def load(self, landmarks: Landmarks) -> None:
         """Append a map; its landmarks enter the window when they are seen."""
-        self._append(landmarks.kind, landmarks.sightings, landmarks.ids, confirmed=True)
+        self._append(landmarks.crossing_type, landmarks.sightings, landmarks.ids, confirmed=True)
         n = len(landmarks)
         self.table_xy[-n:], self.table_packed[-n:] = landmarks.xy_map_m, packed(landmarks.cov_m2)
 
@@ -116,7 +116,7 @@ class JointMap:
         n, old = len(kind), len(self)
         ids = self.next_id + np.arange(n) if ids is None else ids
         self.next_id = max(self.next_id, int(np.max(ids, initial=-1)) + 1)
-        self.ids, self.kind = np.concatenate([self.ids, ids]), np.concatenate([self.kind, kind])
+        self.ids, self.crossing_type = np.concatenate([self.ids, ids]), np.concatenate([self.crossing_type, kind])
         self.sightings = np.concatenate([self.sightings, sightings])
         self.seen_at = np.concatenate([self.seen_at, np.zeros(n, np.int64)])
         self.confirmed = np.concatenate([self.confirmed, np.full(n, confirmed)])
@@ -196,7 +196,7 @@ class JointMap:
         keep[labels] = False
         moved = np.cumsum(keep) - 1
         self.label_of = moved[self.label_of]
-        self.ids, self.kind, self.sightings = self.ids[keep], self.kind[keep], self.sightings[keep]
+        self.ids, self.crossing_type, self.sightings = self.ids[keep], self.crossing_type[keep], self.sightings[keep]
         self.seen_at, self.confirmed, self.slot = self.seen_at[keep], self.confirmed[keep], self.slot[keep]
         self.table_xy, self.table_packed = self.table_xy[keep], self.table_packed[keep]
 
@@ -223,7 +223,7 @@ class JointMap:
             ids=self.ids[labels],
             xy_map_m=frozen(self.xy(labels)),
             cov_m2=frozen(unpacked(self.packed(labels))),
-            kind=self.kind[labels],
+            crossing_type=self.crossing_type[labels],
             sightings=self.sightings[labels],
         )
 

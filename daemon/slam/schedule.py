@@ -9,6 +9,7 @@ import numpy as np
 from ceilvo.config import Filter
 
 _NS = 1e-9
+"""Seconds in a nanosecond."""
 
 
 @dataclass(slots=True)

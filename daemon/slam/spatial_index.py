@@ -9,6 +9,7 @@ import numpy as np
 from ceilvo.types import Array, Ints, Landmarks
 
 CELL_M = 1.0
+"""Side of a cell; chosen: a view of 2 m touches about ten."""
 _SIDE = 1 << 20
 """Cells are numbered row by row; no building is a million cells wide."""
 
@@ -61,7 +62,7 @@ class IndexedMap:
     def nearest(self, xy_m: Array, kind: Ints, reach_m: float) -> tuple[Ints, Array]:
         """For each point (Q, 2) the label of the nearest landmark of its kind (Q,), or -1, and its distance [m]."""
         best, label = np.full(len(xy_m), np.inf), np.full(len(xy_m), -1, np.int64)
-        at, kinds = self.landmarks.xy_map_m, self.landmarks.kind
+        at, kinds = self.landmarks.xy_map_m, self.landmarks.crossing_type
         low, high = self._cells(xy_m - reach_m), self._cells(xy_m + reach_m)
         for column in range(int(np.max(high[:, 0] - low[:, 0], initial=-1)) + 1):
             x = np.minimum(low[:, 0] + column, high[:, 0]) * _SIDE

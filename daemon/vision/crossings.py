@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
-from ceilvo.crossing_types import crossing_kind
+from ceilvo.crossing_types import crossing_type_of
 from ceilvo.daemon.vision import kernel
 from ceilvo.types import Crossings, Lines
 
@@ -35,7 +35,7 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
         M crossings, M may be 0; psi, tilt and their errors are those of the lines.
     """
     first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
-    reach_px = max(config.crossing_reach_px, _REACH_SPACINGS / lines.share)
+    reach_px = max(config.crossing_reach_px, _REACH_SPACINGS / lines.fraction)
     covered = _covered(lines, first, 1, lines.offset_px[second], reach_px) & (
         _covered(lines, second, 0, lines.offset_px[first], reach_px).T
     )
@@ -54,7 +54,7 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
         uv_px=uv,
         xy_base_m=to_ceiling(calibration.ceiling_from_level, uv),
         cov_base_m2=cov,
-        kind=crossing_kind(lines.kind[a], lines.kind[b]),
+        crossing_type=crossing_type_of(lines.kind[a], lines.kind[b]),
         psi_rad=lines.psi_rad,
         psi_sigma_rad=lines.psi_sigma_rad,
         tilt_rad=lines.tilt_rad,
@@ -88,7 +88,7 @@ def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: floa
         return np.zeros((len(ids), len(at)), bool)
     row = np.full(len(lines.axis), -1, np.int32)
     row[ids] = np.arange(len(ids), dtype=np.int32)
-    bin_px = _UNIFORM_BIN_SPACINGS / lines.share if lines.evenly else _BIN_PX
+    bin_px = _UNIFORM_BIN_SPACINGS / lines.fraction if lines.uniform else _BIN_PX
     margin = reach_px + 2.0 * bin_px
     low = float(at.min()) - margin
     bins = int((float(at.max()) - low + margin) / bin_px) + 2
@@ -101,6 +101,6 @@ def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: floa
     before = total[:, cells[2] + 1] - total[:, cells[0]]
     after = total[:, cells[3] + 1] - total[:, cells[1]]
     # expected of a line that is there: it has an edge point a pixel, of which the fraction `share` was kept
-    filled = 1.0 if lines.evenly else 1.0 - (1.0 - lines.share) ** bin_px
+    filled = 1.0 if lines.uniform else 1.0 - (1.0 - lines.fraction) ** bin_px
     need = _ARM_FRACTION * filled * reach_px / bin_px
     return np.asarray(np.maximum(before, after) >= max(need, _MIN_BINS))

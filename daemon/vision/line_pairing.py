@@ -96,8 +96,8 @@ def pair_edges(
         free_tilt_sigma_rad=free.sigma_rad,
         points=points,
         point_line=point_line,
-        share=fraction,
-        evenly=uniform,
+        fraction=fraction,
+        uniform=uniform,
     )
     return _turn_axes(lines, turned), _edge_set(fit, order, fraction)
 

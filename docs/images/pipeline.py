@@ -22,7 +22,7 @@ def main() -> int:
     world = World(WorldSpec(seed=1))
     config = Config()
     pipeline = Pipeline(world.calibration, config, np.random.default_rng(config.service.seed))
-    pipeline.assume(world.initial_pose, np.diag([1e-6, 1e-6, 1e-6]), "where the simulated robot starts")
+    pipeline.set_pose(world.initial_pose, np.diag([1e-6, 1e-6, 1e-6]), "where the simulated robot starts")
     camera = SimCamera(world, FPS, realtime=False, duration_s=SECONDS)
     camera.open()
     estimates = []
@@ -30,13 +30,13 @@ def main() -> int:
         estimates.append(pipeline.step(frame))
     camera.close()
 
-    view, last = pipeline.view, estimates[-1]
+    view, last = pipeline.vision.view, estimates[-1]
     before = previous_pixels(view.crossings, last.motion, world.calibration)
     left = draw_overlay(view.frame.gray, view.lines, view.crossings, world.calibration.level_view, before, scale=2)
     size = left.shape[0] // 2
     path = np.array([e.pose[:2] for e in estimates])
-    particles, weights = pipeline.particles()
-    marks, none = pipeline.landmarks(), (np.zeros((0, 2)), None)
+    particles, weights = pipeline.filter.particles()
+    marks, none = pipeline.filter.landmarks(), (np.zeros((0, 2)), None)
     x, y = last.pose[:2]
     near = (x - ZOOM_M / 2, y - ZOOM_M / 2, x + ZOOM_M / 2, y + ZOOM_M / 2)
     room = draw_particles_panel(particles, weights, marks.xy_map_m, marks.cov_m2, last.pose, path, size_px=size)

@@ -169,5 +169,5 @@ def _step(before: BaseStatus, after: BaseStatus) -> tuple[float, float, float]:
 def _pose_at(t: Array, path: Array, at_s: float) -> Array:
     """(3,) linear between samples, constant speed beyond the last."""
     i = min(max(int(np.searchsorted(t, at_s)), 1), len(t) - 1)
-    share = (at_s - t[i - 1]) / (t[i] - t[i - 1])
-    return np.asarray(path[i - 1] + share * (path[i] - path[i - 1]), dtype=np.float64)
+    fraction = (at_s - t[i - 1]) / (t[i] - t[i - 1])
+    return np.asarray(path[i - 1] + fraction * (path[i] - path[i - 1]), dtype=np.float64)

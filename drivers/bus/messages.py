@@ -27,7 +27,7 @@ from ceilvo.types import Estimate, Landmarks, State
 
 VERSION = 1
 MAX_PARTICLES = 2000
-"""A larger set is thinned evenly: the message is for looking at."""
+"""A larger set is thinned uniformly: the message is for looking at, and this many are about 150 kB."""
 
 
 QUERIES = ("map", "calibration", "config")
@@ -218,7 +218,7 @@ def _landmark_columns(m: Landmarks) -> dict[str, object]:
         "cov_xx_m2": m.cov_m2[:, 0, 0],
         "cov_xy_m2": m.cov_m2[:, 0, 1],
         "cov_yy_m2": m.cov_m2[:, 1, 1],
-        "kind": m.kind,
+        "kind": m.crossing_type,
         "sightings": m.sightings,
     }
 

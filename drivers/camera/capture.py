@@ -169,9 +169,9 @@ class CaptureLoop:
         self._count(connected=True, reopens=self._counters.reopens + (self._info is not None))
         again = "again " if self._info is not None else ""
         self._info = info
-        self._say("opened", f"{info.name} {again}gives {info.width_px}x{info.height_px} at {info.rate_hz:g} Hz")
+        self._report("opened", f"{info.name} {again}gives {info.width_px}x{info.height_px} at {info.rate_hz:g} Hz")
         for note in info.notes:
-            self._say("note", f"{info.name}: {note}")
+            self._report("note", f"{info.name}: {note}")
         return info
 
     def _stream(self, info: CameraInfo) -> None:
@@ -228,25 +228,25 @@ class CaptureLoop:
     def _finish(self, info: CameraInfo) -> None:
         with self._mail:
             self._finished = True
-        self._say("finished", f"{info.name}: end after {self._counters.frames} frames")
+        self._report("finished", f"{info.name}: end after {self._counters.frames} frames")
 
     def _bad(self, exc: BadFrameError, in_a_row: int) -> None:
         self._count(bad_frames=self._counters.bad_frames + 1, last_error=str(exc))
         if in_a_row == 1:
-            self._say("bad_frame", str(exc))
+            self._report("bad_frame", str(exc))
 
     def _lost(self, exc: CameraError) -> None:
         """Say it once, and again only when the reason changes while the camera is away."""
         news = self._counters.connected or str(exc) != self._counters.last_error
         self._count(losses=self._counters.losses + self._counters.connected, connected=False, last_error=str(exc))
         if news:
-            self._say("lost", f"{exc}; trying again every {self._cfg.reopen_max_s:g} s")
+            self._report("lost", f"{exc}; trying again every {self._cfg.reopen_max_s:g} s")
 
     def _count(self, **changes: int | str | bool) -> None:
         # Only the capture thread writes, and a reader gets one whole snapshot or the next.
         self._counters = replace(self._counters, **changes)  # type: ignore[arg-type]
 
-    def _say(self, kind: Literal["opened", "note", "lost", "bad_frame", "finished"], text: str) -> None:
+    def _report(self, kind: Literal["opened", "note", "lost", "bad_frame", "finished"], text: str) -> None:
         self._on_event(CaptureEvent(kind, text))
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.bench.fuzz.__main__ import mutated
+from ceilvo.bench.fuzz.command import mutated
 from ceilvo.bench.fuzz.targets import TARGETS, run, seeds
 
 

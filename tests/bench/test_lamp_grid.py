@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ceilvo import se2
-from ceilvo.bench.real.__main__ import LAMP_PITCH_M, lamps_calibration
+from ceilvo.bench.real.command import LAMP_PITCH_M, lamps_calibration
 from ceilvo.bench.real.lamp_grid import Lamps, judge, seen
 from ceilvo.types import Array
 

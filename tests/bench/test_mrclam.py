@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ceilvo.bench.mrclam import __main__ as mrclam
+from ceilvo.bench.mrclam import command as mrclam
 from ceilvo.bench.mrclam import noise as mrclam_noise
 from ceilvo.bench.mrclam import run as mrclam_run
 from ceilvo.bench.mrclam.data import arc, read_run, read_world, robots_in

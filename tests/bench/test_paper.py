@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import ceilvo.daemon
-from ceilvo.bench.paper import __main__ as paper
+from ceilvo.bench.paper import command as paper
 from ceilvo.bench.paper import tables as paper_tables
 from ceilvo.bench.paper.ekf import EkfNearestNeighbour
 from ceilvo.bench.paper.filters import redraw_without_curve
@@ -85,11 +85,11 @@ def test_odometry_has_the_stated_noise_and_slips_as_often():
     truth = [recording.start, *(s.truth for s in recording.steps)]
     for last, step in zip(truth, recording.steps, strict=False):
         moved = compose(inverse(last), step.truth)
-        slips = step.told[0] > 1.33 * moved[0]
+        slips = step.reported[0] > 1.33 * moved[0]
         begun += slips and not before
         before = slips
         if not slips:
-            noise.append((step.told - moved) / way)
+            noise.append((step.reported - moved) / way)
     expected = 20 * LAP_STEPS * way * world.slip_per_m
     print(f"seed {SEED}: {begun} slips, {expected:.0f} expected; odometry {np.std(noise, axis=0)} per metre")
     assert abs(begun - expected) < 4 * np.sqrt(expected)
@@ -104,7 +104,9 @@ def test_filters_are_told_the_noise_that_the_setting_says():
         sigma = world.sigma(np.hypot(*step.xy_base_m.T))
         assert np.allclose(step.sigma_m, world.assumed * sigma)
         length = SPEED_M_S * DT_S
-        assert np.sqrt(step.told_cov[0, 0]) == pytest.approx(world.assumed * world.forward_m_per_m * length, rel=1e-2)
+        assert np.sqrt(step.reported_cov[0, 0]) == pytest.approx(
+            world.assumed * world.forward_m_per_m * length, rel=1e-2
+        )
 
 
 def test_only_what_is_in_the_view_is_seen_and_a_kidnap_is_not_in_the_odometry():
@@ -115,11 +117,11 @@ def test_only_what_is_in_the_view_is_seen_and_a_kidnap_is_not_in_the_odometry():
     a, b = recording.steps[9].truth, recording.steps[10]
     jump = compose(inverse(compose(a, lap_steps()[10])), b.truth)
     assert np.hypot(*jump[:2]) == pytest.approx(KIDNAP_M, rel=1e-6)
-    assert np.hypot(*b.told[:2]) < 0.2
+    assert np.hypot(*b.reported[:2]) < 0.2
 
 
 def test_the_same_seed_is_the_same_recording_and_another_is_not():
-    a, b, c = (recorded(SETTINGS["P"], 20, seed).steps[-1].told for seed in (1, 1, 2))
+    a, b, c = (recorded(SETTINGS["P"], 20, seed).steps[-1].reported for seed in (1, 1, 2))
     assert np.array_equal(a, b)
     assert not np.array_equal(a, c)
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from ceilvo import se2
-from ceilvo.bench.vision import __main__ as vision
+from ceilvo.bench.vision import command as vision
 from ceilvo.bench.vision.baselines import DescriptorMatcher, PointTracker
 from ceilvo.bench.vision.conditions import LAP, conditions, misjudged
 from ceilvo.bench.vision.metrics import CrossingScore, MotionScore
 from ceilvo.bench.vision.run import Options, run
-from ceilvo.sim.ceiling_layout import CrossingKind
+from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.motion import TiltSpec
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Crossings, Motion
@@ -43,7 +43,7 @@ def level(world: World, xy_map: np.ndarray, pose: np.ndarray) -> np.ndarray:
 def truth(world: World, pose: np.ndarray) -> np.ndarray:
     xy, kind = world.ceiling.true_crossings()
     near = np.hypot(*(xy - pose[:2]).T) < 3.0
-    return level(world, xy[near & (kind != CrossingKind.VENT)], pose)
+    return level(world, xy[near & (kind != CrossingType.VENT)], pose)
 
 
 def test_perfect_crossings_score_full_marks(world: World) -> None:

@@ -31,29 +31,33 @@ def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
     return call
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def bench() -> VirtualBench:
     return VirtualBench(simulated_calibration(CAMERA))
 
 
-@pytest.fixture
-def known_lens(tmp_path: Path, bench: VirtualBench) -> Session:
+def with_known_lens(folder: Path, bench: VirtualBench) -> Session:
     """A session as `calib intrinsics` leaves it, with the true lens."""
-    session = Session(tmp_path / "s")
+    session = Session(folder)
     lens = {"camera": asdict(bench.rig.camera), "camera_id": "ceilvo-sim", "model": "pinhole", "sigma": [0.1] * 9}
     session.save("intrinsics", lens | {"cov": np.zeros((9, 9)), "rms_px": 0.1, "verdict": "PASS"})
     return session
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
+def known_lens(tmp_path: Path, bench: VirtualBench) -> Session:
+    return with_known_lens(tmp_path / "s", bench)
+
+
+@pytest.fixture(scope="session")
 def stock(bench: VirtualBench) -> dict[str, list[Picture]]:
     """Pictures of the virtual bench, drawn once."""
     return {
         "board": list(bench.board(BOARD, 8)),
         "places": list(bench.places(9)),
         "spin_and_run": list(bench.spin_and_run(28, 18, turns=1.0)),
-        "stands": list(bench.stands(9, 2)),
-        "drive": list(bench.drive(40, lap_share=0.1)),
+        "stations": list(bench.stations(9, 2)),
+        "drive": list(bench.drive(40, lap_fraction=0.1)),
     }
 
 
@@ -62,3 +66,13 @@ def short(monkeypatch: pytest.MonkeyPatch, stock: dict[str, list[Picture]]) -> N
     """The virtual bench with fewer pictures."""
     for name, pictures in stock.items():
         monkeypatch.setattr(VirtualBench, name, lambda *_, p=pictures, **__: iter(p))
+
+
+@pytest.fixture(scope="session")
+def projected(tmp_path_factory: pytest.TempPathFactory, bench: VirtualBench, stock: dict[str, list[Picture]]) -> Path:
+    """A session with a known lens as `calib projection` leaves it, to be copied."""
+    session = with_known_lens(tmp_path_factory.mktemp("projected") / "s", bench)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(VirtualBench, "places", lambda *_, **__: iter(stock["places"]))
+        assert main(["projection", "--simulate", "--session", str(session.folder)]) == 0
+    return session.folder

@@ -13,7 +13,7 @@ import pytest
 
 from ceilvo.calibration_file import write_calibration
 from ceilvo.config import Config
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon.cli import main
 from ceilvo.daemon.replay.trajectory import compare
 from ceilvo.sim.record import main as record

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ceilvo import se2
-from ceilvo.bench.real import __main__ as real
+from ceilvo.bench.real import command as real
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.camera.selection import source_camera
 from ceilvo.types import Frame

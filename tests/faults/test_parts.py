@@ -11,9 +11,10 @@ import pytest
 
 from ceilvo import config
 from ceilvo.config import Config
+from ceilvo.crossing_types import turned_type
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.relocalisation.place_search import Home, best_place
+from ceilvo.daemon.relocalisation.place_search import ReachableRegion, search_places
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.mock_base import MockBase
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
@@ -196,18 +197,16 @@ def test_the_place_that_explains_a_view_is_found_whatever_was_believed(seed: int
     c, s = np.cos(pose[2]), np.sin(pose[2])
     seen = (landmarks.xy_map_m[near] - pose[:2]) @ np.array([[c, -s], [s, c]]) + rng.normal(0, 0.005, (near.sum(), 2))
     turn = int(rng.integers(4))  # the view knows its heading modulo a quarter turn, and names its kinds by it
-    from ceilvo.crossing_types import turn_kind
-
-    kind = turn_kind(landmarks.kind[near], (4 - turn) % 4)
+    kind = turned_type(landmarks.crossing_type[near], (4 - turn) % 4)
     heading = float(pose[2]) + 0.5 * np.pi * turn
     n = int(near.sum())
     view = Observations(seen, np.full((n, 2), 1e-4), kind, np.full(n, -1), heading, 1e-6, 0.0)
-    place = best_place(landmarks, view, np.array([0.0, 0.0, 0.0]))
+    place = search_places(landmarks, view, np.array([0.0, 0.0, 0.0]))
     assert place is not None
     assert place.explained >= 0.9 * n
     assert np.hypot(*(place.pose - pose)[:2]) < 0.2
     assert abs(np.angle(np.exp(1j * (place.pose[2] - pose[2])))) < 1e-6
-    there = best_place(landmarks, view, pose)
+    there = search_places(landmarks, view, pose)
     assert there is not None
     assert there.here == there.explained
 
@@ -224,7 +223,7 @@ def seen_at(whole: Landmarks, pose: Array) -> Observations:
     near = np.hypot(*(whole.xy_map_m - pose[:2]).T) < 1.5
     n = int(near.sum())
     xy = transform(inverse(pose), whole.xy_map_m[near])
-    return Observations(xy, np.full((n, 2), 1e-4), whole.kind[near], np.full(n, -1), float(pose[2]), 1e-6, 0.0)
+    return Observations(xy, np.full((n, 2), 1e-4), whole.crossing_type[near], np.full(n, -1), float(pose[2]), 1e-6, 0.0)
 
 
 @pytest.mark.parametrize("reach_m", [0.5, 1.0])
@@ -232,11 +231,13 @@ def test_ground_that_is_not_mapped_is_not_taken_for_a_place_like_it(reach_m: flo
     """The robot drove off the map; what it sees there is all on the map too, 2.4 m back."""
     whole, pose = tiles(20, 10), np.array([8.6, 2.9, 0.0])
     mapped = whole.xy_map_m[:, 0] < 7.5
-    part = Landmarks(*(getattr(whole, name)[mapped] for name in ("ids", "xy_map_m", "cov_m2", "kind", "sightings")))
+    part = Landmarks(
+        *(getattr(whole, name)[mapped] for name in ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings"))
+    )
     view = seen_at(whole, pose)
-    anywhere = best_place(part, view, pose)
+    anywhere = search_places(part, view, pose)
     assert anywhere is not None and anywhere.explained == len(view)
-    place = best_place(part, view, pose, Home(pose, reach_m))
+    place = search_places(part, view, pose, ReachableRegion(pose, reach_m))
     assert place is not None and place.explained < 0.8 * len(view)
     assert place.allows(place.pose) and not place.allows(anywhere.pose)
 
@@ -245,7 +246,7 @@ def test_a_robot_that_was_carried_off_mapped_ground_is_found_anywhere() -> None:
     whole = tiles(20, 10)
     pose, believed = np.array([8.6, 2.9, 0.0]), np.array([7.6, 2.2, 0.1])
     view = seen_at(whole, pose)
-    place = best_place(whole, view, believed, Home(believed, 0.5))
+    place = search_places(whole, view, believed, ReachableRegion(believed, 0.5))
     assert place is not None and place.explained == len(view) > place.here
     assert place.allows(pose)
 
@@ -253,4 +254,4 @@ def test_a_robot_that_was_carried_off_mapped_ground_is_found_anywhere() -> None:
 def test_without_a_map_there_is_no_place() -> None:
     none = Landmarks(*(np.zeros(s) for s in (0, (0, 2), (0, 2, 2), 0, 0)))  # type: ignore[arg-type]
     view = Observations(np.ones((3, 2)), np.ones((3, 2)), np.full(3, 4), np.full(3, -1), 0.0, 1.0, 0.0)
-    assert best_place(none, view, np.zeros(3)) is None
+    assert search_places(none, view, np.zeros(3)) is None

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from ceilvo.errors import ConfigError
-from ceilvo.sim.ceiling import GROOVE, TILE, Ceiling
-from ceilvo.sim.ceiling_layout import CeilingSpec, CrossingKind
+from ceilvo.sim.ceiling.ceiling import GROOVE, TILE, Ceiling
+from ceilvo.sim.ceiling.layout import CrossingType
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.types import LineKind
 
 BARE = CeilingSpec(
@@ -34,7 +35,7 @@ def test_bare_grid_has_the_number_of_crossings_that_arithmetic_gives() -> None:
     xy, kind = Ceiling(BARE).true_crossings()
     # from -0.5 to 2.5 m: x = 0.137 + 0.6 k, k = -1..3; y = 0.418 + 0.6 k, k = -1..3
     assert len(xy) == 25
-    assert (kind == CrossingKind.CROSS).all()
+    assert (kind == CrossingType.CROSS).all()
     np.testing.assert_allclose(np.unique(xy[:, 0].round(9)), 0.137 + 0.6 * np.arange(-1, 4))
     np.testing.assert_allclose(np.unique(xy[:, 1].round(9)), 0.418 + 0.6 * np.arange(-1, 4))
 
@@ -87,11 +88,11 @@ def test_crossings_behind_a_lamp_are_not_listed_and_its_neighbours_are_tees(full
     middle = np.array([0.5 * (x0 + x1), y0 - 0.004])  # the groove it hides ends at its long sides
     nearest = np.hypot(*(xy - middle).T).argmin()
     np.testing.assert_allclose(xy[nearest], middle, atol=1e-9)
-    assert kind[nearest] == CrossingKind.TEE
-    grid = kind <= CrossingKind.TEE
+    assert kind[nearest] == CrossingType.TEE
+    grid = kind <= CrossingType.TEE
     inside = (xy[:, 0] > x0) & (xy[:, 0] < x1) & (xy[:, 1] > y0) & (xy[:, 1] < y1)
     assert not (inside & grid).any()
-    assert (kind == CrossingKind.LAMP).sum() == 4 * len(full.layout.lamps)
+    assert (kind == CrossingType.LAMP).sum() == 4 * len(full.layout.lamps)
 
 
 def test_edges_rise_and_fall_as_listed(full: Ceiling) -> None:

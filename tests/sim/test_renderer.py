@@ -11,8 +11,9 @@ import pytest
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.errors import ConfigError
-from ceilvo.sim.ceiling import Ceiling
-from ceilvo.sim.ceiling_layout import CeilingSpec, CrossingKind
+from ceilvo.sim.ceiling.ceiling import Ceiling
+from ceilvo.sim.ceiling.layout import CrossingType
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.renderer import Renderer, RenderSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 
@@ -77,7 +78,7 @@ def test_grooves_appear_where_the_lens_puts_them(case: str) -> None:
     errors = []
     for pose in np.array([[1.6, 1.0, 0.0], [3.9, 2.3, 1.9], [2.2, 2.7, -2.6]]):
         image = renderer.render(pose, rng(), tilt)
-        for crossing in xy[kind == CrossingKind.CROSS]:
+        for crossing in xy[kind == CrossingType.CROSS]:
             for axis in (0, 1):
                 arm = crossing + 0.14 * np.eye(2)[1 - axis]
                 u, v = pixels(cal, arm[None], pose, tilt)[0]

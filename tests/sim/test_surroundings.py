@@ -8,8 +8,9 @@ import pytest
 
 from ceilvo import se2
 from ceilvo.errors import ConfigError
-from ceilvo.sim.ceiling import Ceiling
-from ceilvo.sim.ceiling_layout import CeilingSpec, CrossingKind
+from ceilvo.sim.ceiling.ceiling import Ceiling
+from ceilvo.sim.ceiling.layout import CrossingType
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.surroundings import Slab, SurroundingsSpec
@@ -117,9 +118,9 @@ def test_impossible_switching_is_refused(bad: dict[str, float]) -> None:
 def test_a_bare_ceiling_keeps_its_lamps_and_loses_its_joints() -> None:
     tiled, bare = Ceiling(PLAIN, seed=2), Ceiling(CeilingSpec(**{**PLAIN.__dict__, "joints": False}), seed=2)
     xy, kind = bare.true_crossings()
-    assert set(kind.tolist()) == {CrossingKind.LAMP, CrossingKind.VENT}
+    assert set(kind.tolist()) == {CrossingType.LAMP, CrossingType.VENT}
     all_xy, all_kind = tiled.true_crossings()
-    np.testing.assert_allclose(xy, all_xy[all_kind >= CrossingKind.LAMP])
+    np.testing.assert_allclose(xy, all_xy[all_kind >= CrossingType.LAMP])
     assert np.ptp(bare.albedo[:40, :200]) < 0.2 < np.ptp(tiled.albedo[:40, :200])
 
 

@@ -13,7 +13,7 @@ from ceilvo import se2
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CameraError, ConfigError, FileFormatError
 from ceilvo.sim.camera import SYNTHETIC_T0_NS, SimCamera
-from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec, TiltSpec
 from ceilvo.sim.record import main, record
 from ceilvo.sim.renderer import RenderSpec

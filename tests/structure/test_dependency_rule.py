@@ -22,35 +22,6 @@ import pytest
 from house import FLOORS, FOLDERS, ROOT, House, circles, floor_of, name_of, room_of
 
 NOT_YET: tuple[str, ...] = (
-    "daemon/app_experiment.py imports bench/mrclam/__main__.py",
-    "daemon/app_experiment.py imports bench/paper/__main__.py",
-    "daemon/app_experiment.py imports bench/speed/filter_step.py",
-    "daemon/relocalisation/recovering_filter.py imports daemon/slam/paper/fastslam.py",
-    "daemon/slam/joint_filter.py imports daemon/slam/paper/fastslam.py",
-    "daemon/slam/joint_map.py imports daemon/slam/paper/particle_maps.py",
-    "daemon/slam/pfcf.py imports daemon/relocalisation/pose_search.py",
-    "daemon/slam/pfcf.py imports daemon/relocalisation/recovering_filter.py",
-    "daemon/slam/pfcf.py imports daemon/slam/paper/curve_fit.py",
-    "daemon/app_experiment.py is in no room",
-    "calib/cli.py <-> calib/commands/check.py <-> calib/commands/intrinsics.py <-> calib/commands/mount.py"
-    " <-> calib/commands/projection.py <-> calib/commands/report.py <-> calib/commands/sigma.py"
-    " <-> calib/commands/survey.py",
-    "calib/solve/joint.py <-> calib/solve/projection.py",
-    "bench/mrclam/ <-> bench/paper/ <-> bench/results/ <-> bench/soak/ <-> bench/speed/ <-> daemon/ <-> daemon/cli/",
-    "calib/ <-> calib/commands/ <-> calib/practice/ <-> calib/session/",
-    "ceilvo/ <-> ceilvo/config/",
-    "daemon/relocalisation/ <-> daemon/slam/ <-> daemon/slam/paper/",
-    "drivers/ <-> drivers/base/ <-> drivers/bus/",
-    "daemon/app_experiment.py wears the folder app/ as a prefix",
-    "ceilvo.daemon.slam.pfcf.Pfcf inherits from ceilvo.daemon.relocalisation.recovering_filter.Recovering,"
-    " ceilvo.daemon.slam.joint_filter.JointFilter",
-    "bench/mrclam/__main__.py is too long",
-    "calib/solve/mount.py is too long",
-    "ceilvo/config/reader.py is too long",
-    "daemon/app/process.py is too long",
-    "daemon/pipeline.py is too long",
-    "drivers/bus/messages.py is too long",
-    "sim/ceiling_layout.py is too long",
     "tests/calib/commands/test_inputs.py is too long",
     "tests/ceilvo/config/test_reader.py is too long",
     "tests/daemon/doctor/test_examination.py is too long",
@@ -164,17 +135,19 @@ def circles_of_rooms(h: House) -> Iterator[str]:
 
 
 def crowded_folders(h: House) -> Iterator[str]:
+    """Mocks aside, and __init__.py, which holds a folder's sentence."""
     own = (PurePosixPath(p) for p in h.sources if p.endswith(".py"))
-    count = Counter(p.parent.as_posix() for p in own if not p.name.startswith("mock_"))
+    count = Counter(p.parent.as_posix() for p in own if not p.name.startswith(("mock_", "__init__")))
     yield from (f"{f}/ holds {n} files" for f, n in count.items() if n > MAX_FILES and f not in CROWDED)
 
 
 def folders_as_prefixes(h: House) -> Iterator[str]:
     """A name such as app_x.py outside of app/. `run` is what calib's steps and benches once began with."""
-    words = {word for path in h.sources for word in PurePosixPath(path).parent.parts} | {"run"}
+    rooms = {PurePosixPath(path).parent for path in h.sources}
+    words = {(room.parts[0], word) for room in rooms for word in (*room.parts, "run")}
     for path in map(PurePosixPath, h.sources):
         prefix, underscore, _ = path.stem.partition("_")
-        if underscore and prefix in words and prefix not in path.parent.parts:
+        if underscore and (path.parts[0], prefix) in words and prefix not in path.parent.parts:
             yield f"{path} wears the folder {prefix}/ as a prefix"
 
 
@@ -313,7 +286,7 @@ AROUND = {
     "ceilvo/files.py": "import os",
     "drivers/ports.py": "from ceilvo.sim.ceiling import x",
     "sim/ceiling.py": "class Parent: pass\nclass Child(Parent): pass",
-    **{f"sim/f{i}.py": "" for i in range(1, MAX_FILES - 1)},
+    **{f"sim/f{i}.py": "" for i in range(1, MAX_FILES)},
 }
 
 

@@ -9,9 +9,11 @@ from ceilvo.se2 import wrap_array
 from ceilvo.types import Array, Ints
 
 BINS = 128
+"""Cells of the density that poses are drawn from, over the cloud and its margins; chosen."""
 MARGIN = 0.5
 """Standard deviations by which redrawn particles may lie outside the old cloud."""
 _FLAT = 1e-12
+"""m or rad: a cloud narrower than this has no shape to fit."""
 
 
 def fit(x: Array, f: Array, degree: int) -> Array:

@@ -112,7 +112,7 @@ class FastSlam:
         labels = state.maps.add(
             np.repeat(landmarks.xy_map_m[:, :, None], n, axis=2),
             np.repeat(packed(landmarks.cov_m2)[:, :, None], n, axis=2),
-            landmarks.kind,
+            landmarks.crossing_type,
             landmarks.sightings,
             self._settings.max_landmarks,
             landmarks.ids,
@@ -183,7 +183,7 @@ class FastSlam:
         xy, gate = transform(pose, obs.xy_base_m[free]), self._settings.association_gate_m
         m = self.landmarks()
         near = np.arange(len(m)) if self.state.known is None else self.state.known.near(xy, gate)
-        seen, which = mutual_nearest(xy, obs.kind[free], m.xy_map_m[near], m.kind[near], gate)
+        seen, which = mutual_nearest(xy, obs.crossing_type[free], m.xy_map_m[near], m.crossing_type[near], gate)
         label = obs.label.copy()
         label[free] = NO_LANDMARK
         label[free[seen]] = near[which]
@@ -264,12 +264,12 @@ class FastSlam:
     def _consider(self, obs: Observations, unknown: NDArray[np.intp], pose: Array) -> None:
         """Count sightings of unknown features; those seen often enough become landmarks of every particle."""
         self.state.candidates.grow_older()
-        xy, kind = transform(pose, obs.xy_base_m[unknown]), obs.kind[unknown]
+        xy, kind = transform(pose, obs.xy_base_m[unknown]), obs.crossing_type[unknown]
         new = self._not_mapped(xy, kind)
         xy, kind, unknown = xy[new], kind[new], unknown[new]
         cov = _turned(obs.var_m2[unknown], float(pose[2]))
         gate = self._settings.association_gate_m
-        seen, which = mutual_nearest(xy, kind, self.state.candidates.xy, self.state.candidates.kind, gate)
+        seen, which = mutual_nearest(xy, kind, self.state.candidates.xy, self.state.candidates.crossing_type, gate)
         off = mahalanobis(xy[seen] - self.state.candidates.xy[which], cov[seen] + self.state.candidates.cov[which])
         seen, which = seen[off <= CANDIDATE_GATE_CHI2], which[off <= CANDIDATE_GATE_CHI2]
         first = np.setdiff1d(np.arange(len(kind)), seen)
@@ -285,7 +285,7 @@ class FastSlam:
             return np.arange(len(kind))
         known = self.landmarks()
         apart = np.hypot(xy[:, None, 0] - known.xy_map_m[:, 0], xy[:, None, 1] - known.xy_map_m[:, 1])
-        apart[kind[:, None] != known.kind] = np.inf
+        apart[kind[:, None] != known.crossing_type] = np.inf
         return np.flatnonzero(np.min(apart, axis=1) > DUPLICATE_FRACTION * self._settings.association_gate_m)
 
     def _give_birth(self, obs: Observations, which_obs: NDArray[np.intp], which: NDArray[np.intp], pose: Array) -> None:
@@ -296,7 +296,7 @@ class FastSlam:
         labels = self.state.maps.add(
             seen + correction[:, :, None],
             np.repeat(candidates.cov[which][:, :, None], n, axis=2),
-            candidates.kind[which],
+            candidates.crossing_type[which],
             candidates.count[which],
             self._settings.max_landmarks,
         )

@@ -11,6 +11,7 @@ from ceilvo.daemon.slam.spatial_index import unpacked
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
+"""Landmarks that arrays grow by at least; chosen."""
 _REFRESH = 64
 """Landmarks out of view whose summary is renewed per update, so that its cost does not grow with the map."""
 
@@ -24,7 +25,7 @@ class ParticleMaps:
     `size` landmarks.
 
     Attributes:
-        ids, kind, sightings: (L,) as in Landmarks.
+        ids, crossing_type, sightings: (L,) as in Landmarks.
         mean, cov: (L, 2, N) and (L, 3, N) packed xx, xy, yy.
         row: (L, N).
         xy, packed: (L, 2) and (L, 3), the summary over the particles.
@@ -34,7 +35,7 @@ class ParticleMaps:
     """
 
     ids: Ints
-    kind: Ints
+    crossing_type: Ints
     sightings: Ints
     mean: Array
     cov: Array
@@ -78,7 +79,7 @@ class ParticleMaps:
             label = labels[i] = self._free_slot(limit)
             self.ids[label] = self.next_id if ids is None else ids[i]
             self.next_id = max(self.next_id, int(self.ids[label]) + 1)
-            self.kind[label], self.sightings[label] = kind[i], sightings[i]
+            self.crossing_type[label], self.sightings[label] = kind[i], sightings[i]
             self.scatter(labels[i : i + 1], mean[i], cov[i])
         return labels
 
@@ -94,7 +95,7 @@ class ParticleMaps:
         n = self.row.shape[1]
         blank = np.zeros(more, np.int64)
         self.ids = np.concatenate([self.ids, blank])
-        self.kind = np.concatenate([self.kind, blank])
+        self.crossing_type = np.concatenate([self.crossing_type, blank])
         self.sightings = np.concatenate([self.sightings, blank])
         self.mean = np.concatenate([self.mean, np.zeros((more, 2, n))])
         self.cov = np.concatenate([self.cov, np.zeros((more, 3, n))])
@@ -126,7 +127,7 @@ class ParticleMaps:
             ids=self.ids[:size].copy(),
             xy_map_m=frozen(self.xy[:size].copy()),
             cov_m2=frozen(unpacked(self.packed[:size])),
-            kind=self.kind[:size].copy(),
+            crossing_type=self.crossing_type[:size].copy(),
             sightings=self.sightings[:size].copy(),
         )
 
@@ -138,18 +139,18 @@ class Candidates:
     Attributes:
         expire_updates: a candidate not seen for so many is forgotten.
         xy, cov: (C, 2) and (C, 3) packed.
-        kind, count, age: (C,) type of crossing, sightings, updates since the last.
+        crossing_type, count, age: (C,) type of crossing, sightings, updates since the last.
     """
 
     expire_updates: int
     xy: Array = field(default_factory=lambda: np.empty((0, 2)))
     cov: Array = field(default_factory=lambda: np.empty((0, 3)))
-    kind: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    crossing_type: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     count: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     age: Ints = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __len__(self) -> int:
-        return len(self.kind)
+        return len(self.crossing_type)
 
     def merge(self, which: NDArray[np.intp], xy: Array, cov: Array) -> None:
         """Average sightings (M, 2), (M, 3) into the candidates `which`, each weighted by its information."""
@@ -161,7 +162,7 @@ class Candidates:
     def append(self, xy: Array, cov: Array, kind: Ints) -> None:
         fresh = np.ones(len(kind), np.int64)
         self.xy, self.cov = np.concatenate([self.xy, xy]), np.concatenate([self.cov, cov])
-        self.kind, self.count = np.concatenate([self.kind, kind]), np.concatenate([self.count, fresh])
+        self.crossing_type, self.count = np.concatenate([self.crossing_type, kind]), np.concatenate([self.count, fresh])
         self.age = np.concatenate([self.age, 0 * fresh])
 
     def remove(self, which: NDArray[np.intp]) -> None:
@@ -175,7 +176,7 @@ class Candidates:
         self._keep(self.age <= self.expire_updates)
 
     def _keep(self, keep: NDArray[np.bool_]) -> None:
-        self.xy, self.cov, self.kind = self.xy[keep], self.cov[keep], self.kind[keep]
+        self.xy, self.cov, self.crossing_type = self.xy[keep], self.cov[keep], self.crossing_type[keep]
         self.count, self.age = self.count[keep], self.age[keep]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -35,17 +36,23 @@ Gray = NDArray[np.uint8]
 Run = Callable[..., tuple[int, str, str]]
 Stock = dict[str, list[Picture]]
 
-STEPS = {"intrinsics": "board", "projection": "places", "mount": "spin_and_run", "sigma": "stands", "check": "places"}
+STEPS = {"intrinsics": "board", "projection": "places", "mount": "spin_and_run", "sigma": "stations", "check": "places"}
 EVERY = {**STEPS, "survey": "drive"}
-BEFORE = {"mount": ("projection",), "sigma": ("projection",), "check": ("projection",), "survey": ("projection",)}
+ON_PROJECTION = ("mount", "sigma", "check", "survey")
+Prepare = Callable[[str], None]
 
 
-def prepare(run: Run, step: str, session: Session) -> None:
-    """The results that a step needs; the lens is there, unless it is what the step is about."""
-    if step == "intrinsics":
-        (session.folder / "intrinsics.json").unlink()
-    for before in BEFORE.get(step, ()):
-        assert run(before, "--simulate")[0] == 0
+@pytest.fixture
+def prepare(known_lens: Session, projected: Path) -> Prepare:
+    """Makes the results that a step needs; the lens is there, unless it is what the step is about."""
+
+    def call(step: str) -> None:
+        if step == "intrinsics":
+            (known_lens.folder / "intrinsics.json").unlink()
+        elif step in ON_PROJECTION:
+            shutil.copytree(projected, known_lens.folder, dirs_exist_ok=True)
+
+    return call
 
 
 def options(step: str) -> list[str]:
@@ -77,8 +84,10 @@ def test_every_help_has_an_example(command: str, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", EVERY)
-def test_a_step_works_from_a_folder(run: Run, tmp_path: Path, known_lens: Session, step: str, stock: Stock) -> None:
-    prepare(run, step, known_lens)
+def test_a_step_works_from_a_folder(
+    run: Run, prepare: Prepare, tmp_path: Path, known_lens: Session, step: str, stock: Stock
+) -> None:
+    prepare(step)
     write(tmp_path / "i", stock[EVERY[step]])
     code, out, err = run(step, "--images", str(tmp_path / "i"), *options(step))
     assert code == 0 and "PASS  next: calib" in out, out + err
@@ -115,16 +124,16 @@ class Reel:
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", EVERY)
 def test_a_step_works_live(
-    run: Run, known_lens: Session, step: str, stock: Stock, monkeypatch: pytest.MonkeyPatch
+    run: Run, prepare: Prepare, known_lens: Session, step: str, stock: Stock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each picture twice: a live step waits for the robot or the board to move, except where it is to stand still."""
-    prepare(run, step, known_lens)
+    prepare(step)
     pictures = stock[EVERY[step]]
     for module, name, value in (
         (run_intrinsics, "_LIVE_MOST", 6),
         (run_projection, "_PICTURES", 8),
         (run_mount, "_TURN_RAD", 6.3),
-        (run_sigma, "_STANDS", 7),
+        (run_sigma, "_STATIONS", 7),
         (run_check, "_PICTURES", 8),
     ):
         monkeypatch.setattr(module, name, value)
@@ -147,21 +156,21 @@ def test_a_step_works_live(
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", EVERY)
-def test_no_camera_is_one_line_and_leaves_nothing(run: Run, known_lens: Session, step: str) -> None:
-    prepare(run, step, known_lens)
+def test_no_camera_is_one_line_and_leaves_nothing(run: Run, prepare: Prepare, known_lens: Session, step: str) -> None:
+    prepare(step)
     before = results(known_lens.folder)
     code, _, err = run(step, "--device", "/dev/video-none", *options(step))
-    told = [line for line in err.splitlines() if "now " not in line]  # mount says what to drive first
-    assert code == 1 and len(told) == 1 and "/dev/video-none: no such device" in told[0]
+    lines = [line for line in err.splitlines() if "now " not in line]  # mount says what to drive first
+    assert code == 1 and len(lines) == 1 and "/dev/video-none: no such device" in lines[0]
     assert results(known_lens.folder) == before
 
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", [s for s in EVERY if s not in ("intrinsics", "survey")])
 def test_pictures_that_are_no_use_are_rejected_with_their_reason(
-    run: Run, tmp_path: Path, known_lens: Session, step: str, stock: Stock
+    run: Run, prepare: Prepare, tmp_path: Path, known_lens: Session, step: str, stock: Stock
 ) -> None:
-    prepare(run, step, known_lens)
+    prepare(step)
     good = stock["places"][0].gray
     bad = {
         "saturated": np.asarray(cv2.convertScaleAbs(good, alpha=6.0), np.uint8),
@@ -185,15 +194,15 @@ def test_pictures_that_are_no_use_are_rejected_with_their_reason(
     [
         ("projection", "3 pictures, at least 5 needed"),
         ("mount", "found 3 usable pictures of the spin, 12 needed"),
-        ("sigma", "stands, at least 6 needed"),
+        ("sigma", "stations, at least 6 needed"),
         ("survey", "found 3 usable frames, at least 10 needed"),
-        ("check", "stands, at least 6 needed"),
+        ("check", "stations, at least 6 needed"),
     ],
 )
 def test_too_few_pictures_are_said_so(
-    run: Run, tmp_path: Path, known_lens: Session, step: str, reason: str, stock: Stock
+    run: Run, prepare: Prepare, tmp_path: Path, known_lens: Session, step: str, reason: str, stock: Stock
 ) -> None:
-    prepare(run, step, known_lens)
+    prepare(step)
     write(tmp_path / "i", stock[EVERY[step]][:3])
     if step == "mount":
         write(tmp_path / "i", [p for p in stock["spin_and_run"] if p.label == "run"][:3])
@@ -214,9 +223,9 @@ def interrupted(pictures: Iterator[Picture], after: int) -> Iterator[Picture]:
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", STEPS)
 def test_ctrl_c_keeps_what_was_taken_and_the_next_run_goes_on(
-    run: Run, known_lens: Session, step: str, monkeypatch: pytest.MonkeyPatch
+    run: Run, prepare: Prepare, known_lens: Session, step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepare(run, step, known_lens)
+    prepare(step)
     whole = getattr(VirtualBench, STEPS[step])
     with monkeypatch.context() as m:
         if step == "mount":  # its pictures are drawn before the first is used
@@ -243,8 +252,8 @@ def test_ctrl_c_keeps_what_was_taken_and_the_next_run_goes_on(
 
 
 @pytest.mark.usefixtures("short")
-def test_an_interrupted_check_goes_on_for_minutes_only(run: Run, known_lens: Session) -> None:
-    prepare(run, "check", known_lens)
+def test_an_interrupted_check_goes_on_for_minutes_only(run: Run, prepare: Prepare, known_lens: Session) -> None:
+    prepare("check")
     assert run("check", "--simulate")[0] == 0
     samples = known_lens.folder / "check.samples.jsonl"
     (known_lens.folder / "check.samples.jsonl.bak").rename(samples)
@@ -280,8 +289,10 @@ def test_ctrl_c_in_a_report_leaves_the_earlier_one(
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", [*EVERY, "report"])
-def test_a_full_disk_loses_nothing(run: Run, known_lens: Session, step: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    prepare(run, step, known_lens)
+def test_a_full_disk_loses_nothing(
+    run: Run, prepare: Prepare, known_lens: Session, step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepare(step)
     before = results(known_lens.folder)
 
     def full(*_: object, **__: object) -> None:
@@ -296,8 +307,10 @@ def test_a_full_disk_loses_nothing(run: Run, known_lens: Session, step: str, mon
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("step", [s for s in EVERY if s != "check"])
-def test_a_result_is_replaced_by_force_only_and_kept(run: Run, known_lens: Session, step: str) -> None:
-    prepare(run, step, known_lens)
+def test_a_result_is_replaced_by_force_only_and_kept(
+    run: Run, prepare: Prepare, known_lens: Session, step: str
+) -> None:
+    prepare(step)
     more = ["--model", "pinhole"] if step == "intrinsics" else []
     run(step, "--simulate", *more)
     file = known_lens.folder / f"{step}.json"

@@ -305,8 +305,8 @@ def test_points_alone_that_cannot_work_are_refused(
     ],
 )
 def test_a_pose_that_is_none_is_said_so(text: str, reason: str) -> None:
-    told = circles.parse_pose(text)
-    assert isinstance(told, str) and reason in told
+    answer = circles.parse_pose(text)
+    assert isinstance(answer, str) and reason in answer
 
 
 def test_a_pose_is_read_with_or_without_commas() -> None:
@@ -322,7 +322,7 @@ def test_the_feature_is_expected_where_it_is() -> None:
 
 
 def test_circles_on_the_virtual_bench_find_the_tapes_noise(tmp_path: Path) -> None:
-    """1 mm of tape on either axis, 2 mrad of heading; who errs is told and asked again; Ctrl-C loses none."""
+    """1 mm of tape on either axis, 2 mrad of heading; who errs is answer and asked again; Ctrl-C loses none."""
     bench, session, notes = VirtualBench(), Session(tmp_path), list[str]()
     subject = {"source": "virtual bench"}
 
@@ -355,5 +355,5 @@ def test_a_pose_that_does_not_go_with_the_picture_is_rejected() -> None:
     bench = VirtualBench()
     pictures: Iterator[Picture] = bench.circles(radii_m=(0.5,), each=1)[1]
     reader = circles.CeilingReader(bench.rig.camera, (0.0, 0.0))
-    told = circles.look(bench.rig, reader, next(pictures), np.array([0.25, 0.9, 2.0]))
-    assert "are x, y and heading right?" in told["rejected"]
+    answer = circles.look(bench.rig, reader, next(pictures), np.array([0.25, 0.9, 2.0]))
+    assert "are x, y and heading right?" in answer["rejected"]

@@ -77,5 +77,5 @@ def test_a_good_ceiling_passes_and_its_repetition_is_noted() -> None:
 
 
 def test_a_poor_and_dark_ceiling_fails_with_what_to_do() -> None:
-    told = " ".join(drive(int(DARK_LEVEL) - 5, few=True).problems())
-    assert "fewer than 8 crossings" in told and "dark" in told and "vision failed in 100 %" in told
+    reported = " ".join(drive(int(DARK_LEVEL) - 5, few=True).problems())
+    assert "fewer than 8 crossings" in reported and "dark" in reported and "vision failed in 100 %" in reported

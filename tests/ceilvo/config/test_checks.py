@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from ceilvo.calibration import Calibration, NoiseCurves, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.config import Base, Config
-from ceilvo.config.reader import cross_check, notes, replace
+from ceilvo.config.checks import cross_check, notes
+from ceilvo.config.reader import replace
 from ceilvo.config.serial_budget import wire_budget
 from ceilvo.errors import ConfigError
 

@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.config import Camera, Config
-from ceilvo.config.reader import calibration_path, load_config, render_config, replace
+from ceilvo.config.reader import calibration_path, load_config, replace
+from ceilvo.config.rendering import render_config
 from ceilvo.config.schema import SECTIONS
 from ceilvo.errors import EXIT_CONFIG, ConfigError
 from ceilvo.yaml_nodes import MAX_BYTES
@@ -405,7 +406,7 @@ def test_the_config_yaml_of_the_repository_is_the_rendered_default() -> None:
 
 def test_the_module_prints_the_default_file(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-m", "ceilvo.config.reader"],
+        [sys.executable, "-W", "error", "-m", "ceilvo.config.rendering"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

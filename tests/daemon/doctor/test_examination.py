@@ -17,7 +17,7 @@ import pytest
 
 from ceilvo.calibration_file import write_calibration
 from ceilvo.config import Base, CalibrationFile, Camera, Config, Service, Zenoh
-from ceilvo.config.reader import render_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.doctor.camera import calibration, camera
 from ceilvo.daemon.doctor.findings import Finding, Patient

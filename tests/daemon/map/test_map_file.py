@@ -43,7 +43,7 @@ def landmarks(n: int, seed: int = SEED) -> Landmarks:
         ids=rng.permutation(10 * n)[:n].astype(np.int64),
         xy_map_m=rng.normal(size=(n, 2)) * 3.0,
         cov_m2=a @ np.swapaxes(a, 1, 2),
-        kind=rng.integers(0, 9, n),
+        crossing_type=rng.integers(0, 9, n),
         sightings=rng.integers(1, 1000, n),
     )
 
@@ -54,7 +54,7 @@ def same(a: StoredMap, b: Landmarks, axis: float) -> bool:
         and np.array_equal(a.landmarks.ids, b.ids)
         and np.array_equal(a.landmarks.xy_map_m, b.xy_map_m)
         and np.array_equal(a.landmarks.cov_m2, b.cov_m2)
-        and np.array_equal(a.landmarks.kind, b.kind)
+        and np.array_equal(a.landmarks.crossing_type, b.crossing_type)
         and np.array_equal(a.landmarks.sightings, b.sightings)
     )
 
@@ -97,7 +97,7 @@ def test_version_1_files_load(tmp_path: Path) -> None:
     assert state is not None
     assert stored.landmarks.ids.tolist() == [3, 8]
     assert stored.landmarks.cov_m2[0].tolist() == [[0.0004, 0.0001], [0.0001, 0.0009]]
-    assert (stored.map_axis_rad, stored.landmarks.kind.tolist()) == (0.25, [4, 0])
+    assert (stored.map_axis_rad, stored.landmarks.crossing_type.tolist()) == (0.25, [4, 0])
     assert state.pose.tolist() == [1.25, -0.5, 3.0]
     assert (state.state, state.stamp_ns) == (State.TRACKING, 123456789012345)
 
@@ -139,7 +139,10 @@ BAD_MAPS: dict[str, tuple[str, str]] = {
     "missing key": (edited(MAP_V1, lambda d: d["content"].pop("map_axis_rad")), "missing keys ['map_axis_rad']"),
     "unknown key": (edited(MAP_V1, lambda d: d["content"].update(colour=1)), "unknown keys ['colour']"),
     "short column": (edited(MAP_V1, table("kind", [4])), "landmarks.kind has 1 values, expected 2"),
-    "kind 9": (edited(MAP_V1, table("kind", [4, 9])), "landmarks.kind is not a list of whole numbers from 0 to 8"),
+    "kind 9": (
+        edited(MAP_V1, table("kind", [4, 9])),
+        "landmarks.kind is not a list of whole numbers from 0 to 8",
+    ),
     "bool for number": (edited(MAP_V1, table("sightings", [True, 3])), "landmarks.sightings"),
     "same id": (edited(MAP_V1, table("id", [3, 3])), "landmarks.id has duplicates"),
     "too far": (edited(MAP_V1, table("xy_map_m", [[0, 0], [0, 1e9]])), "landmarks.xy_map_m has a value that"),

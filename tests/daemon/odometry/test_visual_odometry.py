@@ -7,7 +7,7 @@ import pytest
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import quarter_turns, turn_kind
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.types import Crossings, WheelMotion
 
@@ -23,7 +23,7 @@ def seen_from(pose: np.ndarray, noise_m: float = 0.0, seed: int = 0) -> Crossing
     near = np.hypot(base[:, 0], base[:, 1]) < 1.3
     psi = float((-pose[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4)
     turns = quarter_turns(psi + float(pose[2]), 0.0)
-    kind = turn_kind(WORLD_KIND[near], -turns)
+    kind = turned_type(WORLD_KIND[near], -turns)
     xy = base[near] + np.random.default_rng(seed).normal(0, noise_m, (int(near.sum()), 2))
     n = len(xy)
     return Crossings(

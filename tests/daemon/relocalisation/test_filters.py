@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
+from ceilvo.daemon.relocalisation.recovering_filter import RecoveringFilter
+from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
-from ceilvo.daemon.slam.paper.ukf import Ukf
-from ceilvo.daemon.slam.pfcf import Pfcf
 from ceilvo.daemon.slam.pose_filter import COUNTERS, chi_square_bounds
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import inverse, rotation, transform, wrap
@@ -43,7 +43,9 @@ def map_of(xy, var=1e-8, kind=None):
     return Landmarks(np.arange(n), xy, np.tile(np.eye(2) * var, (n, 1, 1)), kind, np.full(n, 5))
 
 
-@pytest.mark.parametrize(("method", "kind"), [("pfcf", Pfcf), ("ukf", Ukf), ("pf", FastSlam), ("pfcf_paper", FastSlam)])
+@pytest.mark.parametrize(
+    ("method", "kind"), [("pfcf", RecoveringFilter), ("ukf", JointFilter), ("pf", FastSlam), ("pfcf_paper", FastSlam)]
+)
 def test_the_settings_choose(method, kind):
     assert isinstance(make(method), kind)
 
@@ -114,12 +116,12 @@ def test_landmarks_are_born_after_enough_sightings_and_forgotten_without(method)
         assert len(f.landmarks()) == 0
         f.update(observations([[1.0 + 0.001 * (i - 1), 0.5], [2.0 + i, 0.0]], [NO_LANDMARK] * 2, kind=[3, 3]))
     m = f.landmarks()
-    assert m.kind.tolist() == [3]
+    assert m.crossing_type.tolist() == [3]
     np.testing.assert_allclose(m.xy_map_m[0], [1.0, 0.5], atol=1e-3)
     np.testing.assert_allclose(m.cov_m2[0], np.eye(2) * 9e-6 / 3, rtol=0.1, atol=1e-7)
     for _ in range(30):
         f.update(observations([[1.0, 0.5]], [0], kind=[3]))
-    assert len(f._joint) == 1
+    assert len(getattr(f.state, "tracker", f.state).joint) == 1
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.relocalisation.lattice import CALM, SURPRISED, Tiles, lattice, periods
+from ceilvo.daemon.relocalisation.lattice import SLIP_CHANCE, SLIP_CHANCE_3_SIGMA, LatticeBelief, neighbours, periods
 from ceilvo.daemon.relocalisation.view_score import at_least, unexplained
 from ceilvo.daemon.slam.pose_filter import SURE
-from ceilvo.daemon.slam.spatial_index import KnownMap
+from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import UNLABELLED, Landmarks, Motion, Observations
 
@@ -49,7 +49,7 @@ POINTS = st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.integers(
 @given(POINTS, POINTS, st.floats(0.01, 5.0))
 def test_the_index_finds_what_brute_force_finds(landmarks, points, reach):
     m, q = np.array(landmarks), np.array(points)
-    known = KnownMap(map_of(m[:, :2], m[:, 2].astype(np.int64)))
+    known = IndexedMap(map_of(m[:, :2], m[:, 2].astype(np.int64)))
     kind = q[:, 2].astype(np.int64)
     apart = np.hypot(q[:, None, 0] - m[:, 0], q[:, None, 1] - m[:, 1])
     near = known.near(q[:, :2], reach)
@@ -83,7 +83,7 @@ class Drive:
         seen = np.flatnonzero(np.hypot(*at.T) < 1.6)[:view]
         z = at[seen] + 0.02 * self.rng.standard_normal((len(seen), 2))
         label = seen if self.labelled else np.full(len(seen), UNLABELLED)
-        self.filter.update(Observations(z, np.full((len(seen), 2), 4e-4), self.map.kind[seen], label))
+        self.filter.update(Observations(z, np.full((len(seen), 2), 4e-4), self.map.crossing_type[seen], label))
         pose, _, health = self.filter.estimate()
         return float(np.hypot(*(pose - self.truth)[:2])), abs(wrap(pose[2] - self.truth[2])), health.mode_weight
 
@@ -145,7 +145,7 @@ def test_on_a_bare_grid_an_unknown_pose_stays_one_of_several():
 
 def test_with_lamps_the_grid_gives_the_pose_and_never_the_mean_of_two_tiles():
     d = Drive(grid(lamps=14), SEED).start(anywhere=True)
-    crossings = d.map.xy_map_m[d.map.kind == 0]
+    crossings = d.map.xy_map_m[d.map.crossing_type == 0]
     for _ in range(40):
         error, _, weight = d.step()
         pose, _, _ = d.filter.estimate()
@@ -160,24 +160,24 @@ def test_with_lamps_the_grid_gives_the_pose_and_never_the_mean_of_two_tiles():
 def test_the_period_of_a_grid_and_of_nothing():
     basis = periods(grid(lamps=10))
     assert np.allclose(np.sort(np.abs(basis), axis=None), [0, 0, TILE_M, TILE_M], atol=1e-3)
-    assert len(lattice(basis)) == 9
-    assert np.allclose(lattice(basis)[0], 0.0)
+    assert len(neighbours(basis)) == 9
+    assert np.allclose(neighbours(basis)[0], 0.0)
     assert len(periods(random_map(np.random.default_rng(SEED)))) == 0
-    assert lattice(np.empty((0, 2))).tolist() == [[0.0, 0.0]]
+    assert neighbours(np.empty((0, 2))).tolist() == [[0.0, 0.0]]
 
 
 def test_belief_in_tiles_is_bayes_rule():
-    t = Tiles(lattice(TILE_M * np.eye(2)))
+    t = LatticeBelief.at_home(neighbours(TILE_M * np.eye(2)))
     log_likelihood = np.zeros(9)
     log_likelihood[3] = 4.0
-    t.weigh(log_likelihood, SURPRISED)
-    expected = np.full(9, SURPRISED / 8)
-    expected[0] = 1 - SURPRISED
+    t.weigh(log_likelihood, SLIP_CHANCE_3_SIGMA)
+    expected = np.full(9, SLIP_CHANCE_3_SIGMA / 8)
+    expected[0] = 1 - SLIP_CHANCE_3_SIGMA
     expected *= np.exp(log_likelihood)
     np.testing.assert_allclose(t.weight, expected / expected.sum())
     assert t.weight[3] < 0.95
     for _ in range(3):
-        t.weigh(log_likelihood, CALM)
+        t.weigh(log_likelihood, SLIP_CHANCE)
     assert t.weight[3] > 0.95
     t.settle()
     assert t.weight[0] == 1.0
@@ -196,21 +196,21 @@ def test_the_chance_of_so_many_is_the_binomial_tail():
 
 
 def test_lamps_that_no_landmark_explains_are_a_surprise_and_crossings_alone_are_not():
-    known, pose = KnownMap(grid(lamps=30)), np.zeros(3)
+    known, pose = IndexedMap(grid(lamps=30)), np.zeros(3)
     at = known.landmarks.xy_map_m
     seen = np.flatnonzero(np.hypot(*at.T) < 1.6)
     view = Observations(
-        at[seen], np.full((len(seen), 2), 4e-4), known.landmarks.kind[seen], np.full(len(seen), UNLABELLED)
+        at[seen], np.full((len(seen), 2), 4e-4), known.landmarks.crossing_type[seen], np.full(len(seen), UNLABELLED)
     )
     assert not unexplained(known, pose, view, 0.2)
     tile_on = np.array([TILE_M, 0.0, 0.0])
     assert unexplained(known, tile_on, view, 0.2)
-    crossings = np.flatnonzero(view.kind == 0)
+    crossings = np.flatnonzero(view.crossing_type == 0)
     bare = replace(
         view,
         xy_base_m=view.xy_base_m[crossings],
         var_m2=view.var_m2[crossings],
-        kind=view.kind[crossings],
+        crossing_type=view.crossing_type[crossings],
         label=view.label[crossings],
     )
     assert not unexplained(known, tile_on, bare, 0.2)
@@ -239,7 +239,7 @@ def test_a_single_wrong_sighting_does_not_move_the_pose():
         d.step()
     pose = d.filter.estimate()[0]
     wrong = transform(inverse(pose), d.map.xy_map_m[:1]) + np.array([[1.5, 1.0]])
-    d.filter.update(Observations(wrong, np.full((1, 2), 4e-4), d.map.kind[:1], np.array([0])))
+    d.filter.update(Observations(wrong, np.full((1, 2), 4e-4), d.map.crossing_type[:1], np.array([0])))
     after, _, health = d.filter.estimate()
     assert np.hypot(*(after - pose)[:2]) < 0.02
     assert health.mode_weight > SURE

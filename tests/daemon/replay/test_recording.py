@@ -18,7 +18,8 @@ from hypothesis.extra.numpy import arrays
 from ceilvo.calibration_file import parse_calibration, render_calibration
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.config import Recorder as RecorderConfig
-from ceilvo.config.reader import parse_config, render_config
+from ceilvo.config.reader import parse_config
+from ceilvo.config.rendering import render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.app.process import Daemon, Plan
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
@@ -217,7 +218,7 @@ def test_a_difference_is_told_and_is_a_failure(
 ) -> None:
     file = tmp_path / "run.mcap"
     drive(world, file, 0.5)
-    monkeypatch.setattr("ceilvo.daemon.pipeline._START_SIGMA", np.array([1e-3, 1e-3, 1.1e-3]))
+    monkeypatch.setattr("ceilvo.daemon.pipeline.START_SIGMA", np.array([1e-3, 1e-3, 1.1e-3]))
     assert cli.main(["replay", str(file)]) == 1
     assert "the first other one is" in capsys.readouterr().out
 

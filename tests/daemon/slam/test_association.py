@@ -20,7 +20,7 @@ def crossings(xy, kind, psi=0.0, psi_sigma=0.001, cov=0.0, common=0.0):
         uv_px=np.zeros_like(xy),
         xy_base_m=xy,
         cov_base_m2=np.tile(np.eye(2) * cov, (len(xy), 1, 1)),
-        kind=np.asarray(kind, np.int64),
+        crossing_type=np.asarray(kind, np.int64),
         psi_rad=psi,
         psi_sigma_rad=psi_sigma,
         tilt_rad=np.zeros(2),
@@ -102,6 +102,6 @@ def test_a_feature_keeps_its_kind_and_gives_the_heading_whatever_way_the_robot_l
     kind = 3 * (kinds[0] + 1) + kinds[1] + 1
     at = transform(inverse(pose), np.array([[1.0, 1.0]]))
     obs = label_of(at, [kind], landmarks([[1.01, 1.0]], [6]), pose, axis_rad, psi)
-    assert obs.kind.tolist() == [6]
+    assert obs.crossing_type.tolist() == [6]
     assert obs.label.tolist() == [0]
     assert abs(wrap(obs.heading_rad - pose[2])) < 1e-9

@@ -9,7 +9,7 @@ from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam import log_quadratic
 from ceilvo.daemon.slam.conditional import Conditional
-from ceilvo.daemon.slam.joint_filter import TWINS_EVERY, View, noise_in_map
+from ceilvo.daemon.slam.joint_filter import DUPLICATES_EVERY, View, noise_in_map
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.se2 import compose, inverse, rotation, transform, wrap
 from ceilvo.types import NO_LANDMARK, Landmarks, Motion, Observations
@@ -117,7 +117,7 @@ def test_without_slip_the_hypothesis_changes_next_to_nothing():
 
 
 def test_landmarks_leave_the_window_and_come_back_with_their_own_covariance():
-    j = JointMap(np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
+    j = JointMap.at(np.zeros(3), np.diag([1e-2, 1e-2, 1e-4]))
     xy = np.random.default_rng(SEED).uniform(-2, 2, (30, 2))
     labels = j.give_birth(xy, np.full((30, 2), 1e-4), np.arange(30), now=1)
     j.seen_at[:] = np.arange(30)
@@ -133,7 +133,7 @@ def test_landmarks_leave_the_window_and_come_back_with_their_own_covariance():
     np.testing.assert_array_equal(j.cov[j.rows(np.array([3]))][:, :3], 0.0)
     j.forget(np.array([0, 3, 18]))
     keep = np.delete(np.arange(30), [0, 3, 18])
-    np.testing.assert_array_equal(j.kind, keep)
+    np.testing.assert_array_equal(j.crossing_type, keep)
     np.testing.assert_allclose(j.xy(np.arange(27)), before_xy[keep])
     np.testing.assert_allclose(j.packed(np.arange(27)), before[keep])
     np.testing.assert_allclose(j.cov, j.cov.T)
@@ -142,7 +142,7 @@ def test_landmarks_leave_the_window_and_come_back_with_their_own_covariance():
 def test_a_birth_has_the_covariance_of_pose_and_feature_to_first_order():
     p = np.array([[1e-4, 2e-5, 1e-5], [2e-5, 2e-4, 0.0], [1e-5, 0.0, 1e-4]])
     pose, z, var = np.array([1.0, 2.0, 0.7]), np.array([0.8, -0.4]), np.array([1e-4, 3e-4])
-    j = JointMap(pose, p)
+    j = JointMap.at(pose, p)
     j.give_birth(z[None], var[None], np.zeros(1, np.int64), now=1)
     rng = np.random.default_rng(SEED)
     poses = rng.multivariate_normal(pose, p, 200_000)
@@ -170,7 +170,7 @@ def room(seed, steps=120):
         at = transform(inverse(truth), points)
         kind = np.flatnonzero(np.hypot(*at.T) < 1.6)
         z = at[kind] + 0.05 * rng.standard_normal((len(kind), 2))
-        index = {int(k): i for i, k in enumerate(f.landmarks().kind)}
+        index = {int(k): i for i, k in enumerate(f.landmarks().crossing_type)}
         label = np.array([index.get(int(k), NO_LANDMARK) for k in kind], np.int64)
         f.update(Observations(z, np.full((len(kind), 2), 0.0025), kind, label))
         pose, cov, _ = f.estimate()
@@ -178,7 +178,7 @@ def room(seed, steps=120):
         off[2] = wrap(off[2])
         nees.append(off @ np.linalg.solve(cov, off))
     m = f.landmarks()
-    off = m.xy_map_m - points[m.kind]
+    off = m.xy_map_m - points[m.crossing_type]
     return np.median(nees), np.mean(np.einsum("ki,kij,kj->k", off, np.linalg.inv(m.cov_m2), off))
 
 
@@ -222,7 +222,7 @@ def test_pose_and_map_may_turn_together():
         seen = np.flatnonzero(np.hypot(*at.T) < 2.0)
         z = at[seen] + 0.1 * rng.standard_normal((len(seen), 2))
         m = f.landmarks()
-        label = np.array([np.append(np.flatnonzero(m.kind == k), NO_LANDMARK)[0] for k in seen], np.int64)
+        label = np.array([np.append(np.flatnonzero(m.crossing_type == k), NO_LANDMARK)[0] for k in seen], np.int64)
         f.update(Observations(z, np.full((len(seen), 2), 0.01), seen.astype(np.int64), label))
     sigma = np.sqrt(f.estimate()[1][2, 2])
     print(f"seed {SEED}: heading sigma {start} before, {sigma:.4f} after")
@@ -230,7 +230,7 @@ def test_pose_and_map_may_turn_together():
 
 
 def test_twins_become_one_with_the_information_of_both():
-    j = JointMap(np.zeros(3), np.diag([1e-10, 1e-10, 1e-12]))
+    j = JointMap.at(np.zeros(3), np.diag([1e-10, 1e-10, 1e-12]))
     at = np.array([[1.0, 0.5], [1.006, 0.5], [1.5, 0.5]])
     j.give_birth(at, np.array([[1e-4, 1e-4], [3e-4, 3e-4], [1e-4, 1e-4]]), np.zeros(3, np.int64), now=1)
     assert not j.merge(0, 2, 9.0)
@@ -251,7 +251,7 @@ def test_a_landmark_mapped_twice_is_merged_when_both_are_there():
         np.arange(3), twice, np.tile(1e-4 * np.eye(2), (3, 1, 1)), np.zeros(3, np.int64), np.array([9, 4, 9])
     )
     f.reset(np.zeros(3), np.eye(3) * 1e-8, known)
-    for _ in range(TWINS_EVERY):
+    for _ in range(DUPLICATES_EVERY):
         label = np.array([0, len(f.landmarks()) - 1])
         f.update(Observations(twice[[0, 2]], np.full((2, 2), 1e-4), np.zeros(2, np.int64), label))
     assert f.landmarks().ids.tolist() == [0, 2]

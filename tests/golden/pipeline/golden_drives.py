@@ -118,7 +118,7 @@ def record(name: str) -> None:
         "uv_px": np.concatenate([c.uv_px for c in found]).astype(np.float32),
         "xy_base_m": np.concatenate([c.xy_base_m for c in found]).astype(np.float32),
         "cov_base_m2": np.concatenate([c.cov_base_m2[:, [0, 0, 1], [0, 1, 1]] for c in found]).astype(np.float32),
-        "kind": np.concatenate([c.kind for c in found]).astype(np.uint8),
+        "kind": np.concatenate([c.crossing_type for c in found]).astype(np.uint8),
         "frame": np.array(
             [
                 [c.psi_rad, c.psi_sigma_rad, *c.tilt_rad, *c.tilt_sigma_rad, *c.common_cov_m2[[0, 0, 1], [0, 1, 1]]]

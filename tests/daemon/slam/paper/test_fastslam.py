@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.config import Filter
-from ceilvo.daemon.slam.paper import fastslam
+from ceilvo.daemon.slam.association import EXPIRES_UPDATES
 from ceilvo.daemon.slam.paper.fastslam import FastSlam, independent
 from ceilvo.daemon.slam.pose_filter import effective_size, mean_and_cov
 from ceilvo.errors import CeilvoError
@@ -147,7 +147,7 @@ def test_landmarks_are_born_after_enough_sightings_only_and_where_they_are():
         f.update(observations([[1.0 + offset[0], 0.5], [2.0 + i, 0.0]], [-1, -1], kind=[3, 3]))
     m = f.landmarks()
     assert len(m) == 1
-    assert m.kind.tolist() == [3]
+    assert m.crossing_type.tolist() == [3]
     assert m.sightings.tolist() == [3]
     np.testing.assert_allclose(m.xy_map_m[0], [1.0, 0.5], atol=1e-4)
     np.testing.assert_allclose(m.cov_m2[0], np.eye(2) * 9e-6 / 3, rtol=0.1, atol=1e-7)
@@ -157,7 +157,7 @@ def test_a_landmark_is_born_in_each_particle_s_own_map():
     f = make(replace(INDEPENDENT, birth_sightings=1), pose=(1, 1, 0.5), cov=np.diag([1e-2, 1e-2, 1e-2]))
     f.update(observations([[1.0, 0.5]], [-1]))
     poses, _ = f.particles()
-    mean, _ = f._maps.gather(np.array([0]))
+    mean, _ = f.state.maps.gather(np.array([0]))
     own = np.array([transform(p, np.array([[1.0, 0.5]]))[0] for p in poses])
     np.testing.assert_allclose(mean[0].T, own, atol=1e-9)
 
@@ -168,7 +168,7 @@ def test_candidates_expire_and_differ_by_kind():
         f.update(observations([[1.0, 0.5]], [-1], kind=[3]))
     f.update(observations([[1.0, 0.5]], [-1], kind=[4]))
     assert len(f.landmarks()) == 0
-    for _ in range(fastslam.CANDIDATE_EXPIRES_UPDATES + 1):
+    for _ in range(EXPIRES_UPDATES + 1):
         f.update(observations([], []))
     f.update(observations([[1.0, 0.5]], [-1], kind=[3]))
     assert len(f.landmarks()) == 0
@@ -193,14 +193,14 @@ def test_maps_grow_beyond_a_chunk_and_follow_their_particles():
     f = make(replace(INDEPENDENT, birth_sightings=1, particles=20), cov=np.diag([1e-2, 1e-2, 1e-2]))
     g = np.stack(np.meshgrid(np.arange(15.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
     f.update(observations(g, np.full(180, -1)))
-    before, _ = f._maps.gather(np.arange(180))
+    before, _ = f.state.maps.gather(np.arange(180))
     ancestors = np.random.default_rng(SEED).integers(0, 20, 20)
-    f._maps.resample(ancestors)
-    f._maps.resample(ancestors[::-1])
-    after, _ = f._maps.gather(np.arange(180))
+    f.state.maps.resample(ancestors)
+    f.state.maps.resample(ancestors[::-1])
+    after, _ = f.state.maps.gather(np.arange(180))
     np.testing.assert_array_equal(after, before[:, :, ancestors[ancestors[::-1]]])
-    f._maps.scatter(np.array([3]), before[3:4], np.ones((1, 3, 20)))
-    np.testing.assert_array_equal(f._maps.gather(np.array([3]))[0], before[3:4])
+    f.state.maps.scatter(np.array([3]), before[3:4], np.ones((1, 3, 20)))
+    np.testing.assert_array_equal(f.state.maps.gather(np.array([3]))[0], before[3:4])
 
 
 @pytest.mark.parametrize("method", ["pfcf_paper", "pf"])

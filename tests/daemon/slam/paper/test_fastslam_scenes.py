@@ -9,7 +9,7 @@ import pytest
 
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
-from ceilvo.crossing_types import quarter_turns, turn_kind
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
 from ceilvo.se2 import compose, inverse, transform, wrap
@@ -58,7 +58,7 @@ class Eye:
         wrong, way = rng.random(len(seen)) < self.outliers, rng.uniform(0, 2 * np.pi, len(seen))
         xy[wrong] += 0.6 * np.column_stack([np.cos(way), np.sin(way)])[wrong]
         psi = (wrap(rng.normal(0, 0.001) - pose[2]) + np.pi / 4) % (np.pi / 2) - np.pi / 4
-        kind = turn_kind(self.kinds[seen], -quarter_turns(psi + pose[2], 0.0))
+        kind = turned_type(self.kinds[seen], -quarter_turns(psi + pose[2], 0.0))
         zero = np.zeros(2)
         return Crossings(xy, xy, np.zeros((len(xy), 2, 2)), kind, psi, 0.001, zero, zero, np.zeros((2, 2)))
 
@@ -148,13 +148,13 @@ def score(seed, points, steps, method):
     errors = []
     for truth, motion, kind, xy, heading in steps:
         f.predict(motion)
-        index = {int(k): i for i, k in reversed(list(enumerate(f.landmarks().kind)))}
+        index = {int(k): i for i, k in reversed(list(enumerate(f.landmarks().crossing_type)))}
         label = np.array([index.get(int(k), -1) for k in kind], np.int64)
         var = (1.2 * (0.04 + 0.045 * np.sum(xy**2, axis=1))) ** 2
         f.update(Observations(xy, np.column_stack([var, var]), kind, label, heading, (1.2 * 0.035) ** 2))
         errors.append(np.hypot(*(f.estimate()[0] - truth)[:2]))
     m = f.landmarks()
-    return rms(errors), rms(np.hypot(*(m.xy_map_m - points[m.kind]).T))
+    return rms(errors), rms(np.hypot(*(m.xy_map_m - points[m.crossing_type]).T))
 
 
 def test_curve_fit_beats_systematic_resampling_in_the_paper_s_regime():
@@ -180,7 +180,7 @@ def test_a_standing_robot_stays_where_it_is():
     f.reset(np.zeros(3), np.eye(3) * 1e-10)
     for _ in range(400):
         f.predict(Motion(np.zeros(3), np.diag(30 * FRAME_SIGMA**2), 30, 0.001))
-        index = {int(k): i for i, k in enumerate(f.landmarks().kind)}
+        index = {int(k): i for i, k in enumerate(f.landmarks().crossing_type)}
         label = np.array([index.get(int(k), -1) for k in kind], np.int64)
         f.update(Observations(points + rng.normal(0, 0.003, (25, 2)), np.full((25, 2), 9e-6), kind, label))
     pose, _, _ = f.estimate()

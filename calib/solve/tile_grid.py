@@ -1,4 +1,8 @@
-"""Which lattice the crossings of a tiled ceiling lie on: its spacing, by evidence, and whole-tile coordinates."""
+"""The square grid of a tiled ceiling in pictures: its spacing over the ceiling's height, by evidence, and tile indices.
+
+Not the lattice of daemon.relocalisation: that one finds the shifts under which a map in metres, of any two axes, looks
+the same. Here the axes are known from the lines, the scale is not, and each picture has a phase of its own.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +17,21 @@ from ceilvo.calib.targets.ceiling_view import MIN_CROSSINGS, GridView
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_NEAR_SHARE = 0.12
+_ON_GRID_TILES = 0.12
 _FINEST, _COARSEST, _TRIED = 0.02, 2.5, 6000
-_PEAK_SHARE = 0.4
+_PEAK_FRACTION = 0.4
 _MOST_PEAKS = 40
 _SAME_SPACING = 0.05
 
 
 @dataclass(frozen=True)
-class Lattice:
+class TileIndex:
     """Crossings of one picture that are on the grid.
 
     Attributes:
         index: (K, 2) whole tiles from the picture's own origin, which is the crossing nearest to the camera's foot.
         used: (K,) their rows in the GridView.
-        xy_yaw: (3,) the camera's place in the lattice in tiles, and its heading, to start a fit from.
+        xy_yaw: (3,) the camera's place in the grid in tiles, and its heading, to start a fit from.
     """
 
     index: Ints
@@ -40,12 +44,12 @@ class Spacing:
     """A spacing with what speaks for it.
 
     Attributes:
-        share: side of a tile over the ceiling's height.
-        on_grid: share of the crossings that are on the lattice.
-        filled: share of the lattice's nodes, where crossings were seen, that have one.
+        tile_over_height: side of a tile over the ceiling's height.
+        on_grid: fraction of the crossings that are on the grid.
+        filled: fraction of the grid's nodes, where crossings were seen, that have one.
     """
 
-    share: float
+    tile_over_height: float
     on_grid: float
     filled: float
 
@@ -56,7 +60,7 @@ class Spacing:
         return 2.0 * self.on_grid * self.filled / total if total > 0 else 0.0
 
 
-def spacings(views: list[GridView], between: tuple[float, float] = (_FINEST, _COARSEST)) -> list[Spacing]:
+def tile_spacings(views: list[GridView], between: tuple[float, float] = (_FINEST, _COARSEST)) -> list[Spacing]:
     """Every spacing that the crossings are periodic with, best supported first; each at least 5 % from the others.
 
     Args:
@@ -65,59 +69,59 @@ def spacings(views: list[GridView], between: tuple[float, float] = (_FINEST, _CO
     s = np.geomspace(_FINEST, _COARSEST, _TRIED)
     score, count = np.zeros(len(s)), 0
     for view in views:
-        for c in _along(view).T:
+        for c in _in_grid_axes(view).T:
             waves = np.exp(2j * np.pi * c[None, :] / s[:, None])
             score += np.abs(waves.sum(axis=1))
             count += len(c)
     if count == 0:
         return []
     score = score / count
-    wide = max(float(np.ptp(_along(v), axis=0).min()) for v in views)
+    wide = max(float(np.ptp(_in_grid_axes(v), axis=0).min()) for v in views)
     score[(s > 0.75 * wide) | (s < between[0]) | (s > between[1])] = 0.0  # what fits in less than twice fits anything
     peaks = np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:]) & (score[1:-1] > 0)) + 1
-    peaks = peaks[score[peaks] >= _PEAK_SHARE * score.max()]
+    peaks = peaks[score[peaks] >= _PEAK_FRACTION * score.max()]
     peaks = peaks[np.argsort(-score[peaks])][:_MOST_PEAKS]
     found = sorted((_supported(views, float(s[k])) for k in peaks), key=lambda f: -f.support)
     out: list[Spacing] = []
     for f in found:
-        if all(abs(np.log(f.share / o.share)) > _SAME_SPACING for o in out):
+        if all(abs(np.log(f.tile_over_height / o.tile_over_height)) > _SAME_SPACING for o in out):
             out.append(f)
     return out
 
 
-def _supported(views: list[GridView], share: float) -> Spacing:
+def _supported(views: list[GridView], tile_over_height: float) -> Spacing:
     used = nodes = total = 0.0
     for view in views:
-        lattice = to_lattice(view, share)
-        hull = cv2.convexHull(_along(view).astype(np.float32))
+        on_grid = tile_index(view, tile_over_height)
+        hull = cv2.convexHull(_in_grid_axes(view).astype(np.float32))
         # Pick's theorem, for a hull whose corners are nodes
-        nodes += cv2.contourArea(hull) / share**2 + 0.5 * cv2.arcLength(hull, True) / share + 1.0
+        nodes += cv2.contourArea(hull) / tile_over_height**2 + 0.5 * cv2.arcLength(hull, True) / tile_over_height + 1.0
         total += len(view.xy)
-        used += 0 if lattice is None else len(np.unique(lattice.index, axis=0))
-    return Spacing(share, used / total, min(used / nodes, 1.0))
+        used += 0 if on_grid is None else len(np.unique(on_grid.index, axis=0))
+    return Spacing(tile_over_height, used / total, min(used / nodes, 1.0))
 
 
-def to_lattice(view: GridView, tile_share: float) -> Lattice | None:
+def tile_index(view: GridView, tile_over_height: float) -> TileIndex | None:
     """Whole-tile coordinates, or None when too few crossings are on the grid."""
-    c = _along(view)
-    phase = np.array([_phase(axis / tile_share) for axis in c.T])
-    k = c / tile_share - phase
+    c = _in_grid_axes(view)
+    phase = np.array([_phase(axis / tile_over_height) for axis in c.T])
+    k = c / tile_over_height - phase
     index = np.rint(k).astype(np.int64)
-    used = np.flatnonzero((np.abs(k - index) < _NEAR_SHARE).all(axis=1))
+    used = np.flatnonzero((np.abs(k - index) < _ON_GRID_TILES).all(axis=1))
     if len(used) < MIN_CROSSINGS or (np.ptp(index[used], axis=0) < 1).any():
         return None
-    return Lattice(index[used], used, np.array([*-phase, -view.psi_rad]))
+    return TileIndex(index[used], used, np.array([*-phase, -view.psi_rad]))
 
 
 def _phase(k: Array) -> float:
     """Where most of the coordinates lie within a whole, -0.5 to 0.5; their mean would lie between two crowds."""
     turns = np.exp(2j * np.pi * k)
     apart = np.abs(np.angle(turns[:, None] * turns.conj()[None])) / (2.0 * np.pi)
-    crowd = apart[int(np.argmax((apart < _NEAR_SHARE).sum(axis=1)))] < _NEAR_SHARE
+    crowd = apart[int(np.argmax((apart < _ON_GRID_TILES).sum(axis=1)))] < _ON_GRID_TILES
     return float(np.angle(turns[crowd].sum())) / (2.0 * np.pi)
 
 
-def _along(view: GridView) -> Array:
+def _in_grid_axes(view: GridView) -> Array:
     """(N, 2) crossings in the grid's own axes."""
     c, s = np.cos(view.psi_rad), np.sin(view.psi_rad)
     return np.asarray(view.xy @ np.array([[c, -s], [s, c]]))

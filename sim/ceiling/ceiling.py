@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.sim.ceiling_layout import CeilingSpec, Layout, Panel, Rect, Spot, TrueLines, make_layout
+from ceilvo.sim.ceiling.arrangement import make_layout
+from ceilvo.sim.ceiling.layout import Layout, TrueLines
+from ceilvo.sim.ceiling.panels import Panel, Rect, Spot
+from ceilvo.sim.ceiling.spec import CeilingSpec
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -39,9 +42,9 @@ class Ceiling:
         self.albedo: Array32 = self._draw(rng)
 
     def true_crossings(self) -> tuple[Array, Ints]:
-        """(N, 2) crossings in map and (N,) CrossingKind: grooves that meet, corners of lamps and vents."""
-        xy, kind = self.layout.crossings()
-        return se2.transform(self._map_from_ceiling, xy), kind
+        """(N, 2) crossings in map and (N,) CrossingType: grooves that meet, corners of lamps and vents."""
+        xy, crossing_type = self.layout.crossings()
+        return se2.transform(self._map_from_ceiling, xy), crossing_type
 
     def true_intersections(self, reach_m: float = 0.07) -> Array:
         """(N, 2) in map: all places where two true lines meet or, prolonged by reach_m, would; for precision."""
@@ -74,15 +77,15 @@ class Ceiling:
 
         Args:
             lit: indices into layout.lamps, None for all.
-            daylight: share of the room's light that does not come from lamps; the rest comes with the share lit.
+            daylight: fraction of the room's light that does not come from lamps; the rest comes with the fraction lit.
         """
         lamps = self.layout.lamps
         on = lamps if lit is None else tuple(lamps[i] for i in lit)
-        share = len(on) / len(lamps) if lamps else 1.0
+        lamps_on = len(on) / len(lamps) if lamps else 1.0
         glow = np.zeros_like(self.albedo)
         for lamp in on:
             self._emit(glow, lamp)
-        light = (1.0 - daylight) * share + self._halo(glow)
+        light = (1.0 - daylight) * lamps_on + self._halo(glow)
         return self.albedo * np.float32(daylight), self.albedo * light + glow
 
     def _emit(self, glow: Array32, lamp: Panel) -> None:
@@ -191,8 +194,8 @@ class Ceiling:
         m = s.radius_m + 3 * self.spec.texel_m
         win, (dx, dy) = self._window((x - m, y - m, x + m, y + m))
         d = np.hypot(dx - x, dy - y)
-        for share, value in rings:
-            cover = np.clip((share * s.radius_m - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
+        for radius, value in rings:
+            cover = np.clip((radius * s.radius_m - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
             a[win] += cover * (np.float32(value) - a[win])
 
     def _fill(self, a: Array32, rect: Rect, value: float) -> None:

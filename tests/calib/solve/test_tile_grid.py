@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.calib.practice.virtual_bench import VirtualBench, random_rig
 from ceilvo.calib.solve.grid import from_grid
-from ceilvo.calib.solve.lattice import spacings, to_lattice
+from ceilvo.calib.solve.tile_grid import tile_index, tile_spacings
 from ceilvo.calib.targets.ceiling_view import CeilingReader, GridView
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
-from ceilvo.sim.ceiling_layout import CeilingSpec
+from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.sim.world import World, WorldSpec
 
@@ -60,15 +60,15 @@ def found_height(seen: list[GridView], height_m: float | None = None) -> float:
 @settings(max_examples=12, deadline=None)
 @given(side=st.floats(0.25, 0.9), gone=st.floats(0.0, 0.4), seed=st.integers(0, 1000))
 def test_a_grid_with_holes_has_its_own_spacing(side: float, gone: float, seed: int) -> None:
-    found = spacings(views(grid(side, gone, seed), seed=seed))
-    assert abs(found[0].share / (side / HEIGHT_M) - 1) < 0.01
+    found = tile_spacings(views(grid(side, gone, seed), seed=seed))
+    assert abs(found[0].tile_over_height / (side / HEIGHT_M) - 1) < 0.01
     assert len(found) < 2 or found[1].support < 0.8 * found[0].support
 
 
 def test_slats_of_vents_do_not_pass_for_tiles() -> None:
     """Many crossings are on slats, whose spacing divides the tile's."""
     seen = views(np.concatenate([grid(), slats(3)]))
-    joints = sum(len(to_lattice(v, TILE_M / HEIGHT_M).used) for v in seen if to_lattice(v, TILE_M / HEIGHT_M))
+    joints = sum(len(tile_index(v, TILE_M / HEIGHT_M).used) for v in seen if tile_index(v, TILE_M / HEIGHT_M))
     assert joints < 0.75 * sum(len(v.xy) for v in seen)
     assert abs(found_height(seen) - HEIGHT_M) < 0.01
 

@@ -1,0 +1,181 @@
+"""Hours of a running daemon with faults on a schedule: does it grow, slow down, lose its way or fail to come back?
+
+python -m ceilvo.bench.soak --hours 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ceilvo.bench.soak.fault_plan import Stroke, current, strokes
+from ceilvo.bench.soak.parts import Heard, Listener, Usage, Watcher, free_port, set_base_fault, usage
+from ceilvo.bench.soak.verdict import judge
+from ceilvo.config import Config
+from ceilvo.config.rendering import render_config
+from ceilvo.drivers.base.mock_base import ReceivedTelegram
+from ceilvo.files import write_atomic
+from ceilvo.sim.base import SimBase
+from ceilvo.sim.world import World, WorldSpec
+
+_TICK_S = 0.05
+_USAGE_PERIOD_S = 5.0
+_START_S = 6.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    p = argparse.ArgumentParser(prog="soak", description=__doc__)
+    p.add_argument("--hours", type=float, default=1.0)
+    p.add_argument("--seed", type=int, default=7)
+    p.add_argument("--rate-hz", type=float, default=20.0, help="of the camera")
+    p.add_argument("--out", type=Path, default=Path("build/bench"))
+    a = p.parse_args(arguments)
+    a.out.mkdir(parents=True, exist_ok=True)
+    soak = Soak(a.seed, 3600.0 * a.hours, a.rate_hz, a.out)
+    code = soak.run()
+    result = judge(soak.heard, soak.usage, soak.plan, soak.world, soak.t0_ns, code, soak.asked)
+    write_atomic(a.out / "soak.json", json.dumps(result, indent=2) + "\n")
+    for line in result["lines"]:
+        print(line)
+    try:
+        from ceilvo.bench.soak.plots import draw
+    except ImportError:
+        print("no plot: matplotlib is missing")
+    else:
+        print(draw(soak.heard, soak.usage, soak.plan, soak.world, soak.t0_ns, a.out / "soak.png"))
+    return 0 if result["ok"] else 1
+
+
+class Soak:
+    """One run; afterwards the attributes have what was measured."""
+
+    def __init__(
+        self, seed: int, seconds: float, rate_hz: float, out: Path, name: str = "soak", base_rate_hz: float = 20.0
+    ) -> None:
+        self._seed, self._seconds, self._rate_hz, self._out = seed, seconds, rate_hz, out
+        self._name, self._base_rate_hz = name, base_rate_hz
+        self.telegrams: list[ReceivedTelegram] = []
+        self.plan: list[Stroke] = strokes(seconds)
+        self.world = World(WorldSpec(seed=seed))
+        self.usage: list[Usage] = []
+        self.heard = Heard()
+        self.asked = 0
+        self.t0_ns = 0
+        self._state = out / f"{name}-state"
+
+    def run(self) -> int:
+        """Returns the daemon's exit code."""
+        port = free_port()
+        with ExitStack() as ending:
+            link = self._out / f"{self._name}-base"
+            base = SimBase(port_link=link, odometry=self._odometry)
+            base.start()
+            ending.callback(base.stop)
+            self.t0_ns = self.world.start(time.monotonic_ns() + round(1e9 * _START_S))
+            daemon = self._spawn(port, link)
+            ending.callback(_end, daemon)
+            listener = Listener(port)
+            ending.callback(listener.close)
+            self.heard = listener.heard
+            watcher = Watcher(port)
+            ending.callback(watcher.close)
+            self._supervise(daemon, base, listener, watcher)
+            self.telegrams = list(base.telegrams)
+            daemon.send_signal(signal.SIGTERM)
+            return daemon.wait(20.0)
+
+    def _odometry(self, t_s: float) -> tuple[float, float, float]:
+        x, y, theta = self.world.wheel_odometry_at(self.world.seconds(round(1e9 * t_s)))
+        return float(x), float(y), float(theta)
+
+    def _spawn(self, port: int, link: Path) -> subprocess.Popen[bytes]:
+        self._state.mkdir(exist_ok=True)
+        for old in self._state.iterdir():
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        file = self._out / f"{self._name}.yaml"
+        file.write_text(render_config(self._config(port, link)))
+        args = [str(self._seed), str(self.t0_ns), str(self._seconds), str(file)]
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
+        environment |= {"MALLOC_MMAP_THRESHOLD_": "33554432", "MALLOC_TRIM_THRESHOLD_": "268435456"}
+        with (self._out / f"{self._name}.log").open("wb") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", "ceilvo.bench.soak.robot", *args], stdout=log, stderr=log, env=environment
+            )
+
+    def _config(self, port: int, link: Path) -> Config:
+        x, y, theta = (float(v) for v in self.world.initial_pose)
+        c, lens = Config(), self.world.calibration.camera
+        return replace(
+            c,
+            camera=replace(c.camera, width_px=lens.width_px, height_px=lens.height_px, rate_hz=self._rate_hz),
+            filter=replace(
+                c.filter, initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta))
+            ),
+            base=replace(c.base, port=str(link), rate_hz=self._base_rate_hz),
+            zenoh=replace(c.zenoh, listen=(f"tcp/127.0.0.1:{port}",), multicast=False, health_period_s=0.2),
+            service=replace(c.service, state_dir=str(self._state), state_period_s=1.0),
+        )
+
+    def _supervise(self, daemon: subprocess.Popen[bytes], base: SimBase, listener: Listener, watcher: Watcher) -> None:
+        reported = {"base": "", "zenoh": "", "process": ""}
+        next_usage_s = 0.0
+        while daemon.poll() is None and self._now_s() < self._seconds:
+            t_s = self._now_s()
+            for part in reported:
+                name = current(self.plan, t_s, part)
+                if name != reported[part]:
+                    self._change(part, reported[part], name, daemon, base, listener, watcher)
+                    reported[part] = name
+            if t_s >= next_usage_s and reported["process"] != "stopped":
+                next_usage_s = max(t_s, 0.0) + _USAGE_PERIOD_S
+                self.usage.append(usage(daemon.pid, t_s))
+            time.sleep(_TICK_S)
+
+    def _now_s(self) -> float:
+        return 1e-9 * (time.monotonic_ns() - self.t0_ns)
+
+    def _change(
+        self,
+        part: str,
+        old: str,
+        new: str,
+        daemon: subprocess.Popen[bytes],
+        base: SimBase,
+        listener: Listener,
+        watcher: Watcher,
+    ) -> None:
+        aside = self._state.with_name(f"{self._state.name}-aside")
+        if part == "base":
+            set_base_fault(base, new)
+        elif "subscriber hangs" in (old, new):
+            watcher.hang(new != "")
+        elif "state directory gone" in (old, new):
+            (self._state.replace(aside) if new else aside.replace(self._state))
+        elif "stopped" in (old, new):
+            daemon.send_signal(signal.SIGSTOP if new else signal.SIGCONT)
+        elif new:
+            key, payload = ("cmd/initial_pose", b'{"x_m": "here"}') if new == "command flood" else ("map", b"")
+            threading.Thread(target=self._flood, args=(listener, key, payload, new), daemon=True).start()
+
+    def _flood(self, listener: Listener, key: str, payload: bytes, name: str) -> None:
+        self.asked += listener.flood(key, payload, lambda: current(self.plan, self._now_s(), "zenoh") != name)
+
+
+def _end(daemon: subprocess.Popen[bytes]) -> None:
+    if daemon.poll() is None:
+        daemon.send_signal(signal.SIGCONT)
+        daemon.kill()
+        daemon.wait()

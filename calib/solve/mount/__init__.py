@@ -1,0 +1,1 @@
+"""`calib mount`: tracks <- fit <- uncertainty, wheels <- experiment."""

@@ -1,0 +1,1 @@
+"""A tiled ceiling: what is asked for, what hangs where, and its picture."""

@@ -1,0 +1,102 @@
+"""What hangs in a ceiling: lamps, vents and diffusers, which are rectangles, and round spots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Rect = tuple[float, float, float, float]
+"""x0, y0, x1, y1 in metres, in the ceiling's own axes."""
+PanelKind = Literal["lamp", "vent", "diffuser"]
+SpotKind = Literal["sprinkler", "detector", "speaker"]
+SPOTS: tuple[tuple[SpotKind, float], ...] = (("sprinkler", 0.038), ("detector", 0.055), ("speaker", 0.105))
+"""Radius m; chosen: about what such things have."""
+_SLOT_FROM, _SLOT_TO = 0.15, 0.60
+"""Where a vent's dark slot begins and ends in the pitch of its slats; chosen, dark and bright about equal."""
+_RING_PITCH_M, _RING_M = 0.075, 0.028
+"""Of a diffuser's rings, and how wide the dark part is; chosen."""
+_RING_CENTRE_M = 0.03
+"""Half the side of a diffuser's middle, which has no rings."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Something rectangular in the ceiling.
+
+    Attributes:
+        rect: outer rectangle x0, y0, x1, y1 in metres.
+        axis: a vent's slats run along x (0) or y (1).
+        recessed: in the grid's place, not screwed on with a gap around it.
+    """
+
+    kind: PanelKind
+    rect: Rect
+    axis: int
+    recessed: bool = True
+
+    RIM_M = 0.030
+    GAP_M = 0.007
+    SLAT_M = 0.050
+
+    @property
+    def inner(self) -> Rect:
+        """Luminous field or opening, inside the rim."""
+        x0, y0, x1, y1 = self.rect
+        return (x0 + self.RIM_M, y0 + self.RIM_M, x1 - self.RIM_M, y1 - self.RIM_M)
+
+    def steps(self) -> list[Rect]:
+        """Dark rectangles in a vent's opening: slots between slats, or nothing for a lamp and a diffuser."""
+        if self.kind != "vent":
+            return []
+        x0, y0, x1, y1 = self.inner
+        lo, hi = (x0, x1) if self.axis == 1 else (y0, y1)
+        n = max(1, round((hi - lo) / self.SLAT_M))
+        pitch = (hi - lo) / n
+        slots = [(lo + (i + _SLOT_FROM) * pitch, lo + (i + _SLOT_TO) * pitch) for i in range(n)]
+        if self.axis == 1:
+            return [(a, y0, b, y1) for a, b in slots]
+        return [(x0, a, x1, b) for a, b in slots]
+
+    def rings(self) -> list[Rect]:
+        """Nested rectangles of a diffuser, outermost first, alternately dark and bright."""
+        if self.kind != "diffuser":
+            return []
+        x0, y0, x1, y1 = self.inner
+        half = 0.5 * min(x1 - x0, y1 - y0)
+        rings = 1 + int(half / _RING_PITCH_M)
+        insets = [
+            d
+            for i in range(rings)
+            for d in (_RING_PITCH_M * i, _RING_PITCH_M * i + _RING_M)
+            if d < half - _RING_CENTRE_M
+        ]
+        return [(x0 + d, y0 + d, x1 - d, y1 - d) for d in insets]
+
+    def joints(self) -> list[Rect]:
+        """Rectangles along the middles of what is narrow and dark: gap, slots, rings."""
+        out = [] if self.recessed else [grown(self.rect, 0.5 * self.GAP_M)]
+        rings = self.rings()
+        for outer, inner in zip(rings[0::2], rings[1::2], strict=False):
+            out.append(grown(outer, 0.5 * (outer[0] - inner[0])))
+        for x0, y0, x1, y1 in self.steps():
+            x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+            out.append((x, y0, x, y1) if self.axis == 1 else (x0, y, x1, y))
+        return out
+
+    def hides(self, x: float, y: float) -> bool:
+        """Whether a groove at this point lies behind the panel."""
+        x0, y0, x1, y1 = self.rect
+        return x0 < x < x1 and y0 < y < y1
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Something round: a sprinkler's plate, a smoke detector, a loudspeaker's grille."""
+
+    kind: SpotKind
+    xy: tuple[float, float]
+    radius_m: float
+
+
+def grown(rect: Rect, by: float) -> Rect:
+    return (rect[0] - by, rect[1] - by, rect[2] + by, rect[3] + by)
