@@ -15,7 +15,7 @@ from ceilvo import __version__
 from ceilvo.drivers.recording import foxglove
 
 FORMAT_VERSION = 1
-"""Of ceilvo's recordings; a reader refuses a newer one."""
+"""Of ceilvo's recordings; a reader refuses any other."""
 METADATA = "ceilvo"
 CONFIG, CALIBRATION = "config.yaml", "calibration.yaml"
 FLUSH_S = 1.0
