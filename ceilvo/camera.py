@@ -66,14 +66,17 @@ class CameraModel:
             scale = th * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / np.maximum(rho, _ON_AXIS)
             x, y = r[:, 0] * scale, r[:, 1] * scale
         else:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                a, b = r[:, 0] / r[:, 2], r[:, 1] / r[:, 2]
-                a, b = np.where(r[:, 2] > 0, a, np.nan), np.where(r[:, 2] > 0, b, np.nan)
+            z = np.where(r[:, 2] > 0, r[:, 2], np.nan)
+            a, b = r[:, 0] / z, r[:, 1] / z
             r2 = a * a + b * b
-            radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
+            radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+            if any(k[5:]):
+                radial = radial / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
             x = a * radial + 2 * k[2] * a * b + k[3] * (r2 + 2 * a * a)
             y = b * radial + k[2] * (r2 + 2 * b * b) + 2 * k[3] * a * b
-        return np.column_stack([self.fx_px * x + self.cx_px, self.fy_px * y + self.cy_px])
+        out = np.empty((len(r), 2))
+        out[:, 0], out[:, 1] = self.fx_px * x + self.cx_px, self.fy_px * y + self.cy_px
+        return out
 
     def _fisheye_rays(self, uv: Array) -> Array:
         x = (uv[:, 0] - self.cx_px) / self.fx_px
@@ -100,10 +103,8 @@ def _undistort(uv_px: Array, matrix: Array, distortion: Array) -> Array:
     return np.asarray(cv2.undistortPoints(points, matrix, distortion, criteria=until), np.float64).reshape(-1, 2)
 
 
-def _padded(k: tuple[float, ...], n: int) -> Array:
-    out = np.zeros(n)
-    out[: len(k)] = k
-    return out
+def _padded(k: tuple[float, ...], n: int) -> tuple[float, ...]:
+    return k + (0.0,) * (n - len(k))
 
 
 @dataclass(frozen=True)
