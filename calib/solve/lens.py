@@ -41,7 +41,9 @@ def guessed_camera(size: tuple[int, int]) -> CameraModel:
 
 def reprojection(camera: CameraModel, points: Array, uv_px: Array) -> Array:
     """(2 N,) pixels by which points (N, 3) in the camera's axes miss what was seen of them."""
-    return np.asarray(np.nan_to_num(camera.pixels(points) - uv_px, nan=BEHIND_PX).ravel())
+    off = np.asarray((camera.pixels(points) - uv_px).ravel())
+    off[np.isnan(off)] = BEHIND_PX
+    return off
 
 
 def lens_of(camera: CameraModel) -> tuple[Callable[[Array], CameraModel], Array] | None:

@@ -55,7 +55,7 @@ def stock(bench: VirtualBench) -> dict[str, list[Picture]]:
     return {
         "board": list(bench.board(BOARD, 8)),
         "places": list(bench.places(9)),
-        "spin_and_run": list(bench.spin_and_run(28, 18, turns=1.0)),
+        "spin_and_run": list(bench.spin_and_run(24, 13, turns=1.0)),
         "stations": list(bench.stations(9, 2)),
         "drive": list(bench.drive(40, lap_fraction=0.1)),
     }
