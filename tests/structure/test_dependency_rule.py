@@ -24,7 +24,6 @@ from house import FLOORS, FOLDERS, ROOT, House, circles, floor_of, name_of, room
 NOT_YET: tuple[str, ...] = (
     "tests/ceilvo/config/test_reader.py is too long",
     "tests/daemon/doctor/test_examination.py is too long",
-    "tests/drivers/base/test_link.py is too long",
     "tests/drivers/bus/test_zenoh_bus.py is too long",
     "tests/drivers/camera/test_capture.py is too long",
     "tests/drivers/recording/test_files.py is too long",
