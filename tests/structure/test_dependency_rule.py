@@ -22,7 +22,6 @@ import pytest
 from house import FLOORS, FOLDERS, ROOT, House, circles, floor_of, name_of, room_of
 
 NOT_YET: tuple[str, ...] = (
-    "tests/ceilvo/config/test_reader.py is too long",
     "tests/daemon/doctor/test_examination.py is too long",
     "tests/drivers/bus/test_zenoh_bus.py is too long",
     "tests/drivers/recording/test_files.py is too long",
