@@ -22,15 +22,7 @@ import pytest
 from house import FLOORS, FOLDERS, ROOT, House, circles, floor_of, name_of, room_of
 
 NOT_YET: tuple[str, ...] = (
-    "tests/calib/commands/test_inputs.py is too long",
-    "tests/ceilvo/config/test_reader.py is too long",
     "tests/daemon/doctor/test_examination.py is too long",
-    "tests/daemon/replay/test_recording.py is too long",
-    "tests/drivers/base/test_link.py is too long",
-    "tests/drivers/bus/test_zenoh_bus.py is too long",
-    "tests/drivers/camera/test_capture.py is too long",
-    "tests/drivers/camera/test_v4l2_camera.py is too long",
-    "tests/drivers/recording/test_files.py is too long",
 )
 """Violations that are still there, word for word. One that is gone must leave this list."""
 
