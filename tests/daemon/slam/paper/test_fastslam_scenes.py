@@ -101,7 +101,7 @@ def rms(values):
     ],
 )
 def test_accurate_odometry_gets_better_not_worse(method, outliers, heading, luck):
-    seeds = range(2)
+    seeds = range(3)
     end, alone, nis = np.array([drive(s, method, outliers, heading, luck) for s in seeds]).T
     print(
         f"\n{method}, outliers {outliers:.0%}, heading {heading}, odometry noise x{luck}, seeds {list(seeds)}: after "
