@@ -78,7 +78,9 @@ def gradient(gray: NDArray[np.uint8], config: Features) -> tuple[Int16s, Int16s,
 
 
 def _interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """(H, W) pixels all four corners of whose cell of the look-up are known."""
+    """(H, W) pixels all four corners of whose cell of the look-up are known; the last of an odd width has no cell."""
     cell = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
-    step = LOOKUP_STEP_PX
-    return np.asarray(cell.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
+    fine = cell.repeat(LOOKUP_STEP_PX, axis=0).repeat(LOOKUP_STEP_PX, axis=1)[: shape[0], : shape[1]]
+    out = np.zeros(shape, np.bool_)
+    out[: fine.shape[0], : fine.shape[1]] = fine
+    return out

@@ -1,7 +1,8 @@
 """The whole method on rendered frames, against the simulator's truth; gaps, restarts, repeatability."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.trajectory import estimate_json
 from ceilvo.sim.camera import SimCamera
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Estimate, Frame, State
+from ceilvo.types import Crossings, Estimate, Frame, Pose, State
 
 SEED = 3
 RATE_HZ = 15.0
@@ -33,20 +34,40 @@ def pipeline_of(world: World) -> Pipeline:
     return Pipeline(world.calibration, config_of(world), np.random.default_rng(SEED))
 
 
-def frames(world: World, seconds: float) -> Iterator[Frame]:
+def frames(world: World, seconds: float, start: int = 0) -> Iterator[Frame]:
     camera = SimCamera(world, RATE_HZ, realtime=False, duration_s=seconds)
     camera.open()
-    while (frame := camera.read()) is not None:
-        yield frame
+    return islice(iter(camera.read, None), start, None)
 
 
 def error(world: World, estimate: Estimate) -> np.ndarray:
     return se2.between(world.truth_at(world.seconds(estimate.stamp_ns)), estimate.pose)
 
 
-def test_a_drive_around_a_corner_stays_within_millimetres(world: World) -> None:
-    pipeline = pipeline_of(world)
-    estimates = [pipeline.step(f) for f in frames(world, 12.0)]
+@dataclass
+class Drive:
+    """Rendered and looked at once for all tests: what was estimated of each frame, and seen in it."""
+
+    estimates: list[Estimate]
+    seen: list[tuple[int, Crossings]]
+
+    def through(self, pipeline: Pipeline, begin: int, end: int) -> list[Estimate]:
+        """Estimates of a pipeline that sees what was seen in these frames."""
+        return [pipeline.step_crossings(*seen) for seen in self.seen[begin:end]]
+
+
+@pytest.fixture(scope="module")
+def drive(world: World) -> Drive:
+    pipeline, drive = pipeline_of(world), Drive([], [])
+    for frame in frames(world, 12.0):
+        drive.estimates.append(pipeline.step(frame))
+        assert pipeline.vision.view is not None and pipeline.vision.view.crossings is not None
+        drive.seen.append((frame.stamp_ns, pipeline.vision.view.crossings))
+    return drive
+
+
+def test_a_drive_around_a_corner_stays_within_millimetres(world: World, drive: Drive) -> None:
+    estimates = drive.estimates
     errors = np.array([error(world, e) for e in estimates])
     rms = np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))
     turn = np.degrees(np.sqrt(np.mean(errors[:, 2] ** 2)))
@@ -61,18 +82,24 @@ def test_a_drive_around_a_corner_stays_within_millimetres(world: World) -> None:
     assert estimates[-1].landmarks > 40
 
 
-def test_the_same_frames_give_the_same_bytes(world: World) -> None:
-    first, second = (
-        [estimate_json(p.step(f)) for f in frames(world, 3.0)] for p in (pipeline_of(world), pipeline_of(world))
-    )
-    assert first == second
+def test_crossings_give_what_their_frames_gave(world: World, drive: Drive) -> None:
+    """So that the tests below may see the drive without rendering it."""
+    again = drive.through(pipeline_of(world), 0, 45)
+    assert [estimate_json(e) for e in again] == [estimate_json(e) for e in drive.estimates[:45]]
 
 
-def test_blackout_is_dead_reckoned_and_corrected_when_the_light_returns(world: World) -> None:
-    pipeline, shot = pipeline_of(world), list(frames(world, 5.0))
-    dark = np.zeros_like(shot[0].gray)
-    blind = range(45, 54)
-    estimates = [pipeline.step(replace(f, gray=dark) if k in blind else f) for k, f in enumerate(shot)]
+def test_the_same_frames_give_the_same_bytes(world: World, drive: Drive) -> None:
+    pipeline = pipeline_of(world)
+    again = [estimate_json(pipeline.step(f)) for f in frames(world, 3.0)]
+    assert again == [estimate_json(e) for e in drive.estimates[: len(again)]]
+
+
+def test_blackout_is_dead_reckoned_and_corrected_when_the_light_returns(world: World, drive: Drive) -> None:
+    pipeline, begin, blind = pipeline_of(world), 40, range(45, 54)
+    drive.through(pipeline, 0, begin)
+    estimates = {}
+    for k, f in enumerate(frames(world, 5.0, begin), begin):
+        estimates[k] = pipeline.step(replace(f, gray=np.zeros_like(f.gray)) if k in blind else f)
     during = [estimates[k] for k in blind]
     assert all(not e.motion.ok for e in during)
     assert during[-1].state in (State.DEAD_RECKONING, State.LOST)
@@ -81,12 +108,12 @@ def test_blackout_is_dead_reckoned_and_corrected_when_the_light_returns(world: W
     after = estimates[blind.stop]
     assert after.motion.ok
     assert np.hypot(*error(world, after)[:2]) < 0.005
-    assert estimates[-1].state is State.TRACKING
+    assert estimates[max(estimates)].state is State.TRACKING
 
 
-def test_without_frames_it_coasts_and_says_why(world: World) -> None:
+def test_without_frames_it_coasts_and_says_why(world: World, drive: Drive) -> None:
     pipeline = pipeline_of(world)
-    estimates = [pipeline.step(f) for f in frames(world, 2.0)]
+    estimates = drive.through(pipeline, 0, 30)
     late = estimates[-1].stamp_ns + 400_000_000
     coasted = pipeline.step_crossings(late, None, missing="camera unplugged")
     assert coasted.state is State.DEAD_RECKONING
@@ -95,83 +122,74 @@ def test_without_frames_it_coasts_and_says_why(world: World) -> None:
     assert coasted.cov[0, 0] > estimates[-1].cov[0, 0]
 
 
-def restarted(world: World, shift: tuple[float, float]) -> tuple[list[Estimate], list[Frame]]:
-    """Map 8 s of driving, then start again on that map at 3 s with a stored pose that is off by `shift`."""
-    shot = list(frames(world, 8.0))
+def restarted(world: World, drive: Drive, mapped: int, off: list[float], sigma: float, begin: int) -> Pipeline:
+    """A pipeline that knows the map of the first frames and a stored pose that is off from where it was at one."""
     mapper = pipeline_of(world)
-    poses = [mapper.step(frame) for frame in shot]
+    poses = drive.through(mapper, 0, mapped)
     axis = mapper.relocaliser.state.map_axis_rad
     assert axis is not None
-    begin = int(3.0 * RATE_HZ)
     again = pipeline_of(world)
-    stored = poses[begin].pose + np.array([*shift, 0.0])
-    again.load_map(mapper.filter.landmarks(), axis, stored, np.diag([0.05, 0.05, 0.05]) ** 2)
-    return [again.step(frame) for frame in shot[begin:]], shot[begin:]
+    again.load_map(mapper.filter.landmarks(), axis, Pose(poses[begin].pose + np.array(off)), np.eye(3) * sigma**2)
+    return again
 
 
-def test_a_stored_pose_is_not_tracking_until_landmarks_confirm_it(world: World) -> None:
-    estimates, _ = restarted(world, (0.02, -0.01))
+def test_a_stored_pose_is_not_tracking_until_landmarks_confirm_it(world: World, drive: Drive) -> None:
+    estimates = drive.through(restarted(world, drive, 120, [0.02, -0.01, 0.0], 0.05, 45), 45, 120)
     assert estimates[0].state is not State.TRACKING
     assert estimates[-1].state is State.TRACKING
     assert np.hypot(*error(world, estimates[-1])[:2]) < 0.03
 
 
 @pytest.mark.parametrize("shift", [(0.6, 0.0), (0.0, -0.6), (-1.2, 0.6)])
-def test_a_stored_pose_that_is_whole_tiles_off_is_never_tracking(world: World, shift: tuple[float, float]) -> None:
+def test_a_stored_pose_that_is_whole_tiles_off_is_never_tracking(
+    world: World, drive: Drive, shift: tuple[float, float]
+) -> None:
     """It may find the tile it is under, and says TRACKING only there."""
-    estimates, _ = restarted(world, shift)
+    estimates = drive.through(restarted(world, drive, 120, [*shift, 0.0], 0.05, 45), 45, 120)
     assert estimates[0].state is State.RELOCALISING
     for e in estimates:
         assert e.state is State.RELOCALISING or np.hypot(*error(world, e)[:2]) < 0.05
 
 
-def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World) -> None:
-    shot = list(frames(world, 4.0))
-    mapper = pipeline_of(world)
-    for frame in shot:
-        last = mapper.step(frame)
-    axis = mapper.relocaliser.state.map_axis_rad
-    assert axis is not None
-    wrong = last.pose + np.array([0.31, 0.28, 0.0])
-    again = pipeline_of(world)
-    again.load_map(mapper.filter.landmarks(), axis, wrong, np.diag([0.02, 0.02, 0.02]) ** 2)
-    states = {again.step(replace(shot[-1], stamp_ns=shot[-1].stamp_ns + k * 66_000_000)).state for k in range(30)}
+def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World, drive: Drive) -> None:
+    again = restarted(world, drive, 60, [0.31, 0.28, 0.0], 0.02, 59)
+    stamp_ns, seen = drive.seen[59]
+    states = {again.step_crossings(stamp_ns + k * 66_000_000, seen).state for k in range(30)}
     assert State.TRACKING not in states
 
 
 def test_a_robot_that_is_put_elsewhere_in_the_light_is_in_doubt_at_once_and_teaches_the_map_nothing(
-    world: World,
+    world: World, drive: Drive
 ) -> None:
-    pipeline, shot = pipeline_of(world), list(frames(world, 8.0))
-    for frame in shot:
-        last = pipeline.step(frame)
-    known, stamp_ns = len(pipeline.filter.landmarks()), shot[-1].stamp_ns
+    pipeline = pipeline_of(world)
+    last = drive.through(pipeline, 0, 120)[-1]
+    known = len(pipeline.filter.landmarks())
     states = []
-    for k, frame in enumerate(shot[60:90]):  # 1.4 m back and before the bend
-        estimate = pipeline.step(replace(frame, stamp_ns=stamp_ns + (k + 1) * 66_666_667))
-        wrong = np.hypot(*(estimate.pose - world.truth_at(world.seconds(frame.stamp_ns)))[:2]) > 0.3
+    for k, (stamp_ns, seen) in enumerate(drive.seen[60:90]):  # 1.4 m back and before the bend
+        estimate = pipeline.step_crossings(last.stamp_ns + (k + 1) * 66_666_667, seen)
+        wrong = np.hypot(*(estimate.pose - world.truth_at(world.seconds(stamp_ns)))[:2]) > 0.3
         states.append((estimate.state, wrong))
     assert last.state is State.TRACKING
     assert (State.TRACKING, True) not in states
     assert len(pipeline.filter.landmarks()) <= known + 3
 
 
-def test_a_pose_that_is_given_before_anything_is_mapped_turns_the_map_with_it(world: World) -> None:
-    pipeline, shot = pipeline_of(world), list(frames(world, 3.0))
-    pipeline.step(shot[0])
+def test_a_pose_that_is_given_before_anything_is_mapped_turns_the_map_with_it(world: World, drive: Drive) -> None:
+    pipeline = pipeline_of(world)
+    drive.through(pipeline, 0, 1)
     assert not len(pipeline.filter.landmarks())
-    turned = world.initial_pose + np.array([0.0, 0.0, 0.4])
+    turned = Pose(world.initial_pose + np.array([0.0, 0.0, 0.4]))
     pipeline.set_pose(turned, np.diag([0.02, 0.02, 0.02]) ** 2, "told")
-    last = [pipeline.step(frame) for frame in shot[1:]][-1]
+    last = drive.through(pipeline, 1, 45)[-1]
     assert last.state is State.TRACKING
     assert last.landmarks > 20
     assert abs(error(world, last)[2] - 0.4) < 0.02
 
 
-def test_reset_forgets_the_map_and_says_so(world: World) -> None:
+def test_reset_forgets_the_map_and_says_so(world: World, drive: Drive) -> None:
     pipeline = pipeline_of(world)
-    for frame in frames(world, 2.0):
-        pipeline.step(frame)
+    drive.through(pipeline, 0, 30)
+    assert len(pipeline.filter.landmarks())
     pipeline.reset()
     assert len(pipeline.filter.landmarks()) == 0
     assert pipeline.relocaliser.state.map_axis_rad is None

@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.config import Features
-from ceilvo.daemon.vision.edges import Edges
+from ceilvo.daemon.vision.edges import EdgeDetector, Edges
 from ceilvo.daemon.vision.line_detection import dominant_direction, find_lines
 from ceilvo.daemon.vision.tilt_prior import TiltPrior, TiltTracker
+from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.types import LineKind, Lines
 
 FOCAL_PX = 410.0
@@ -49,6 +50,14 @@ def world_offsets(lines: Lines, axis_angle: float) -> np.ndarray:
     normal = lines.psi_rad + lines.axis * np.pi / 2
     along = np.cos(normal - axis_angle)
     return np.sort((lines.offset_px * np.sign(along))[np.abs(along) > 0.9])
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 120), (161, 121), (160, 121)])
+def test_edges_are_found_in_pictures_of_even_and_odd_sizes(width: int, height: int) -> None:
+    detect = EdgeDetector(simulated_calibration(simulated_camera(width_px=width, height_px=height)), Features())
+    gray = np.full((height, width), 60, np.uint8)
+    gray[:, width // 2 :] = 200
+    assert len(detect(gray).uv_px) > 0.8 * height
 
 
 @given(st.floats(-3.2, 3.2))

@@ -55,7 +55,7 @@ def warmed(world: World) -> tuple[LineFinder, float]:
     finder = LineFinder(world.calibration, Features(full_every=100))
     step = np.array([0.35 / RATE_HZ, 0.0, 0.0])
     t = 2.0
-    for _ in range(30):
+    for _ in range(10):
         t += 1 / RATE_HZ
         assert finder(world.frame_at(t), step) is not None
     assert finder.state.tracked > 5
@@ -67,7 +67,7 @@ def test_a_close_look_sees_the_crossings_of_a_full_one() -> None:
     world = world_with(0.0)
     close = LineFinder(world.calibration, Features(full_every=10))
     found, missed, extra = 0, 0, 0
-    for k in range(120):
+    for k in range(80):
         t = 1.0 + k / RATE_HZ
         step = se2.between(world.truth_at(t - 1 / RATE_HZ), world.truth_at(t))
         lines = close(world.frame_at(t), step)
