@@ -21,12 +21,6 @@ import house
 import pytest
 from house import FLOORS, FOLDERS, ROOT, House, circles, floor_of, name_of, room_of
 
-<<<<<<< HEAD
-NOT_YET: tuple[str, ...] = ("tests/daemon/doctor/test_examination.py is too long",)
-"""Violations that are still there, word for word. One that is gone must leave this list."""
-
-=======
->>>>>>> 5d32793baca4f049408004d0323acf1e83001145
 MAX_FILES = 12
 MAX_LINES = 350
 CROWDED = ("daemon/slam/paper",)
