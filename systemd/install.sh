@@ -103,10 +103,11 @@ install_app() {
   done
   # Scripts name their interpreter by its path: make it the final one.
   grep -rlIZ --fixed-strings "$new" "$new/bin" "$new/pyvenv.cfg" | xargs -0r sed -i "s|$new|$APP|g"
-  # Byte code holds the date of its source: with a fixed one an installation is the same bytes each time.
+  # Byte code holds the date of its source, and before Python 3.11 its sets in the order of their hashes: with a fixed
+  # date and seed an installation is the same bytes each time. -s and not -I, which would not let the seed be given.
   find "$new/lib" -name __pycache__ -prune -exec rm -rf {} +
   find "$new/lib" -name '*.py' -exec touch -d @315532800 {} +
-  "$new/bin/python" -I -m compileall -qqf -s "$new" -p "$APP" "$new/lib" || true
+  (cd "$new/lib" && env -i PYTHONHASHSEED=0 ../bin/python -s -m compileall -qqf -s "$new" -p "$APP" "$new/lib") || true
   install_share "$new/share/ceilvo"
   if [ -e "$root$APP" ]; then mv -T "$root$APP" "$old"; fi
   mv -T "$new" "$root$APP"

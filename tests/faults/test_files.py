@@ -6,65 +6,23 @@ import json
 import logging
 import os
 import random
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
+import map_writer
 import numpy as np
 import pytest
+from map_writer import estimate, landmarks
 
 from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_state
 from ceilvo.daemon.map.store import MAP_NAME, REJECTED, STATE_NAME, Store
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
+from ceilvo.types import State
 
 KILLS = int(os.environ.get("KILLS", "20"))
 """`make kill-test` sets 200."""
 SEED = 6
 PATIENCE_S = 60.0
-
-WRITER = """
-import sys, numpy as np
-from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from test_files import estimate, landmarks
-from ceilvo.daemon.map.store import Store
-store = Store(Path(sys.argv[1]))
-loaded = store.load()
-n = 0 if loaded is None else int(loaded[1].stamp_ns)
-print(n, len(list(Path(sys.argv[1]).iterdir())), flush=True)
-while True:
-    n += 1
-    assert store.save(landmarks(400), 0.25, estimate(n))
-    if n % 4 == 0:
-        print("saved", flush=True)
-"""
-
-
-def landmarks(count: int) -> Landmarks:
-    i = np.arange(count)
-    xy = np.column_stack([0.6 * (i % 20), 0.6 * (i // 20)])
-    return Landmarks(i, xy, np.tile(1e-4 * np.eye(2), (count, 1, 1)), i % 9, np.full(count, 3))
-
-
-def estimate(n: int) -> Estimate:
-    return Estimate(
-        seq=n,
-        stamp_ns=n,
-        pose=np.array([0.001 * n, 2.0, 0.5]),
-        cov=np.diag([1e-4, 1e-4, 1e-6]),
-        odom=np.zeros(3),
-        twist=np.zeros(3),
-        state=State.TRACKING,
-        quality=0.9,
-        reason="",
-        motion=Motion(np.zeros(3), np.eye(3), 0, 0.0),
-        health=FilterHealth(0, 0.0, 0, 0.0, 0.0, 0),
-        crossings=0,
-        landmarks=0,
-    )
 
 
 def test_killed_at_random_moments_while_it_saves(tmp_path: Path) -> None:
@@ -72,30 +30,23 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path) -> None:
     rng = random.Random(SEED)
     reached = 0
     for kill in range(KILLS):
-        process = subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(tmp_path), str(Path(__file__).parent)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert process.stdout is not None and process.stderr is not None
-        first = process.stdout.readline().split()
-        assert first, process.stderr.read()
-        assert int(first[0]) >= reached, f"kill {kill}: an older state came back (seed {SEED})"
-        assert int(first[1]) <= 2, f"kill {kill}: half-written files were not swept away (seed {SEED})"
-        process.stdout.readline()
-        # saves follow each other without a pause, so any moment is one within a save
-        process.stdout.read(rng.randrange(12))
-        process.send_signal(signal.SIGKILL)
-        process.wait(PATIENCE_S)
-        process.stdout.close()
-        process.stderr.close()
+        process, said = map_writer.start(tmp_path)
+        with said:
+            found, files = said.recv()
+            assert found >= reached, f"kill {kill}: an older state came back (seed {SEED})"
+            assert files <= 2, f"kill {kill}: half-written files were not swept away (seed {SEED})"
+            # saves follow each other without a pause, so any moment is one within a save
+            for _ in range(1 + rng.randrange(3)):
+                said.recv()
+            process.kill()
+            process.join(PATIENCE_S)
+        process.close()
         stored, state = load_map(tmp_path / MAP_NAME), load_state(tmp_path / STATE_NAME)
         assert stored is not None and state is not None
-        assert len(stored.landmarks) == 400
+        assert len(stored.landmarks) == map_writer.LANDMARKS
         assert abs(state.pose[0] - 0.001 * state.stamp_ns) < 1e-12
         reached = state.stamp_ns
-    assert reached >= 4 * KILLS
+    assert reached >= map_writer.SAVES_A_WORD * KILLS
 
 
 @pytest.mark.parametrize("name", [MAP_NAME, STATE_NAME])

@@ -55,7 +55,7 @@ def warmed(world: World) -> tuple[LineFinder, float]:
     finder = LineFinder(world.calibration, Features(full_every=100))
     step = np.array([0.35 / RATE_HZ, 0.0, 0.0])
     t = 2.0
-    for _ in range(10):
+    for _ in range(30):
         t += 1 / RATE_HZ
         assert finder(world.frame_at(t), step) is not None
     assert finder.state.tracked > 5
