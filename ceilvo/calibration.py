@@ -14,6 +14,8 @@ from ceilvo.camera import CameraModel, LevelView
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
+_SINGULAR = 1e-12
+"""Scale of M's left block below which it has no inverse; a real one has about 1."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Calibration:
         """camera_from_base rotation (3, 3) and the camera's position in [X, Y, Z]."""
         p = np.linalg.inv(self.camera.matrix) @ self.projection
         scale = np.cbrt(np.linalg.det(p[:, :3]))
-        if not np.isfinite(scale) or abs(scale) < 1e-12:
+        if not np.isfinite(scale) or abs(scale) < _SINGULAR:
             raise CalibrationError(
                 f"projection: determinant of the left 3x3 block is {scale**3:.3g}, expected non-zero; "
                 "the points that it was fitted to were degenerate, run 'calib projection' again"

@@ -32,6 +32,9 @@ __all__ = [
 ]
 
 VERSION = 1
+"""Of the file; _MIGRATIONS bring older ones to it."""
+_TEXT_CHARS, _SHORT_CHARS = 200, 60
+"""Of a text in the file, and of a wrong value in a message, which stays one line."""
 
 _MIGRATIONS: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {}
 """From version n to n + 1, applied in turn to the content of an old file; version 1 is the first."""
@@ -257,11 +260,13 @@ def _numbers(path: str, key: str, value: Any) -> tuple[float, ...]:
 
 
 def _text(path: str, key: str, value: Any) -> str:
-    if not isinstance(value, str) or len(value) > 200 or not value.isprintable():
-        raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected up to 200 characters of text in quotes")
+    if not isinstance(value, str) or len(value) > _TEXT_CHARS or not value.isprintable():
+        raise CalibrationError(
+            f"{path}: {key}: found {_short(value)}, expected up to {_TEXT_CHARS} characters of text in quotes"
+        )
     return value
 
 
 def _short(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return text if len(text) <= _SHORT_CHARS else text[: _SHORT_CHARS - 3] + "..."

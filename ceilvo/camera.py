@@ -12,6 +12,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
+_NEWTON_ROUNDS = 20
+"""To invert the fisheye polynomial; chosen: Newton's method doubles the digits each time."""
+_SLOPE_LEAST = 1e-9
+"""Of the polynomial, where it folds over and has no inverse."""
+_ON_AXIS = 1e-12
+"""Distance from the axis, focal lengths, below which a ray is on it."""
+_UNDISTORT_ROUNDS, _UNDISTORT_PX = 40, 1e-6
+"""OpenCV's fixed-point iteration ends after so many rounds, or when it is so near; see _undistort."""
+
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -54,7 +63,7 @@ class CameraModel:
             rho = np.hypot(r[:, 0], r[:, 1])
             th = np.arctan2(rho, r[:, 2])
             t2 = th * th
-            scale = th * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / np.maximum(rho, 1e-12)
+            scale = th * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / np.maximum(rho, _ON_AXIS)
             x, y = r[:, 0] * scale, r[:, 1] * scale
         else:
             z = np.where(r[:, 2] > 0, r[:, 2], np.nan)
@@ -75,18 +84,18 @@ class CameraModel:
         k = _padded(self.distortion, 4)
         rd = np.hypot(x, y)
         th = rd.copy()
-        for _ in range(20):
+        for _ in range(_NEWTON_ROUNDS):
             t2 = th * th
             f = th * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) - rd
             df = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
-            th = np.clip(th - f / np.where(np.abs(df) < 1e-9, 1e-9, df), 0.0, np.pi)
-        s = np.where(rd > 1e-12, np.sin(th) / np.maximum(rd, 1e-12), 1.0)
+            th = np.clip(th - f / np.where(np.abs(df) < _SLOPE_LEAST, _SLOPE_LEAST, df), 0.0, np.pi)
+        s = np.where(rd > _ON_AXIS, np.sin(th) / np.maximum(rd, _ON_AXIS), 1.0)
         return np.column_stack([x * s, y * s, np.cos(th)])
 
 
 def _undistort(uv_px: Array, matrix: Array, distortion: Array) -> Array:
     """(N, 2) pinhole coordinates; OpenCV's default of 5 iterations stops 0.04 px short in a wide lens' corners."""
-    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-6)
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _UNDISTORT_ROUNDS, _UNDISTORT_PX)
     points = uv_px.reshape(-1, 1, 2)
     with_criteria: Any = getattr(cv2, "undistortPointsIter", None)  # OpenCV 4's name
     if with_criteria is not None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int64]
 
 CROSSING_TYPES = 9
+"""Three line kinds on each of two axes."""
 
 
 def crossing_type_of(kind_axis0: Ints, kind_axis1: Ints) -> Ints:

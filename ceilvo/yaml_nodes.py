@@ -13,6 +13,11 @@ from typing import Any
 import yaml
 
 MAX_BYTES = 1 << 20
+"""Of a file; ours have some kilobytes, and PyYAML is slow."""
+_DEPTH_MOST = 20
+"""Of nesting; chosen, far more than ours have."""
+_WIDTH = 110
+"""Characters of a line that is written."""
 _TAG = "tag:yaml.org,2002:"
 _PATTERNS = (
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
@@ -150,12 +155,12 @@ def plain(node: yaml.Node | None, _depth: int = 0) -> Any:
     """Nested dict, list and scalars; only text as keys.
 
     Raises:
-        YamlProblem: a tag, a key that is not text or comes twice, or nesting beyond 20 levels.
+        YamlProblem: a tag, a key that is not text or comes twice, or nesting that is too deep.
     """
     if node is None:
         return None
-    if _depth > 20:
-        raise YamlProblem(line_of(node), "found nesting deeper than 20 levels, expected less")
+    if _depth > _DEPTH_MOST:
+        raise YamlProblem(line_of(node), f"found nesting deeper than {_DEPTH_MOST} levels, expected less")
     if odd_tag(node):
         raise YamlProblem(line_of(node), f"found a value with the tag {odd_tag(node)}, expected a plain value")
     if isinstance(node, yaml.MappingNode):
@@ -180,4 +185,4 @@ def plain(node: yaml.Node | None, _depth: int = 0) -> Any:
 
 def dump(content: Any) -> str:
     """YAML that `plain(parse(...))` reads back to the same: floats exactly, innermost lists on one line."""
-    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110))
+    return str(yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=_WIDTH))

@@ -34,6 +34,7 @@ from ceilvo.sim import rtu
 _INCOMPLETE_S = 0.05
 """A request that pauses for this long is dropped; a real slave takes 3.5 characters, a pty is not that regular."""
 _CHUNK_S = 0.002
+"""Of an answer's bytes that are written at once: short against an answer, so that timing is the line's."""
 
 
 class SimBase:

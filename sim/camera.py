@@ -11,6 +11,7 @@ from ceilvo.sim.world import World
 from ceilvo.types import Frame
 
 SYNTHETIC_T0_NS = 1_000_000_000
+"""Stamp of the first frame without a clock; not 0, which would read as unset."""
 
 
 class SimCamera:

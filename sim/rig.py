@@ -9,19 +9,25 @@ import numpy as np
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
 
+_WIDTH_PX, _FOCALS_PX, _OFF_CENTRE_PX = 640, (410.3, 409.1), (3.2, -3.1)
+"""A webcam of 76 deg across, not quite square and not quite centred; chosen. Other sizes see the same."""
+_SIGMA_M, _SIGMA_THETA_RAD, _R_MAX_M = (0.003, 0.0, 0.002), 0.002, 2.5
+"""Noise curves, m against r in m, and of the heading: cautious, `calib sigma` finds less (docs/calibration.md)."""
 PINHOLE_DISTORTION = (-0.150, 0.030, 6e-4, -4e-4, -0.002)
+"""k1, k2, p1, p2, k3 of a cheap wide webcam lens; chosen."""
 FISHEYE_DISTORTION = (-0.020, 0.004, -0.002, 0.0003)
+"""k1 to k4; chosen."""
 CAMERA_ID = "ceilvo-sim"
 
 
 def simulated_camera(
     kind: Literal["pinhole", "fisheye"] = "pinhole",
-    width_px: int = 640,
+    width_px: int = _WIDTH_PX,
     height_px: int = 480,
     distortion: tuple[float, ...] | None = None,
 ) -> CameraModel:
     """A lens with fx, fy of 410.3, 409.1 px at 640 px width (fisheye 205.2, 204.6), scaled with the width."""
-    scale = width_px / 640.0
+    scale = width_px / _WIDTH_PX
     f = 1.0 if kind == "pinhole" else 0.5
     if distortion is None:
         distortion = PINHOLE_DISTORTION if kind == "pinhole" else FISHEYE_DISTORTION
@@ -29,10 +35,10 @@ def simulated_camera(
         kind=kind,
         width_px=width_px,
         height_px=height_px,
-        fx_px=410.3 * f * scale,
-        fy_px=409.1 * f * scale,
-        cx_px=0.5 * (width_px - 1) + 3.2 * scale,
-        cy_px=0.5 * (height_px - 1) - 3.1 * scale,
+        fx_px=_FOCALS_PX[0] * f * scale,
+        fy_px=_FOCALS_PX[1] * f * scale,
+        cx_px=0.5 * (width_px - 1) + _OFF_CENTRE_PX[0] * scale,
+        cy_px=0.5 * (height_px - 1) + _OFF_CENTRE_PX[1] * scale,
         distortion=distortion,
     )
 
@@ -58,11 +64,10 @@ def simulated_calibration(
     """
     camera = camera or simulated_camera()
     rot = mount_rotation(yaw_rad, roll_rad, pitch_rad)
-    sigma = (0.003, 0.0, 0.002)  # m against r in m
     return Calibration(
         camera=camera,
         projection=projection_matrix(camera, rot, mount_xy_m, ceiling_height_m),
-        noise=NoiseCurves(sigma, sigma, sigma_theta_rad=0.002, r_min_m=0.0, r_max_m=2.5),
+        noise=NoiseCurves(_SIGMA_M, _SIGMA_M, sigma_theta_rad=_SIGMA_THETA_RAD, r_min_m=0.0, r_max_m=_R_MAX_M),
         camera_id=CAMERA_ID,
         created="2024-01-01",
         tile_m=tile_m,

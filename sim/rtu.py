@@ -9,10 +9,19 @@ import struct
 from typing import Protocol
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
+"""Exception codes, MODBUS Application Protocol 1.1b3, section 7."""
 
 READ_HOLDING, READ_INPUT, WRITE_MULTIPLE, READ_WRITE = 3, 4, 16, 23
+"""Function codes, the same, section 6."""
 
+_EXCEPTION_BIT = 0x80
+"""Set in the function code of an exception (the same, section 7)."""
+_REGISTERS_MOST = 125
+"""Of one request (the same, section 6)."""
+_CRC_START, _CRC_POLYNOMIAL = 0xFFFF, 0xA001
+"""MODBUS over serial line 1.02, 6.2.2."""
 _BYTE_COUNT_AT = {WRITE_MULTIPLE: 6, READ_WRITE: 10}
+"""Where the request says how many bytes follow (the same, section 6)."""
 
 
 class ModbusFault(Exception):
@@ -33,11 +42,11 @@ class Registers(Protocol):
 
 def crc16(data: bytes) -> int:
     """CRC-16/MODBUS, as a number; low byte first on the wire."""
-    crc = 0xFFFF
+    crc = _CRC_START
     for byte in data:
         crc ^= byte
         for _ in range(8):
-            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+            crc = (crc >> 1) ^ _CRC_POLYNOMIAL if crc & 1 else crc >> 1
     return crc
 
 
@@ -69,7 +78,7 @@ def answer(request: bytes, registers: Registers, refused: frozenset[int] = froze
             raise ModbusFault(ILLEGAL_FUNCTION)
         body = _execute(function, request[2:-2], registers)
     except ModbusFault as e:
-        return with_crc(bytes((unit, function | 0x80, e.code)))
+        return with_crc(bytes((unit, function | _EXCEPTION_BIT, e.code)))
     return with_crc(bytes((unit, function)) + body)
 
 
@@ -89,7 +98,7 @@ def _execute(function: int, data: bytes, registers: Registers) -> bytes:
 
 
 def _read(registers: Registers, function: int, address: int, count: int) -> bytes:
-    if not 1 <= count <= 125:
+    if not 1 <= count <= _REGISTERS_MOST:
         raise ModbusFault(ILLEGAL_VALUE)
     values = registers.read(function, address, count)
     return struct.pack(f">B{count}H", 2 * count, *values)

@@ -16,8 +16,16 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 _TEXEL_M = 0.004
+"""Of the surfaces' pictures: chosen, a pixel on the ceiling is 5 mm."""
 _BORDER = 8
+"""Empty texels around a picture, so that its edge is soft."""
 _WALL, _FRAME, _LEAF, _RAIL = 0.62, 0.22, 0.48, 0.30
+"""Albedo of a wall, a door's frame and leaf, and a rail; chosen."""
+_SEAM_M, _SEAM, _RAIL_M, _FRAME_M, _DOOR_M, _DOOR_SHIFT = 0.03, 0.6, 0.03, 0.07, 0.9, 0.15
+"""A slab's seam from its edge and its relative albedo, widths of rail, frame and door, and how far off its place a door
+is, in doors; chosen."""
+_MOTTLE, _MOTTLE_TEXELS, _SOFT_TEXELS = 0.02, 20, 0.7
+"""Relative mottling, over so many texels, and the blur of a surface's edge; chosen."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +103,8 @@ def make_surfaces(spec: SurroundingsSpec, room_m: float, ceiling_m: float, seed:
 def _slab_surface(slab: Slab, rng: np.random.Generator) -> Surface:
     w, h = (max(round(v / _TEXEL_M), 4) for v in slab.size_m)
     body = _mottled(slab.albedo, h, w, rng)
-    seam = max(int(0.03 / _TEXEL_M), 1)
-    cv2.rectangle(body, (seam, seam), (w - 1 - seam, h - 1 - seam), 0.6 * slab.albedo, 2)
+    seam = max(int(_SEAM_M / _TEXEL_M), 1)
+    cv2.rectangle(body, (seam, seam), (w - 1 - seam, h - 1 - seam), _SEAM * slab.albedo, 2)
     c, s = np.cos(slab.yaw_rad), np.sin(slab.yaw_rad)
     u, v = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
     middle = np.array([*slab.xy_m, slab.height_m])
@@ -120,24 +128,24 @@ def _wall_picture(spec: SurroundingsSpec, room_m: float, ceiling_m: float, rng: 
     w, h = round(room_m / _TEXEL_M), round(ceiling_m / _TEXEL_M)
     body = _mottled(_WALL, h, w, rng)
     rail = round(spec.rail_m / _TEXEL_M)
-    body[rail : rail + round(0.03 / _TEXEL_M)] = _RAIL
-    top, frame = round(spec.door_top_m / _TEXEL_M), round(0.07 / _TEXEL_M)
+    body[rail : rail + round(_RAIL_M / _TEXEL_M)] = _RAIL
+    top, frame = round(spec.door_top_m / _TEXEL_M), round(_FRAME_M / _TEXEL_M)
     for i in range(spec.doors_per_wall):
-        at = (i + 0.5 + rng.uniform(-0.15, 0.15)) * room_m / spec.doors_per_wall
-        a, b = round((at - 0.45) / _TEXEL_M), round((at + 0.45) / _TEXEL_M)
+        at = (i + 0.5 + rng.uniform(-_DOOR_SHIFT, _DOOR_SHIFT)) * room_m / spec.doors_per_wall
+        a, b = round((at - 0.5 * _DOOR_M) / _TEXEL_M), round((at + 0.5 * _DOOR_M) / _TEXEL_M)
         body[:top, max(a, 0) : b] = _FRAME
         body[: top - frame, max(a + frame, 0) : b - frame] = _LEAF
     return body
 
 
 def _mottled(albedo: float, h: int, w: int, rng: np.random.Generator) -> Array32:
-    coarse = rng.standard_normal((h // 20 + 2, w // 20 + 2), dtype=np.float32)
+    coarse = rng.standard_normal((h // _MOTTLE_TEXELS + 2, w // _MOTTLE_TEXELS + 2), dtype=np.float32)
     spread = cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(albedo * (1.0 + 0.02 * spread), np.float32)
+    return np.asarray(albedo * (1.0 + _MOTTLE * spread), np.float32)
 
 
 def _surface(body: Array32, corner: Array, u: Array, v: Array, frame: Literal["map", "base"]) -> Surface:
     picture = np.stack([body, np.ones_like(body)], axis=-1)
     picture = np.pad(picture, ((_BORDER, _BORDER), (_BORDER, _BORDER), (0, 0)))
-    picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.float32)
+    picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), _SOFT_TEXELS), np.float32)
     return Surface(picture, corner - _BORDER * _TEXEL_M * (u + v), u, v, _TEXEL_M, frame)

@@ -20,7 +20,11 @@ Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 _TILT_ROOM_RAD = 0.05
+"""By which the robot may rock, for how far it sees."""
+_EDGE_POINTS = 33
+"""Along each edge of the picture, to find how far it sees."""
 _MARGIN_MOST_M = 4.0
+"""Of ceiling beyond the walls: a fisheye would see without end, and texels cost memory."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +112,9 @@ class World:
 def _reach_m(calibration: Calibration) -> float:
     """How far from the robot's centre the camera sees the ceiling when the robot rocks."""
     cam = calibration.camera
-    x, y = np.linspace(0, cam.width_px - 1, 33), np.linspace(0, cam.height_px - 1, 33)
-    edge = [np.column_stack([x, np.full(33, v)]) for v in (0.0, cam.height_px - 1.0)]
-    edge += [np.column_stack([np.full(33, u), y]) for u in (0.0, cam.width_px - 1.0)]
+    x, y = np.linspace(0, cam.width_px - 1, _EDGE_POINTS), np.linspace(0, cam.height_px - 1, _EDGE_POINTS)
+    edge = [np.column_stack([x, np.full(_EDGE_POINTS, v)]) for v in (0.0, cam.height_px - 1.0)]
+    edge += [np.column_stack([np.full(_EDGE_POINTS, u), y]) for u in (0.0, cam.width_px - 1.0)]
     rays = cam.rays(np.concatenate(edge)) @ calibration.camera_from_base
     angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]).max() + _TILT_ROOM_RAD
     if angle >= 0.5 * np.pi:

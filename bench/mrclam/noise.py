@@ -9,6 +9,7 @@ import numpy as np
 
 from ceilvo.bench.mrclam.data import Run, World
 from ceilvo.errors import FileFormatError
+from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.se2 import between, wrap_array
 from ceilvo.types import Array
 
@@ -16,7 +17,6 @@ BINS = 12
 WINDOW_S = 1.0
 """Odometry is compared with the truth over windows of this length."""
 NEAR_M = 0.3
-MAD_TO_SIGMA = 1.4826
 SIGMA_FACTORS = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 ODOMETRY_FACTORS = (2.0, 4.0, 8.0, 16.0)
 _MIN_WINDOWS = 20

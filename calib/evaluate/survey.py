@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.solve import bundle
 from ceilvo.calib.solve.station import in_base
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.integrity.staleness import MIN_UPDATES
+from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Crossings, Estimate
 
 Array = NDArray[np.float64]
@@ -229,7 +229,7 @@ def flicker(light: list[tuple[float, float]]) -> Flicker:
     rate = 1.0 / float(np.median(np.diff(t)))
     ripple = y / np.maximum(_smooth(y), 1.0) - 1.0
     best, mains, visible = 0.0, 0.0, False
-    noise = bundle.MAD_TO_SIGMA * float(np.median(np.abs(ripple))) * np.sqrt(2.0 / len(y)) * _NOISE_SIGMAS
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(ripple))) * np.sqrt(2.0 / len(y)) * _NOISE_SIGMAS
     for hz, _ in _MAINS:
         alias = abs(2 * hz - rate * round(2 * hz / rate))
         if alias < _SLOW * rate:

@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.robust import MAD_TO_SIGMA
+
 Array = NDArray[np.float64]
 Residuals = Callable[[int, Array, Array], Array]
 """(view, shared parameters, the view's parameters) -> (N,) residuals in units of their noise or in px."""
 
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation over median absolute deviation of a Gaussian, 1 / Phi^-1(3/4)."""
 _ROUNDS = 60
 """Steps at the most; chosen: a fit that goes on so long does not converge."""
 _MANY_VIEWS = 8

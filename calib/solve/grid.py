@@ -17,6 +17,7 @@ from ceilvo.calibration import mount_rotation
 from ceilvo.calibration_check import HEIGHTS_M
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
+from ceilvo.robust import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
@@ -148,7 +149,7 @@ def _grid_fit(
     """Robust first, then without the crossings that do not belong."""
     views = np.array([[s.start[0] * tile_m, s.start[1] * tile_m, s.start[2]] for s in samples])
     fit = _grid_solve(camera, samples, tile_m, start, views, rounds=_ROUNDS, huber=_HUBER)
-    noise = bundle.MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(fit.residuals))))
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(fit.residuals))))
     clean = []
     for sample, r in zip(samples, fit.residuals, strict=True):
         good = (np.abs(r.reshape(-1, 2)) < max(_OUTLIER * noise, _OUTLIER_PX)).all(axis=1)

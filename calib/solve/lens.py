@@ -41,7 +41,7 @@ def guessed_camera(size: tuple[int, int]) -> CameraModel:
 
 def reprojection(camera: CameraModel, points: Array, uv_px: Array) -> Array:
     """(2 N,) pixels by which points (N, 3) in the camera's axes miss what was seen of them."""
-    off = (camera.pixels(points) - uv_px).ravel()
+    off = np.asarray((camera.pixels(points) - uv_px).ravel())
     off[np.isnan(off)] = BEHIND_PX
     return off
 

@@ -7,12 +7,17 @@ from dataclasses import dataclass
 from ceilvo.config import Base
 
 POSE_REGISTERS = 19
+"""Of the pose block (docs/base-protocol.md)."""
 STATUS_REGISTERS = 10
+"""Of the status block (docs/base-protocol.md)."""
 
 _FC23 = ((13 + 2 * POSE_REGISTERS, 5 + 2 * STATUS_REGISTERS),)
 _FC16_FC04 = ((9 + 2 * POSE_REGISTERS, 8), (8, 5 + 2 * STATUS_REGISTERS))
 _TRANSACTIONS = {"fc23": _FC23, "fc16_fc04": _FC16_FC04}
 """(request bytes, response bytes) of each transaction of one telegram, address and CRC included."""
+
+_GAP_CHARS, _GAP_FAST_S, _GAP_FAST_BAUD = 3.5, 0.00175, 19200
+"""MODBUS over serial line 1.02, 2.5.1.1."""
 
 _HOST_POLL_CHARS = 8
 _HOST_POLL_MIN_S = 0.002
@@ -31,7 +36,7 @@ def stop_bits(parity: str) -> int:
 
 def frame_gap_s(baud: int, parity: str) -> float:
     """Silence of 3.5 characters between frames; 1.75 ms above 19200 baud (MODBUS over serial line, 2.5.1.1)."""
-    return 0.00175 if baud > 19200 else 3.5 * bits_per_char(parity) / baud
+    return _GAP_FAST_S if baud > _GAP_FAST_BAUD else _GAP_CHARS * bits_per_char(parity) / baud
 
 
 @dataclass(frozen=True, slots=True)

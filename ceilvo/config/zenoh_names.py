@@ -16,6 +16,7 @@ _ENDPOINT = re.compile(r"(?P<protocol>[a-z-]+)/(?P<address>[^?#\s]+)(?P<rest>[?#
 _HOST_PORT = re.compile(r"(?P<host>\[[0-9a-fA-F:.%\w]+\]|[^:\s]+):(?P<port>\d{1,5})")
 _LOOPBACK = re.compile(r"[a-z]+/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):")
 _PORT_MAX = 0xFFFF
+"""Of TCP and UDP."""
 _RESERVED_IN_SEGMENT = frozenset("/*$#? ")
 """Zenoh's key expressions: / parts segments; * $ # ? have a meaning in them, and blanks are refused."""
 

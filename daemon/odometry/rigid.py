@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.vision.kernel.reference import median
-from ceilvo.robust import MAD_TO_SIGMA
+from ceilvo.robust import MAD_TO_SIGMA, median
 from ceilvo.se2 import rotation, transform
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
 from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
-from ceilvo.daemon.vision.kernel.reference import median
+from ceilvo.robust import median
 from ceilvo.types import Crossings, Displacement, Ints, Motion, WheelMotion
 
 Array = NDArray[np.float64]

@@ -46,14 +46,14 @@ class ReachableRegion:
 class Place:
     """A pose (3,) on the map, how many features it explains, and how many the pose asked about does.
 
-    rival: how many the best place that is not the pose asked about explains.
+    elsewhere: how many the best place that is not the pose asked about explains.
     near: places have to be near this, where the map does not know all ground that the robot may be on.
     """
 
     pose: Array
     explained: int
     here: int
-    rival: int
+    elsewhere: int
     near: ReachableRegion | None = None
 
     def allows(self, pose: Array) -> bool:
@@ -77,7 +77,7 @@ def search_places(
     if raster is None or not len(observations):
         return None
     near = None if region is None or raster.knows(region, observations) else region
-    best, here, rival = (-1, np.zeros(3)), 0, 0
+    best, here, elsewhere = (-1, np.zeros(3)), 0, 0
     for turn in range(4):
         theta = wrap(observations.heading_rad - 0.5 * np.pi * turn)
         counts = raster.count(observations.xy_base_m @ rotation(theta).T, turned_type(observations.crossing_type, turn))
@@ -88,11 +88,11 @@ def search_places(
         if near is not None:
             possible = raster.within(near.pose, near.reach_m)
             counts, others = counts * possible, others * possible
-        rival = max(rival, int(np.max(others)))
+        elsewhere = max(elsewhere, int(np.max(others)))
         y, x = np.unravel_index(int(np.argmax(counts)), counts.shape)
         if int(counts[y, x]) > best[0]:
             best = (int(counts[y, x]), np.array([*raster.position(int(x), int(y)), theta]))
-    return Place(best[1], best[0], here, rival, near)
+    return Place(best[1], best[0], here, elsewhere, near)
 
 
 def _widened(image: NDArray[np.uint8], cells: int) -> NDArray[np.uint8]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.pose_search import poses_from_view
+from ceilvo.daemon.slam.association import OUTLIER_DENSITY_PER_M2
 from ceilvo.daemon.slam.pose_filter import normalised
 from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import compose, wrap_array
@@ -16,9 +17,7 @@ from ceilvo.types import Array, Ints, Motion, Observations
 MODES = 256
 """Poses kept; chosen for time. In rooms of 15 m the true one may be dropped before a lamp is seen."""
 OUTLIER = 0.05
-"""Fraction of features that no landmark explains; higher than when tracking, for a search must survive surprises."""
-OUTLIER_DENSITY_PER_M2 = 0.25
-"""An outlier may lie anywhere on 4 m^2."""
+"""Fraction of features that no landmark explains; higher than when tracking, for a ceiling may have changed."""
 HOPELESS = 1e-9
 """A pose of less weight is forgotten."""
 CONVINCED = 0.999
@@ -33,7 +32,7 @@ FOUND_SIGMA_RAD = 0.1
 MERGED_M, MERGED_RAD = 0.05, 0.05
 """Poses nearer to each other have become one; far less than the association gate."""
 REGION_M = 6.0
-"""How far rivals of a pose are looked for."""
+"""How far alternatives to a pose are looked for."""
 SAME_RAD = 0.3
 """Headings that differ by less find the same landmarks within the association gate; chosen."""
 

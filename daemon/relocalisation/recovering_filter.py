@@ -26,7 +26,7 @@ from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.types import UNLABELLED, Array, FilterHealth, Landmarks, Motion, Observations
 
 CARRIED_AWAY = 1e-3
-"""Chance that a robot whose view surprises is somewhere else; the view then speaks for itself."""
+"""Chance that a robot whose view does not fit is somewhere else; the view then speaks for itself; chosen."""
 QUIET_UPDATES = 20
 """After alternatives have lost, for so long features that nothing explains call for no new ones: the map may lack
 them."""
@@ -162,7 +162,7 @@ class RecoveringFilter:
         m.search, m.alternatives, m.lattice, m.refused = None, None, None, 0
 
     def _watch_alternatives(self, obs: Observations, pose: Array, cov: Array) -> None:
-        """When a view surprises on a known map: poses that the view allows, weighed beside the predicted one.
+        """When a view does not fit a known map: poses that the view allows, weighed beside the predicted one.
 
         They are dropped once the tracked pose has won; one that has won takes its place.
         """
@@ -185,7 +185,7 @@ class RecoveringFilter:
             m.alternatives, m.lattice, m.settled = None, None, state.now
 
     def _suspicious(self, known: IndexedMap, obs: Observations) -> bool:
-        """Whether the pose may be another: what matched surprises, is refused, or too much has no landmark."""
+        """Whether the pose may be another: what matched is far off or refused, or too much has no landmark."""
         m, state = self._memory, self._tracker.state
         elsewhere = m.lattice is not None and m.lattice.belief.weight[0] < SURE
         if m.refused or m.chance > SLIP_CHANCE or elsewhere:
@@ -214,7 +214,7 @@ class RecoveringFilter:
         state.counters["searches"] += 1
 
     def _chance_of_slip(self) -> float:
-        """That the pose is a tile further than at the last view, from how much this one surprises."""
+        """That the pose is a tile further than at the last view, from the NIS of this one."""
         m, state = self._memory, self._tracker.state
         dof = state.nis_dof - 2
         if dof <= 0:

@@ -174,7 +174,7 @@ class Relocaliser:
         poses[1:, :2] += shifts
         counts = view_score.explained(IndexedMap(landmarks), poses, view, self._settings.association_gate_m)
         place = None if h.close else search_places(landmarks, view, pose, h.region(pose))
-        elsewhere = int(np.max(counts[1:], initial=0.0) - counts[0]) if place is None else place.rival - place.here
+        elsewhere = int(np.max(counts[1:], initial=0.0) - counts[0]) if place is None else place.elsewhere - place.here
         if h.weigh(counts, len(view), elsewhere, health.nis, self._nis_high):
             self.state.hypothesis = None
             return None

@@ -6,13 +6,14 @@ from math import comb
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.pose_hypotheses import OUTLIER, OUTLIER_DENSITY_PER_M2
+from ceilvo.daemon.relocalisation.pose_hypotheses import OUTLIER
+from ceilvo.daemon.slam.association import OUTLIER_DENSITY_PER_M2
 from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import rotation, transform, wrap
 from ceilvo.types import UNLABELLED, Array, Ints, Landmarks, Observations
 
 CHANCE = 0.0228
-"""What is less likely is a surprise: one side beyond 2 sigma."""
+"""What is less likely is no chance: one side beyond 2 sigma."""
 TURNED_RAD = 0.15
 """Lines that lie so far off the expected heading contradict a pose; 9 deg is far beyond any heading sigma in use."""
 GROUND_M = 0.45

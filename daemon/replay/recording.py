@@ -102,8 +102,8 @@ class RecordingTap:
     def exchange(self, telegram: PoseTelegram, status: BaseStatus | None, problem: str) -> None:
         """One telegram to the base, and what came back."""
         now_ns = self._clock()
-        told = {**asdict(telegram), "state": telegram.state.name, "answered": status is not None, "problem": problem}
-        self._put(mcap_file.TELEGRAM, now_ns, told)
+        body = {**asdict(telegram), "state": telegram.state.name, "answered": status is not None, "problem": problem}
+        self._put(mcap_file.TELEGRAM, now_ns, body)
         if status is not None:
             self._put(mcap_file.BASE_STATUS, now_ns, asdict(status))
 
@@ -192,7 +192,7 @@ def recording_of(
     """The recording that a run makes: a file if one is named, else the flight recorder if it has a place, else none.
 
     Args:
-        note: told when the recorder stops by itself.
+        note: called when the recorder stops by itself.
 
     Raises:
         FileFormatError: the file cannot be made, or is there already.

@@ -19,6 +19,8 @@ VAR_FLOOR = 1e-12
 """m^2 or rad^2: smaller variances are not believed; a micrometre, squared."""
 NIS_CAP = 50.0
 """Largest normalised innovation squared of one feature in a mean: a few false matches are not a lost robot."""
+OUTLIER_DENSITY_PER_M2 = 0.25
+"""An outlier may lie anywhere on 4 m^2; chosen."""
 CANDIDATE_GATE_CHI2 = 25.0
 """Squared normalised distance at which two sightings cannot be of one feature (5 sigma)."""
 DUPLICATE_FRACTION = 0.25

@@ -12,8 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, Int16s
-from ceilvo.daemon.vision.kernel.reference import median
-from ceilvo.robust import MAD_TO_SIGMA
+from ceilvo.robust import MAD_TO_SIGMA, median
 
 Array32 = NDArray[np.float32]
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import Ends
-from ceilvo.daemon.vision.kernel.reference import median
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
-from ceilvo.robust import MAD_TO_SIGMA
+from ceilvo.robust import MAD_TO_SIGMA, median
 from ceilvo.types import Array, Ints
 
 Array32 = NDArray[np.float32]

@@ -22,10 +22,14 @@ from ceilvo.types import Estimate, State
 _log = logging.getLogger("ceilvo.base")
 
 _BACKOFF_MIN_S = 0.05
+"""First wait before a lost port is opened again; it doubles up to base.reconnect_max_s (docs/base-protocol.md)."""
 _FAILURES_BEFORE_REOPENING = 5
+"""Telegrams in a row without an answer (docs/base-protocol.md)."""
 _JOIN_S = 1.0
+"""That stopping waits for an exchange that hangs; chosen."""
 GOOD = (State.TRACKING, State.DEGRADED)
 _WARN_PERIOD_S = 5.0
+"""Between two warnings of one link."""
 _WARNED_PER_S, _WARN_BURST = 0.2, 10
 """A link that comes and goes must not fill the log."""
 

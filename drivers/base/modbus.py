@@ -23,8 +23,11 @@ from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 
 _FC_READ_INPUT, _FC_WRITE, _FC_READ_WRITE = 4, 16, 23
+"""Function codes of MODBUS Application Protocol 1.1b3, section 6."""
 _PTY_MAJORS = range(136, 144)
+"""Device numbers of pseudo-terminals, which have no parity (Linux, Documentation/admin-guide/devices.txt)."""
 _ILLEGAL_FUNCTION = 1
+"""Exception code of a base that lacks a function (the same, section 7)."""
 _EXCEPTIONS = {
     _ILLEGAL_FUNCTION: "illegal function",
     2: "illegal address; the register map differs from docs/base-protocol.md",

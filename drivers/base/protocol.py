@@ -22,18 +22,24 @@ STATUS_ADDRESS = 1100
 """First register of the status block, both as input register (FC04) and as holding register (FC23, FC03)."""
 
 LENGTH_UNIT_M = 1e-4
+"""Of positions and their sigmas; docs/base-protocol.md, as the three below."""
 ANGLE_UNIT_RAD = 1e-5
+"""Of the heading and its sigma."""
 SPEED_UNIT_MPS = 1e-3
+"""Of vx and vy."""
 TURN_UNIT_RADPS = 1e-3
+"""Of omega."""
 
 UINT16_MAX = 0xFFFF
 INT16_MAX = 0x7FFF
 INT32_MAX = 0x7FFFFFFF
+"""Largest values of the registers' types."""
 
 STATUS_MOTORS_ON = 1 << 0
 STATUS_E_STOP = 1 << 1
 STATUS_FAULT = 1 << 2
 STATUS_HEARTBEAT_LOST = 1 << 3
+"""Bits of the status word."""
 
 _POSE = struct.Struct(">HHHIHiiiHHHhhhH")
 _STATUS = struct.Struct(">HHiiiI")

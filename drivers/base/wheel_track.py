@@ -18,8 +18,15 @@ from ceilvo.types import Displacement, WheelMotion, frozen
 Array = NDArray[np.float64]
 
 _CLOCK_TOLERANCE_S = 0.5
+"""Between the base's clock and the host's, beside _CLOCK_DRIFT (docs/base-protocol.md)."""
 _CLOCK_DRIFT = 0.01
+"""Of a cheap oscillator and a busy base: 1 %."""
 _OFFSET_SAMPLES = 64
+"""Answers whose smallest delay places the base's clock; chosen: some seconds, within which clocks do not drift."""
+_SLACK_S = 0.01
+"""Of the base's clock in whole milliseconds, and of the moment at which it counts; chosen."""
+_ROUNDING = 6.0
+"""Two counts, each rounded uniformly over one unit: the variance of their difference is the unit squared over this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +117,7 @@ class WheelTrack:
         if base_s < 0.0 or abs(base_s - host_s) > _CLOCK_TOLERANCE_S + _CLOCK_DRIFT * host_s:
             return False
         dx, dy, turned = _step(before, status)
-        slack_s = base_s + 0.01
+        slack_s = base_s + _SLACK_S
         return math.hypot(dx, dy) <= self._max_speed_mps * slack_s and abs(turned) <= self._max_turn_radps * slack_s
 
     def _append(self, status: BaseStatus, stamp_ns: int) -> None:
@@ -148,9 +155,9 @@ class WheelTrack:
     def _cov(self, length_m: float, turned_rad: float, elapsed_s: float, coast_s: float) -> Array:
         n = self._noise
         per_s = n.stamp_sigma_s / elapsed_s if elapsed_s > 0.0 else 0.0
-        var_xy = LENGTH_UNIT_M**2 / 6.0 + n.slip_m2_per_m * length_m + 2.0 * (per_s * length_m) ** 2
+        var_xy = LENGTH_UNIT_M**2 / _ROUNDING + n.slip_m2_per_m * length_m + 2.0 * (per_s * length_m) ** 2
         var_theta = (
-            ANGLE_UNIT_RAD**2 / 6.0
+            ANGLE_UNIT_RAD**2 / _ROUNDING
             + n.turn_rad2_per_m * length_m
             + n.turn_rad2_per_rad * turned_rad
             + 2.0 * (per_s * turned_rad) ** 2

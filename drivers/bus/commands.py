@@ -12,6 +12,7 @@ from ceilvo.errors import BusError
 from ceilvo.se2 import wrap
 
 MAX_COMMAND_BYTES = 4096
+"""docs/zenoh.md; far more than any command needs."""
 COMMANDS = ("initial_pose", "relocalise", "save_map", "reset")
 
 
@@ -52,6 +53,7 @@ _POSE_RANGES: Mapping[str, tuple[float, float]] = {
     "sigma_m": (1e-4, 100.0),
     "sigma_theta_rad": (1e-4, math.pi),
 }
+"""Beyond them units are mixed up."""
 
 
 def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Command:

@@ -26,6 +26,13 @@ from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Landmarks, State
 
 VERSION = 1
+"""Of every schema; a field that changes its meaning makes a new one."""
+_NANOMETRE = 9
+"""Decimals of metres."""
+_COV_NUMBERS = 9
+"""A covariance of (x, y, theta), row by row."""
+_REASON_CHARS = 120
+"""Of an error's reason: one line of a log."""
 MAX_PARTICLES = 2000
 """A larger set is thinned uniformly: the message is for looking at, and this many are about 150 kB."""
 
@@ -203,7 +210,7 @@ def _pose_fields(pose: NDArray[np.float64]) -> dict[str, object]:
 
 def _rounded(value_m: float) -> float:
     """To a nanometre and without -0: derived by an SVD, whose last bits differ from computer to computer."""
-    return round(float(value_m), 9) + 0.0
+    return round(float(value_m), _NANOMETRE) + 0.0
 
 
 def _stamp_fields(stamp: Stamp) -> dict[str, object]:
@@ -291,8 +298,8 @@ def decode_pose(payload: bytes) -> Pose:
 
 def _nine(value: Any) -> tuple[float, ...]:
     cov = tuple(_or_nan(v) for v in value)
-    if len(cov) != 9:
-        raise ValueError(f"cov has {len(cov)} numbers, not 9")
+    if len(cov) != _COV_NUMBERS:
+        raise ValueError(f"cov has {len(cov)} numbers, not {_COV_NUMBERS}")
     return cov
 
 
@@ -332,4 +339,4 @@ def short(value: object) -> str:
 
 
 def _one_line(e: Exception) -> str:
-    return " ".join(str(e).split())[:120] or type(e).__name__
+    return " ".join(str(e).split())[:_REASON_CHARS] or type(e).__name__

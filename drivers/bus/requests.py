@@ -53,6 +53,7 @@ class Requests:
     COMMANDS_PER_S, COMMAND_BURST = 5.0, 20
     """A flood of commands must neither keep the estimator from its frames nor the disk busy."""
     LOGGED_PER_S, LOG_BURST = 0.2, 20
+    """Refusals in the log: 20 at once, then one in 5 s with the number left out (docs/faults.md)."""
 
     NAMES: tuple[str, ...] = (*messages.QUERIES, *(f"cmd/{c}" for c in commands.COMMANDS))
 

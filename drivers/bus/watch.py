@@ -25,7 +25,9 @@ from ceilvo.types import State
 log = logging.getLogger(__name__)
 
 _POLL_S = 0.1
+"""How soon Ctrl-C is noticed."""
 _HEALTH_PERIOD_S = 10.0
+"""Between two lines of a robot's health: it is long and changes slowly."""
 _BACKLOG = 10_000
 """Messages kept for a slow terminal; more are dropped."""
 

@@ -22,7 +22,9 @@ from ceilvo.errors import BusError
 log = logging.getLogger(__name__)
 
 _LINK_CHECK_S = 1.0
+"""Between two looks at who is connected."""
 _JOIN_S = 1.0
+"""That closing waits for a message in the making."""
 _PRIORITY = {
     Topic.POSE: zenoh.Priority.INTERACTIVE_HIGH,
     Topic.ODOM: zenoh.Priority.INTERACTIVE_HIGH,

@@ -22,7 +22,11 @@ log = logging.getLogger(__name__)
 OPEN_WAIT_S = 3.0
 """Longest that open() waits; an absent router takes the rest of its time in the background."""
 CLOSE_WAIT_S = 1.0
+"""Longest that close() waits; chosen."""
 _RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 1.0
+"""Of a client without a router, and of a peer's links: a router that restarts is found within a second."""
+_REASON_CHARS = 200
+"""Of a Zenoh error: the log keeps one line."""
 _RECEIVED: dict[str, Any] = {
     "transport/link/rx/max_message_size": 1 << 20,
     "low_pass_filter": [
@@ -87,7 +91,11 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         # A peer retries in the background for ever. A client's open fails at once and is retried by Connection.
         "connect/timeout_ms": 0 if client else -1,
         "connect/exit_on_failure": client,
-        "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
+        "connect/retry": {
+            "period_init_ms": round(1e3 * _RETRY_FIRST_S),
+            "period_max_ms": round(1e3 * _RETRY_MAX_S),
+            "period_increase_factor": 2,
+        },
         "open/return_conditions/connect_scouted": client,
         # What the queue to a subscriber cannot take within this is dropped for that subscriber. With 0 a put would not
         # wait at all, but healthy subscribers lose images.
@@ -138,7 +146,7 @@ def session_mode(config: zenoh.Config) -> str:
 def zenoh_reason(e: Exception) -> str:
     """What a Zenoh error says, on one line and without its source positions."""
     text = " ".join(str(e).split())
-    return re.sub(r" at /\S+\.rs:\d+\.?", "", text)[:200]
+    return re.sub(r" at /\S+\.rs:\d+\.?", "", text)[:_REASON_CHARS]
 
 
 class Connection:

@@ -15,6 +15,7 @@ from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
 
 _COARSE_ROWS = 16
+"""One row in so many is compared first: frames that differ do so there, and nearly always."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from ceilvo.drivers.camera.mock_camera import moving_square
 from ceilvo.errors import CameraError
 
 _WITHOUT_SUPPORT = -1.0
+"""OpenCV's answer for a property that a device lacks."""
 
 
 @dataclass

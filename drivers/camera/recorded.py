@@ -34,6 +34,7 @@ COLUMNS = ("stamp_ns", "file")
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 RAW_SUFFIX = ".raw.gz"
 DEFAULT_RATE_HZ = 30.0
+"""Of a video that does not say, and of folders without times."""
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the calibration knows the sensor's rows and columns
 
 Gray = NDArray[np.uint8]

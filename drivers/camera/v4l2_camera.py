@@ -30,6 +30,9 @@ _AUTO_EXPOSURE_AUTO = (3, 0)  # V4L2_EXPOSURE_APERTURE_PRIORITY (USB cameras), V
 _EXPOSURE_UNIT_US = 100.0  # V4L2_CID_EXPOSURE_ABSOLUTE
 _EXPOSURE_TOLERANCE = 0.1
 
+_RATE_TOLERANCE = 0.01
+"""Of the rate asked for, within which a device's answer is the same: 29.97 Hz is 30."""
+
 
 def luma(raw: NDArray[np.uint8], pixel_format: str, width_px: int, height_px: int) -> NDArray[np.uint8]:
     """Brightness of one frame as cv2.VideoCapture gives it with CAP_PROP_CONVERT_RGB = 0.
@@ -262,7 +265,7 @@ class V4l2Camera:
         got, asked = capture.get(cv2.CAP_PROP_FPS), self._cfg.rate_hz
         if not math.isfinite(got) or got <= 0:
             return asked, ["the driver does not tell its frame rate"]
-        if abs(got - asked) > 0.01 * asked:
+        if abs(got - asked) > _RATE_TOLERANCE * asked:
             return got, [f"{got:g} frames per second instead of {asked:g}"]
         return got, []
 

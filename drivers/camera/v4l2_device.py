@@ -15,6 +15,7 @@ import cv2
 from ceilvo.errors import CameraError
 
 _LOG_LEVEL_ERROR = 2
+"""cv2.utils.logging.LOG_LEVEL_ERROR, which some builds lack."""
 
 
 class Capture(Protocol):

@@ -14,6 +14,7 @@ from typing import Any
 
 from ceilvo.errors import CameraError
 
+# All numbers below are of the kernel's linux/videodev2.h and v4l2-controls.h.
 CONTROLS = {"exposure_auto": 0x009A0901, "exposure": 0x009A0902, "gain": 0x00980913}
 
 _CAPABILITY = struct.Struct("16s32s32sIII12x")
@@ -27,6 +28,7 @@ _BUFFER_CAPTURE = 1
 _DISCRETE = 1
 _DISABLED, _READ_ONLY = 0x1, 0x4
 _MOST = 256
+"""Answers of an enumeration, so that a driver that never says the end is left."""
 
 Ioctl = Callable[[int, int, bytearray], object]
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _RUN_S = 10.0
+"""That a command of the system may take; chosen."""
 _PTY_MAKERS = {"/dev/ptmx", "/dev/pts/ptmx"}
 
 

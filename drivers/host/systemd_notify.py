@@ -12,8 +12,11 @@ from types import TracebackType
 log = logging.getLogger(__name__)
 
 SEND_TIMEOUT_S = 0.5
+"""Longest that a message to systemd may block."""
 STATUS_MAX_CHARS = 500
+"""Of the line that `systemctl status` shows."""
 FEEDS_PER_PERIOD = 4
+"""Of the watchdog: sd_watchdog_enabled(3) recommends two; with four, late ones do not kill the daemon."""
 
 
 class Notifier:

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from ceilvo.errors import FileFormatError
 
 _VARINT, _BYTES, _FIXED32 = 0, 2, 5
+"""Wire types of protocol buffers (protobuf.dev, Encoding)."""
 _TYPE_INT32, _TYPE_INT64, _TYPE_MESSAGE, _TYPE_FIXED32, _TYPE_STRING, _TYPE_BYTES = 5, 3, 11, 7, 9, 12
+"""FieldDescriptorProto.Type of google/protobuf/descriptor.proto."""
 
 Field = tuple[str, int, int, str]
 """Name, number, type of descriptor.proto, name of the message type ("" for scalars)."""

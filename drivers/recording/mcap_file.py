@@ -15,6 +15,7 @@ from ceilvo import __version__
 from ceilvo.drivers.recording import foxglove
 
 FORMAT_VERSION = 1
+"""Of ceilvo's recordings; a reader refuses any other."""
 METADATA = "ceilvo"
 CONFIG, CALIBRATION = "config.yaml", "calibration.yaml"
 FLUSH_S = 1.0
@@ -22,6 +23,7 @@ FLUSH_S = 1.0
 SYNC_S = 5.0
 """Chunks are on the disk at least this often: what a power cut loses."""
 _CHUNK_BYTES = 1 << 20
+"""Of a chunk at the most; it ends after a second in any case (docs/recording.md)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,9 @@ from ceilvo.drivers.recording.mcap_file import CALIBRATION, CONFIG, FORMAT_VERSI
 from ceilvo.errors import FileFormatError
 
 _MAX_BYTES = 256 << 20
+"""Of a record or an unpacked chunk: far more than ceilvo writes, less than a computer's memory."""
+_REASON_CHARS = 120
+"""Of a damage's reason: one line."""
 _DAMAGE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError)
 
 
@@ -127,4 +130,4 @@ def _what(error: BaseException, path: Path) -> str:
         return "a checksum is wrong"
     if isinstance(error, RecordLengthLimitExceeded):
         return "a record has an impossible length"
-    return f"damaged: {' '.join(str(error).split())[:120] or type(error).__name__}"
+    return f"damaged: {' '.join(str(error).split())[:_REASON_CHARS] or type(error).__name__}"

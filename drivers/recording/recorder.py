@@ -20,10 +20,15 @@ from ceilvo.drivers.recording.mcap_file import Message
 _log = logging.getLogger("ceilvo.recorder")
 
 QUEUE_BYTES = 32 << 20
+"""docs/recording.md: what comes while it is full is dropped and counted."""
 QUEUE_ITEMS = 4096
+"""So that many small messages are bounded too; chosen."""
 _IDLE_S = 0.25
+"""Between two looks of the writer at what is due."""
 _RETRY_S = 30.0
+"""Until a disk that refused is tried again."""
 _DRAIN_S = 1.0
+"""That closing waits for what is in the queue."""
 
 
 class Storage(Protocol):

@@ -17,12 +17,19 @@ from ceilvo.drivers.recording.mcap_file import Head, McapFile, Message
 
 _PREFIX = "flight-"
 _NS = 1e-9
+"""Seconds in a nanosecond."""
 _GRACE_S = 2.0
+"""By which a segment or a kept fault may run late before it is closed in between."""
 _SEGMENTS = 8
+"""Of the ring; the oldest one is deleted as a whole."""
 _MIN_SEGMENT_S = 5.0  # a new one starts with the whole state of the pipeline, which may be megabytes
 _MAX_SEGMENT_S = 60.0
 _MAX_AFTER = 6
+"""Times the usual time after a fault that faults in a row may prolong one file."""
 _ROOM_CHECK_S = 1.0
+"""Between two looks at the disk's room."""
+_NAME_CHARS = 40
+"""Of a fault in a file's name."""
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -243,7 +250,7 @@ def _name(number: int) -> str:
 
 
 def _slug(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:40] or "fault"
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:_NAME_CHARS] or "fault"
 
 
 def _size(path: Path) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.sim.ceiling.arrangement import make_layout
 from ceilvo.sim.ceiling.layout import Layout, TrueLines
-from ceilvo.sim.ceiling.panels import Panel, Rect, Spot
+from ceilvo.sim.ceiling.panels import Panel, Rect, Spot, SpotKind
 from ceilvo.sim.ceiling.spec import CeilingSpec
 
 Array = NDArray[np.float64]
@@ -20,8 +20,36 @@ Array32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 TILE, GROOVE, RIM, SLOT, PANEL, GAP = 0.76, 0.16, 0.90, 0.20, 0.84, 0.35
-LAMP_RADIANCE = 4.5  # a white surface under the room's light is 1
-HALO = 0.22  # extra light on the tiles next to a lamp
+"""Albedo of what is painted white, of shadow joints and slots, of sheet metal; chosen, as all of this picture: it must
+have what makes real ceilings hard, not be a certain one."""
+LAMP_RADIANCE = 4.5
+"""A white surface under the room's light is 1: a lamp's field saturates a camera exposed for the tiles."""
+HALO, _HALO_M, _HALO_COARSE = 0.22, 0.30, 16
+"""Extra light on the tiles next to a lamp, how far it reaches (sigma), and texels in one of the blur's."""
+_TUBES, _TUBES_DEPTH = 2, 0.1
+"""Of a lamp, and how much darker it is between them."""
+_TILES_FROM, _TILES_TO = 0.4, 0.95
+"""Albedo of the darkest and the brightest tile."""
+_FALL = ((0.04, 0.5, 0.3), (0.03, 0.6))
+"""Slow fall of light along x and y: relative size, rad/m and along x its phase."""
+_MOTTLE, _MOTTLE_TEXELS, _GRAIN = 0.010, 24, 0.022
+"""Of mineral board, relative: mottling, and over how many texels; grain of single texels."""
+_FISSURES, _FISSURE_DEPTH, _FISSURE_TEXELS = 0.012, 0.7, 0.8
+"""Of mineral board: how many texels have one, how dark, how wide (sigma)."""
+_BOARD_FROM, _BOARD_TO = 0.2, 1.3
+"""Of all that together."""
+_STAIN_REACH, _STAIN_LOBES, _STAIN_LOBE = 1.6, (2, 3, 5), 0.09
+"""Dried water: radii that are drawn, waves of its outline, and their relative size."""
+_STAIN_EDGE, _STAIN_INSIDE, _STAIN_RIM = 0.05, 0.05, (0.97, 0.06, 0.10)
+"""Dried water: softness of its edge in radii, how much darker it is inside, and its rim: where, how wide, how dark."""
+_SPOT_RINGS: dict[SpotKind, tuple[tuple[float, float], ...]] = {
+    "sprinkler": ((1.0, 0.88), (0.55, 0.35), (0.30, 0.80)),
+    "detector": ((1.0, 0.92), (0.80, 0.30), (0.68, 0.90), (0.12, 0.25)),
+    "speaker": ((1.0, 0.90), (0.88, 0.58)),
+}
+"""Discs from the outermost: radius over the spot's, albedo."""
+_PROLONGED_M = 0.07
+"""By which true lines are prolonged to meet: detection ends segments at panels' gaps and bridges them."""
 
 
 class Ceiling:
@@ -46,7 +74,7 @@ class Ceiling:
         xy, crossing_type = self.layout.crossings()
         return se2.transform(self._map_from_ceiling, xy), crossing_type
 
-    def true_intersections(self, reach_m: float = 0.07) -> Array:
+    def true_intersections(self, reach_m: float = _PROLONGED_M) -> Array:
         """(N, 2) in map: all places where two true lines meet or, prolonged by reach_m, would; for precision."""
         return se2.transform(self._map_from_ceiling, self.layout.intersections(reach_m))
 
@@ -92,13 +120,13 @@ class Ceiling:
         win, cover = self._cover(lamp.inner)
         _, y0, _, y1 = lamp.inner
         _, y = self._centres()
-        tubes = 0.9 + 0.1 * np.cos(4 * np.pi * (y[win[0]] - y0) / (y1 - y0))
+        tubes = 1.0 - _TUBES_DEPTH + _TUBES_DEPTH * np.cos(2 * _TUBES * np.pi * (y[win[0]] - y0) / (y1 - y0))
         glow[win] += (LAMP_RADIANCE * cover * tubes[:, None]).astype(np.float32)
 
     def _halo(self, glow: Array32) -> Array32:
         """Light that lamps throw on the tiles around them."""
-        small = cv2.resize(glow, None, fx=1 / 16, fy=1 / 16, interpolation=cv2.INTER_AREA)
-        sigma = 0.30 / (16 * self.spec.texel_m)
+        small = cv2.resize(glow, None, fx=1 / _HALO_COARSE, fy=1 / _HALO_COARSE, interpolation=cv2.INTER_AREA)
+        sigma = _HALO_M / (_HALO_COARSE * self.spec.texel_m)
         soft = cv2.GaussianBlur(small, (0, 0), sigma) * (HALO / LAMP_RADIANCE)
         return np.asarray(cv2.resize(soft, self._size, interpolation=cv2.INTER_LINEAR), np.float32)
 
@@ -127,10 +155,11 @@ class Ceiling:
         x, y = self._centres()
         i, j = np.searchsorted(self.layout.grooves[0], x), np.searchsorted(self.layout.grooves[1], y)
         shape = (len(self.layout.grooves[1]) + 1, len(self.layout.grooves[0]) + 1)
-        own = np.clip(rng.normal(TILE, TILE * self.spec.tile_spread, shape), 0.4, 0.95)
+        own = np.clip(rng.normal(TILE, TILE * self.spec.tile_spread, shape), _TILES_FROM, _TILES_TO)
         a = own.astype(np.float32)[j[:, None], i[None, :]]
-        a *= (1.0 + 0.04 * np.sin(0.5 * x + 0.3)).astype(np.float32)
-        a *= (1.0 + 0.03 * np.cos(0.6 * y)).astype(np.float32)[:, None]
+        (along_x, wave_x, phase), (along_y, wave_y) = _FALL
+        a *= (1.0 + along_x * np.sin(wave_x * x + phase)).astype(np.float32)
+        a *= (1.0 + along_y * np.cos(wave_y * y)).astype(np.float32)[:, None]
         return np.asarray(a, np.float32)
 
     def _mineral(self, rng: np.random.Generator) -> Array32:
@@ -140,24 +169,27 @@ class Ceiling:
         if self.spec.texture <= 0:
             return out
         amount = np.float32(self.spec.texture)
-        coarse = rng.standard_normal((h // 24 + 2, w // 24 + 2), dtype=np.float32)
-        out += 0.010 * amount * cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
+        coarse = rng.standard_normal((h // _MOTTLE_TEXELS + 2, w // _MOTTLE_TEXELS + 2), dtype=np.float32)
+        out += _MOTTLE * amount * cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
         grain = rng.standard_normal((h, w), dtype=np.float32)
-        out += 0.022 * amount * grain
-        holes = (rng.random((h, w), dtype=np.float32) < 0.012).astype(np.float32)
-        out -= 0.7 * amount * cv2.GaussianBlur(holes, (0, 0), 0.8)
-        return np.asarray(np.clip(out, 0.2, 1.3), np.float32)
+        out += _GRAIN * amount * grain
+        holes = (rng.random((h, w), dtype=np.float32) < _FISSURES).astype(np.float32)
+        out -= _FISSURE_DEPTH * amount * cv2.GaussianBlur(holes, (0, 0), _FISSURE_TEXELS)
+        return np.asarray(np.clip(out, _BOARD_FROM, _BOARD_TO), np.float32)
 
     def _stain(self, a: Array32, rng: np.random.Generator) -> None:
         """Dried water: a soft patch with a darker rim, not quite round."""
         for x, y, r in self.layout.stains:
-            win, (dx, dy) = self._window((x - 1.6 * r, y - 1.6 * r, x + 1.6 * r, y + 1.6 * r))
+            m = _STAIN_REACH * r
+            win, (dx, dy) = self._window((x - m, y - m, x + m, y + m))
             th = np.arctan2(dy - y, dx - x)
-            lobes = sum(0.09 * np.cos(k * th + p) for k, p in zip((2, 3, 5), rng.uniform(0, 6.28, 3), strict=True))
+            phases = rng.uniform(0, 6.28, len(_STAIN_LOBES))
+            lobes = sum(_STAIN_LOBE * np.cos(k * th + p) for k, p in zip(_STAIN_LOBES, phases, strict=True))
             d = np.hypot(dx - x, dy - y) / (r * (1.0 + lobes))
-            inside = 1.0 / (1.0 + np.exp((d - 1.0) / 0.05))
-            rim = np.exp(-0.5 * ((d - 0.97) / 0.06) ** 2)
-            a[win] *= (1.0 - 0.05 * inside - 0.10 * rim).astype(np.float32)
+            inside = 1.0 / (1.0 + np.exp((d - 1.0) / _STAIN_EDGE))
+            at, width, dark = _STAIN_RIM
+            rim = np.exp(-0.5 * ((d - at) / width) ** 2)
+            a[win] *= (1.0 - _STAIN_INSIDE * inside - dark * rim).astype(np.float32)
 
     def _grooves(self, a: Array32) -> None:
         """Joints with a bevel on either side."""
@@ -185,16 +217,11 @@ class Ceiling:
             self._fill(a, ring, SLOT if i % 2 == 0 else RIM)
 
     def _spot(self, a: Array32, s: Spot) -> None:
-        rings = {
-            "sprinkler": ((1.0, 0.88), (0.55, 0.35), (0.30, 0.80)),
-            "detector": ((1.0, 0.92), (0.80, 0.30), (0.68, 0.90), (0.12, 0.25)),
-            "speaker": ((1.0, 0.90), (0.88, 0.58)),
-        }[s.kind]
         x, y = s.xy
         m = s.radius_m + 3 * self.spec.texel_m
         win, (dx, dy) = self._window((x - m, y - m, x + m, y + m))
         d = np.hypot(dx - x, dy - y)
-        for radius, value in rings:
+        for radius, value in _SPOT_RINGS[s.kind]:
             cover = np.clip((radius * s.radius_m - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
             a[win] += cover * (np.float32(value) - a[win])
 

@@ -35,8 +35,11 @@ class Panel:
     recessed: bool = True
 
     RIM_M = 0.030
+    """Width of the frame around a lamp's field or a vent's opening; chosen, as the two below."""
     GAP_M = 0.007
+    """Dark gap around what is screwed on."""
     SLAT_M = 0.050
+    """Pitch of a vent's slats, about."""
 
     @property
     def inner(self) -> Rect:

@@ -21,19 +21,6 @@ import house
 import pytest
 from house import FLOORS, FOLDERS, ROOT, House, circles, floor_of, name_of, room_of
 
-NOT_YET: tuple[str, ...] = (
-    "tests/calib/commands/test_inputs.py is too long",
-    "tests/ceilvo/config/test_reader.py is too long",
-    "tests/daemon/doctor/test_examination.py is too long",
-    "tests/daemon/replay/test_recording.py is too long",
-    "tests/drivers/base/test_link.py is too long",
-    "tests/drivers/bus/test_zenoh_bus.py is too long",
-    "tests/drivers/camera/test_capture.py is too long",
-    "tests/drivers/camera/test_v4l2_camera.py is too long",
-    "tests/drivers/recording/test_files.py is too long",
-)
-"""Violations that are still there, word for word. One that is gone must leave this list."""
-
 MAX_FILES = 12
 MAX_LINES = 350
 CROWDED = ("daemon/slam/paper",)
@@ -210,16 +197,11 @@ def test_all_sources_are_read(whole: House) -> None:
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
 def test_the_house_keeps(rule: Callable[[House], Iterator[str]], whole: House) -> None:
-    assert [v for v in rule(whole) if v not in NOT_YET] == []
+    assert list(rule(whole)) == []
 
 
 def test_files_are_small() -> None:
-    assert [v for v in long_files() if v not in NOT_YET] == []
-
-
-def test_what_is_not_yet_kept_is_still_so(whole: House) -> None:
-    broken = {v for rule in RULES for v in rule(whole)} | set(long_files())
-    assert [v for v in NOT_YET if v not in broken] == []
+    assert list(long_files()) == []
 
 
 def test_the_graph_can_be_seen(whole: House) -> None:

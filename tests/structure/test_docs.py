@@ -102,7 +102,9 @@ def test_modules_that_are_run_exist(page: Path) -> None:
         is_package = package is not None and package.submodule_search_locations is not None
         spec = importlib.util.find_spec(f"{name}.__main__") if is_package else package
         assert spec is not None and spec.origin is not None, f"{page.name}: python -m {name}"
-        source = Path(spec.origin).read_text(encoding="utf-8")
+        origin = Path(spec.origin)
+        parts = [origin, origin.with_name("command.py")] if is_package else [origin]
+        source = "".join(p.read_text(encoding="utf-8") for p in parts if p.exists())
         for option in re.findall(r"--[\w-]+", re.split(r"[`#]", rest)[0]):
             assert option in source or option == "--help", f"{page.name}: {name} {option}"
 

@@ -14,6 +14,7 @@ from ceilvo.calib.solve.grid import GridSample, grid_residual, grid_residuals, g
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
+from ceilvo.robust import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def poses(
         residuals = partial(_lattice_off, camera, sample, tile_m, level)
         fit = bundle.solve(residuals, np.zeros(0), start, huber=_HUBER, rounds=_ROUNDS_ROBUST)
         off = np.abs(fit.residuals[0].reshape(-1, 2)).max(axis=1)
-        good = off < max(_OUTLIER * bundle.MAD_TO_SIGMA * float(np.median(off)), _OUTLIER_PX)
+        good = off < max(_OUTLIER * MAD_TO_SIGMA * float(np.median(off)), _OUTLIER_PX)
         kept, out[i] = sample, fit.views[0]
         if np.count_nonzero(good) >= _MIN_CROSSINGS and not good.all():
             kept = replace(sample, index=sample.index[good], uv_px=sample.uv_px[good])

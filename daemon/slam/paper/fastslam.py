@@ -15,6 +15,7 @@ from ceilvo.daemon.slam.association import (
     DUPLICATE_FRACTION,
     EXPIRES_UPDATES,
     NIS_CAP,
+    OUTLIER_DENSITY_PER_M2,
     VAR_FLOOR,
     independent,
     usable,
@@ -38,8 +39,6 @@ from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Lan
 
 Redraw = Callable[[Array, Array, int, np.random.Generator], tuple[Array, float] | None]
 """Like curve_fit.redraw: poses, weights, degree, randomness to new poses and the fit's residual, or None."""
-OUTLIER_DENSITY_PER_M2 = 0.25
-"""An outlier may lie anywhere on 4 m^2."""
 OUTLIER_DENSITY_PER_RAD = 2.0 / np.pi
 """A wrong direction may be anywhere in its quarter turn."""
 ESS_FLOOR = 0.1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -318,9 +317,3 @@ def hits(points: Array32, row: Int32s, normal: Array, low: float, bin_px: float,
 def _ends(ends: Int64s) -> Ends:
     a, b, c, d, e = ends.tolist()
     return a, b, c, d, e
-
-
-def median(values: NDArray[Any]) -> float:
-    """Upper median of a 1-D array, 0 without values; numpy.median takes several times as long on so few."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle]) if len(values) else 0.0

@@ -11,9 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from ceilvo.calibration_file import parse_calibration, render_calibration
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
@@ -22,7 +19,6 @@ from ceilvo.config.reader import parse_config
 from ceilvo.config.rendering import render_config
 from ceilvo.daemon import cli
 from ceilvo.daemon.app.process import Daemon, Plan
-from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
 from ceilvo.daemon.replay.recording import faults_in
 from ceilvo.daemon.replay.trajectory import estimate_json, tum_line
 from ceilvo.drivers.host.systemd_notify import Notifier
@@ -32,7 +28,7 @@ from ceilvo.errors import CameraError, FileFormatError
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.camera import SimCamera
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Estimate, Frame, Landmarks, WheelMotion
+from ceilvo.types import Estimate, Frame
 
 SEED = 7
 
@@ -330,58 +326,6 @@ def test_a_full_disk_is_told_and_localisation_goes_on(world: World, tmp_path: Pa
 )
 def test_faults_are_found_in_the_counters(counters: dict[str, object], faults: set[str]) -> None:
     assert faults_in(counters) == faults
-
-
-# -- inputs as text
-
-floats = st.floats(allow_nan=False, allow_infinity=False)
-poses, covs = arrays(np.float64, 3, elements=floats), arrays(np.float64, (3, 3), elements=floats)
-wheels = st.none() | st.builds(WheelMotion, poses, covs)
-counts = st.integers(0, 2**62)
-texts = st.text(max_size=30)
-
-
-@st.composite
-def landmarks(draw: st.DrawFn) -> Landmarks:
-    n = draw(st.integers(0, 4))
-    ints = arrays(np.int64, n, elements=st.integers(-(2**62), 2**62))
-    xy, cov = arrays(np.float64, (n, 2), elements=floats), arrays(np.float64, (n, 2, 2), elements=floats)
-    return Landmarks(draw(ints), draw(xy), draw(cov), draw(ints), draw(ints))
-
-
-frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
-inputs = st.one_of(
-    st.builds(FrameInput, frames, wheels),
-    st.builds(Silence, counts, texts, wheels),
-    st.builds(LoadMap, landmarks(), floats, poses, covs),
-    st.builds(SetPose, poses, covs, texts),
-    st.builds(Reset, st.booleans()),
-)
-
-
-@given(inputs, counts)
-def test_inputs_come_back_to_the_last_bit(given: Input, number: int) -> None:
-    data = input_json(given, number)
-    again_number, again = read_input(data, lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
-    assert again_number == number and type(again) is type(given)
-    assert flat(again) == flat(given)
-
-
-def flat(value: object) -> object:
-    """Nested tuples that compare by bits."""
-    if isinstance(value, np.ndarray):
-        return value.dtype.str, value.shape, value.tobytes()
-    if hasattr(value, "__slots__"):
-        return tuple(flat(getattr(value, name)) for name in value.__slots__)
-    return repr(value)
-
-
-@given(st.binary(max_size=80) | st.text(max_size=80).map(str.encode) | inputs.map(lambda g: input_json(g, 0)[:-9]))
-def test_any_bytes_are_an_input_or_our_error(data: bytes) -> None:
-    try:
-        read_input(data, lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
-    except FileFormatError as e:
-        assert "damaged" in str(e)
 
 
 def test_configuration_and_calibration_come_back_from_their_texts(world: World) -> None:

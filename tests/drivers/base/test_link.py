@@ -5,98 +5,17 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from link_parts import SETTINGS, FakeClock, Watched, estimate, received, wait_more
 
 from ceilvo import config
 from ceilvo.drivers.base.link import BaseLink
-from ceilvo.drivers.base.mock_base import BaseModel, MockBase
 from ceilvo.drivers.base.modbus import ModbusBase
-from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.sim.base import SimBase
-from ceilvo.types import Estimate, FilterHealth, Motion, State
-
-SETTINGS = config.Base(port="mock", rate_hz=200.0, timeout_s=0.01, reconnect_max_s=0.05)
-
-
-class FakeClock:
-    now_ns = 5_000_000_000
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-
-def estimate(seq: int, stamp_ns: int = FakeClock.now_ns, state: State = State.TRACKING) -> Estimate:
-    return Estimate(
-        seq=seq,
-        stamp_ns=stamp_ns,
-        pose=np.array([1.0, 2.0, 0.5]),
-        cov=np.diag([1e-4, 4e-4, 1e-6]),
-        odom=np.zeros(3),
-        twist=np.array([0.1, 0.0, 0.2]),
-        state=state,
-        quality=0.9,
-        reason="",
-        motion=Motion(np.zeros(3), np.eye(3), 0, 0.0),
-        health=FilterHealth(0, 0.0, 0, 0.0, 0.0, 0),
-        crossings=0,
-        landmarks=0,
-    )
-
-
-class Watched(MockBase):
-    """Counts attempts of every kind, and lets a test wait for them."""
-
-    def __init__(self) -> None:
-        super().__init__(BaseModel(clock=FakeClock()), timeout_s=0.01)
-        self.changed = threading.Condition()
-        self.opens = self.exchanges = self.closes = 0
-
-    def _count(self, name: str) -> None:
-        with self.changed:
-            setattr(self, name, getattr(self, name) + 1)
-            self.changed.notify_all()
-
-    def open(self) -> None:
-        self._count("opens")
-        super().open()
-
-    def exchange(self, telegram: PoseTelegram) -> BaseStatus:
-        self._count("exchanges")
-        return super().exchange(telegram)
-
-    def close(self) -> None:
-        self._count("closes")
-        super().close()
-
-    def wait(self, condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
-        with self.changed:
-            assert self.changed.wait_for(condition, timeout_s)
-
-
-@pytest.fixture
-def base() -> Watched:
-    return Watched()
-
-
-@pytest.fixture
-def link(base: Watched) -> Iterator[BaseLink]:
-    link = BaseLink(SETTINGS, base, clock=FakeClock())
-    yield link
-    base.gate.set()
-    assert link.stop()
-
-
-def received(base: MockBase) -> list[PoseTelegram]:
-    return [r.telegram for r in base.model.telegrams]
-
-
-def wait_more(base: MockBase, count: int = 2) -> None:
-    """`count` more telegrams; with 2, the second was begun after this call."""
-    assert base.model.wait_received(base.model.received + count)
+from ceilvo.types import State
 
 
 def test_before_any_estimate_the_base_hears_init(base: Watched, link: BaseLink) -> None:
@@ -247,53 +166,6 @@ def test_logs_say_when_the_link_breaks_and_comes_back_once_each(
     assert [r.levelname for r in caplog.records] == ["INFO", "WARNING", "INFO"]
 
 
-def test_wheel_odometry_is_collected(base: Watched, link: BaseLink) -> None:
-    link.start()
-    assert base.model.wait_received(2)
-    assert link.wheels.between(0, 0) is None, "the fake clock stands still: one moment is no track"
-
-    model = BaseModel(odometry=lambda t: (0.5 * t, 0.0, 0.0))
-    moving = BaseLink(SETTINGS, MockBase(model))
-    moving.start()
-    assert model.wait_received(40)
-    assert moving.stop()
-    stamps = [r.recv_ns for r in model.telegrams]
-    motion = moving.wheels.between(stamps[5], stamps[30])
-    assert motion is not None
-    assert abs(motion.prev_from_curr[0] - 0.5e-9 * (stamps[30] - stamps[5])) < 0.002
-    assert np.abs(motion.prev_from_curr[1:]).max() == 0.0
-
-
-class _Delayed(MockBase):
-    """The status is sampled, then takes the time that its bytes need on the line."""
-
-    def __init__(self, clock: FakeClock, delay_s: float, model: BaseModel) -> None:
-        super().__init__(model)
-        self._delay_ns = round(1e9 * delay_s)
-        self._time = clock
-
-    def exchange(self, telegram: PoseTelegram) -> BaseStatus:
-        status = super().exchange(telegram)
-        self._time.now_ns += self._delay_ns
-        return status
-
-
-def test_wheel_odometry_is_dated_to_when_the_base_sampled_it() -> None:
-    clock = FakeClock()
-    start_s = 1e-9 * clock.now_ns
-    model = BaseModel(clock, lambda t: (0.5 * (t - start_s) ** 2, 0.0, 0.0))
-    slow = config.Base(port="mock", baud=1200, rate_hz=200.0)
-    link = BaseLink(slow, _Delayed(clock, 25 * 11 / 1200, model), clock=clock)
-    link.start()
-    assert model.wait_received(12)
-    assert link.stop()
-    t0_ns, t1_ns = (model.telegrams[i].recv_ns for i in (2, 10))
-    motion = link.wheels.between(t0_ns, t1_ns)
-    assert motion is not None
-    expected_m = 0.5 * ((1e-9 * t1_ns - start_s) ** 2 - (1e-9 * t0_ns - start_s) ** 2)
-    assert abs(motion.prev_from_curr[0] - expected_m) < 2e-3
-
-
 def test_the_rate_is_kept_when_estimates_come_faster(base: Watched) -> None:
     link = BaseLink(config.Base(port="mock", rate_hz=0.1), base, clock=FakeClock())
     link.start()
@@ -303,16 +175,6 @@ def test_the_rate_is_kept_when_estimates_come_faster(base: Watched) -> None:
     assert not base.model.wait_received(2, timeout_s=0.1)
     assert link.stop(), "stop does not wait for the period"
     assert [t.state for t in received(base)] == [State.INIT, State.STOPPED]
-
-
-def test_wheels_can_be_left_alone() -> None:
-    model = BaseModel()
-    link = BaseLink(config.Base(port="mock", rate_hz=200.0, use_wheels=False), MockBase(model))
-    link.start()
-    assert model.wait_received(20)
-    assert link.stop()
-    stamps = [r.recv_ns for r in model.telegrams]
-    assert link.wheels.between(stamps[5], stamps[10]) is None
 
 
 def test_an_unexpected_exception_is_reported(base: Watched) -> None:

@@ -1,17 +1,16 @@
-"""CaptureLoop driven by scripts: what it delivers, counts and says for each thing that a camera can do to it."""
+"""CaptureLoop driven by scripts: the mailbox, frames that cannot be used, crash, end and stop."""
 
 from __future__ import annotations
 
-import dataclasses
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_rig import FAST, LONG_S, Gate, Rig, collect
 
-from ceilvo import config
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.camera.mock_camera import (
     BadPicture,
@@ -20,89 +19,13 @@ from ceilvo.drivers.camera.mock_camera import (
     Good,
     Loss,
     MockCamera,
-    Stall,
     Step,
-    Timeout,
     WrongSize,
     moving_square,
 )
 from ceilvo.drivers.camera.recorded import FolderCamera, write_folder
-from ceilvo.drivers.ports import Camera, CameraInfo
 from ceilvo.errors import FileFormatError
 from ceilvo.types import Frame
-
-LONG_S = 10.0  # a wait that ends by an event; reached only when something is broken
-FAST = config.Camera(reopen_min_s=0.001, reopen_max_s=0.004)
-
-
-class Gate:
-    """Lets a mock camera deliver one frame a permit."""
-
-    def __init__(self) -> None:
-        self._permits = threading.Semaphore(0)
-        self.opened = threading.Event()
-
-    def __call__(self, _seconds: float) -> None:
-        while not self.opened.is_set() and not self._permits.acquire(timeout=0.2):
-            pass
-
-    def allow(self, count: int = 1) -> None:
-        self._permits.release(count)
-
-
-class Rig:
-    """A loop under test with its events and crashes."""
-
-    def __init__(self, camera: Camera, settings: config.Camera = FAST, clock: Callable[[], int] = lambda: 0) -> None:
-        self.events: queue.Queue[CaptureEvent] = queue.Queue()
-        self.crashes: queue.Queue[Exception] = queue.Queue()
-        self.seen: list[CaptureEvent] = []
-        self.loop = CaptureLoop(camera, settings, clock, self.events.put, self.crashes.put)
-
-    def until(self, kind: str) -> CaptureEvent:
-        while True:
-            event = self.events.get(timeout=LONG_S)
-            self.seen.append(event)
-            if event.kind == kind:
-                return event
-
-    def take(self) -> Frame:
-        frame = self.loop.take(LONG_S)
-        assert frame is not None
-        return frame
-
-
-@pytest.fixture
-def gate() -> Iterator[Gate]:
-    made = Gate()
-    yield made
-    made.opened.set()
-
-
-@pytest.fixture
-def start(gate: Gate) -> Iterator[Callable[..., Rig]]:
-    rigs: list[Rig] = []
-
-    def make(script: list[Step], settings: config.Camera = FAST, **kwargs: object) -> Rig:
-        clock = kwargs.pop("loop_clock", lambda: 0)
-        rig = Rig(MockCamera(script, wait=gate, **kwargs), settings, clock)  # type: ignore[arg-type]
-        rigs.append(rig)
-        rig.loop.start()
-        return rig
-
-    yield make
-    gate.opened.set()
-    for rig in rigs:
-        assert rig.loop.stop(LONG_S)
-
-
-def collect(rig: Rig, gate: Gate, count: int) -> list[Frame]:
-    frames = []
-    for _ in range(count):
-        gate.allow()
-        frames.append(rig.take())
-    return frames
-
 
 # --- the mailbox
 
@@ -143,136 +66,6 @@ def test_take_wakes_up_when_a_frame_comes(start: Callable[..., Rig], gate: Gate)
     taker.join()
     assert frame is not None
     assert frame.seq == 0
-
-
-# --- loss
-
-
-def test_loss_and_return(start: Callable[..., Rig], gate: Gate) -> None:
-    rig = start([Good(2), Loss(failed_opens=3)])
-    before = collect(rig, gate, 2)
-    rig.until("lost")
-    assert rig.until("opened").text == "mock camera again gives 64x48 at 30 Hz"
-    after = collect(rig, gate, 2)
-    assert [f.seq for f in before + after] == [0, 1, 2, 3]
-    assert (np.diff([f.stamp_ns for f in before + after]) > 0).all()
-    counters = rig.loop.counters()
-    assert (counters.losses, counters.reopens, counters.connected) == (1, 1, True)
-    assert "no such device" in counters.last_error
-    lost = [e.text for e in rig.seen if e.kind == "lost"]
-    assert len(lost) == 2  # the loss, and once for the three openings that failed alike
-    assert "lost while streaming" in lost[0]
-    assert "no such device" in lost[1]
-
-
-def test_absent_at_start(start: Callable[..., Rig], gate: Gate) -> None:
-    rig = start([], failed_opens=2)
-    assert "no such device" in rig.until("lost").text
-    rig.until("opened")
-    collect(rig, gate, 1)
-    counters = rig.loop.counters()
-    assert (counters.losses, counters.reopens, counters.connected) == (0, 0, True)
-
-
-def test_a_timeout_is_a_loss(start: Callable[..., Rig], gate: Gate) -> None:
-    rig = start([Good(1), Timeout(1.0)])
-    collect(rig, gate, 1)
-    gate.allow()
-    assert "no frame within 1 s" in rig.until("lost").text
-    rig.until("opened")
-    assert collect(rig, gate, 1)[0].seq == 1
-
-
-def test_a_stall_is_not_a_loss(start: Callable[..., Rig], gate: Gate) -> None:
-    rig = start([Good(1), Stall(0.5)])
-    collect(rig, gate, 3)
-    assert rig.loop.counters().losses == 0
-
-
-class RecordingEvent(threading.Event):
-    """Notes how long the loop wants to wait, does not wait, and stops the loop after `last` times."""
-
-    def __init__(self, last: int) -> None:
-        super().__init__()
-        self.waits: list[float] = []
-        self._last = last
-
-    def wait(self, timeout: float | None = None) -> bool:
-        assert timeout is not None
-        self.waits.append(timeout)
-        if len(self.waits) == self._last:
-            self.set()
-        return self.is_set()
-
-
-def run_with_recorded_waits(script: list[Step], last: int) -> list[float]:
-    settings = config.Camera(reopen_min_s=0.2, reopen_max_s=1.0)
-    loop = CaptureLoop(MockCamera(script, wait=lambda _: None), settings, lambda: 0)
-    stopping = RecordingEvent(last)
-    loop._stopping = stopping
-    loop.start()
-    loop._thread.join(LONG_S)
-    assert not loop._thread.is_alive()
-    return stopping.waits
-
-
-def test_waits_grow_to_their_limit() -> None:
-    assert run_with_recorded_waits([Loss(failed_opens=99)], 5) == [0.2, 0.4, 0.8, 1.0, 1.0]
-
-
-def test_a_good_frame_makes_waits_short_again() -> None:
-    script = [Loss(failed_opens=2), Good(1), Loss(failed_opens=9)]
-    assert run_with_recorded_waits(script, 6) == [0.2, 0.4, 0.8, 0.2, 0.4, 0.8]
-
-
-def test_a_camera_that_opens_but_never_delivers_is_not_hammered() -> None:
-    assert run_with_recorded_waits([Loss()] * 9, 5) == [0.2, 0.4, 0.8, 1.0, 1.0]
-
-
-def test_stop_does_not_wait_for_the_next_attempt(gate: Gate) -> None:
-    rig = Rig(MockCamera([Loss(failed_opens=9)], wait=gate), config.Camera(reopen_min_s=3600.0, reopen_max_s=3600.0))
-    rig.loop.start()
-    rig.until("lost")
-    assert rig.loop.stop(LONG_S)
-
-
-def test_another_size_after_replugging_is_refused_until_the_right_one_is_back(
-    start: Callable[..., Rig], gate: Gate
-) -> None:
-    rig = start([Good(1), Loss(width_px=32, height_px=24)])
-    collect(rig, gate, 1)
-    rig.until("lost")
-    text = rig.until("lost").text
-    assert "came back with 32x24, expected 64x48 as before" in text
-    assert not rig.loop.counters().connected
-    camera = rig.loop._camera
-    assert isinstance(camera, MockCamera)
-    camera._size = (64, 48)
-    rig.until("opened")
-    assert collect(rig, gate, 1)[0].gray.shape == (48, 64)
-
-
-def test_another_camera_after_replugging_is_refused(start: Callable[..., Rig], gate: Gate) -> None:
-    rig = start([Good(1), Loss(camera_id="other")])
-    collect(rig, gate, 1)
-    rig.until("lost")
-    assert "came back as 'other', expected 'mock'" in rig.until("lost").text
-    assert rig.loop.counters().reopens == 0
-
-
-def test_numbers_increase_even_when_the_camera_starts_again_at_zero() -> None:
-    class Forgetful(MockCamera):
-        def open(self) -> CameraInfo:
-            self._seq = 0
-            return super().open()
-
-    gate = Gate()
-    rig = Rig(Forgetful([Good(3), Loss()], wait=gate))
-    rig.loop.start()
-    frames = collect(rig, gate, 5)
-    assert [f.seq for f in frames] == [0, 1, 2, 3, 4]
-    gate.opened.set()
-    assert rig.loop.stop(LONG_S)
 
 
 # --- frames that cannot be used
@@ -430,12 +223,4 @@ def test_notes_of_the_camera_are_said_once_an_opening(tmp_path: Path) -> None:
     rig.loop.start()
     assert "stamps assume 30 frames per second" in rig.until("note").text
     assert rig.loop.info is not None
-    assert rig.loop.stop(LONG_S)
-
-
-def test_settings_with_a_longest_wait_below_the_first_are_survived() -> None:
-    settings = dataclasses.replace(FAST, reopen_min_s=0.002, reopen_max_s=0.001)
-    rig = Rig(MockCamera([Loss(failed_opens=4)], wait=lambda _: None), settings)
-    rig.loop.start()
-    rig.take()
     assert rig.loop.stop(LONG_S)

@@ -1,0 +1,61 @@
+"""Inputs of the estimator as text: back to the last bit, and damaged bytes are our error."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
+from ceilvo.errors import FileFormatError
+from ceilvo.types import Frame, Landmarks, WheelMotion
+
+floats = st.floats(allow_nan=False, allow_infinity=False)
+poses, covs = arrays(np.float64, 3, elements=floats), arrays(np.float64, (3, 3), elements=floats)
+wheels = st.none() | st.builds(WheelMotion, poses, covs)
+counts = st.integers(0, 2**62)
+texts = st.text(max_size=30)
+
+
+@st.composite
+def landmarks(draw: st.DrawFn) -> Landmarks:
+    n = draw(st.integers(0, 4))
+    ints = arrays(np.int64, n, elements=st.integers(-(2**62), 2**62))
+    xy, cov = arrays(np.float64, (n, 2), elements=floats), arrays(np.float64, (n, 2, 2), elements=floats)
+    return Landmarks(draw(ints), draw(xy), draw(cov), draw(ints), draw(ints))
+
+
+frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
+inputs = st.one_of(
+    st.builds(FrameInput, frames, wheels),
+    st.builds(Silence, counts, texts, wheels),
+    st.builds(LoadMap, landmarks(), floats, poses, covs),
+    st.builds(SetPose, poses, covs, texts),
+    st.builds(Reset, st.booleans()),
+)
+
+
+@given(inputs, counts)
+def test_inputs_come_back_to_the_last_bit(given: Input, number: int) -> None:
+    data = input_json(given, number)
+    again_number, again = read_input(data, lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
+    assert again_number == number and type(again) is type(given)
+    assert flat(again) == flat(given)
+
+
+def flat(value: object) -> object:
+    """Nested tuples that compare by bits."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if hasattr(value, "__slots__"):
+        return tuple(flat(getattr(value, name)) for name in value.__slots__)
+    return repr(value)
+
+
+@given(st.binary(max_size=80) | st.text(max_size=80).map(str.encode) | inputs.map(lambda g: input_json(g, 0)[:-9]))
+def test_any_bytes_are_an_input_or_our_error(data: bytes) -> None:
+    try:
+        read_input(data, lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
+    except FileFormatError as e:
+        assert "damaged" in str(e)
