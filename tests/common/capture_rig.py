@@ -6,12 +6,13 @@ import queue
 import threading
 from collections.abc import Callable
 
+from patience import PATIENCE_S
+
 from ceilvo import config
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.ports import Camera
 from ceilvo.types import Frame
 
-LONG_S = 10.0  # a wait that ends by an event; reached only when something is broken
 FAST = config.Camera(reopen_min_s=0.001, reopen_max_s=0.004)
 
 
@@ -41,13 +42,13 @@ class Rig:
 
     def until(self, kind: str) -> CaptureEvent:
         while True:
-            event = self.events.get(timeout=LONG_S)
+            event = self.events.get(timeout=PATIENCE_S)
             self.seen.append(event)
             if event.kind == kind:
                 return event
 
     def take(self) -> Frame:
-        frame = self.loop.take(LONG_S)
+        frame = self.loop.take(PATIENCE_S)
         assert frame is not None
         return frame
 

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 
 import numpy as np
+from patience import PATIENCE_S
 
 from ceilvo import config
 from ceilvo.drivers.base.mock_base import BaseModel, MockBase
@@ -65,7 +66,7 @@ class Watched(MockBase):
         self._count("closes")
         super().close()
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
+    def wait(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
         with self.changed:
             assert self.changed.wait_for(condition, timeout_s)
 
@@ -76,4 +77,4 @@ def received(base: MockBase) -> list[PoseTelegram]:
 
 def wait_more(base: MockBase, count: int = 2) -> None:
     """`count` more telegrams; with 2, the second was begun after this call."""
-    assert base.model.wait_received(base.model.received + count)
+    assert base.model.wait_received(base.model.received + count, PATIENCE_S)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import queue
 import socket
-import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import zenoh
+from patience import PATIENCE_S, until
 
 from ceilvo import config
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
@@ -23,23 +22,11 @@ from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import Topic
 from ceilvo.types import Landmarks
 
-PATIENCE_S = 20.0
-"""Never waited for unless something is broken."""
-
 
 def free_port() -> int:
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])
-
-
-def eventually(true: Callable[[], bool], what: str) -> None:
-    """For conditions that only Zenoh knows: polled, not slept for."""
-    deadline = time.monotonic() + PATIENCE_S
-    pause = threading.Event()
-    while not true():
-        assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {what}"
-        pause.wait(0.005)
 
 
 def peer(*, listen: int | None = None, connect: int | None = None, mode: str = "peer") -> zenoh.Session:
@@ -106,7 +93,7 @@ class World:
         inbox: queue.Queue[zenoh.Sample] = queue.Queue()
         session.declare_subscriber(key, inbox.put)
         if topic is not None:
-            eventually(lambda: self.bus.wanted(topic), f"the bus knows of the subscriber of {topic.value}")
+            until(lambda: self.bus.wanted(topic), f"the bus knows of the subscriber of {topic.value}")
         return inbox
 
 
@@ -122,5 +109,5 @@ def get(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[
         found[:] = list(session.get(key, payload=payload, timeout=PATIENCE_S))
         return bool(found)
 
-    eventually(ask, f"an answer from {key}")
+    until(ask, f"an answer from {key}")
     return [(r.ok is not None, json.loads((r.ok or r.err).payload.to_bytes())) for r in found]

@@ -6,13 +6,13 @@ import json
 import queue
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import zenoh
+from patience import PATIENCE_S, until
 
 from ceilvo import config
 from ceilvo.calibration import Calibration
@@ -22,8 +22,6 @@ from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import Publisher, Topic
 from ceilvo.errors import BusError
 from ceilvo.types import Landmarks
-
-PATIENCE_S = 20.0
 
 
 def no_landmarks() -> Landmarks:
@@ -182,16 +180,15 @@ class TestZenohBus(PublisherContract):
     def subscribe(self, bus: Publisher, topic: Topic) -> Callable[[int], list[bytes]]:
         inbox: queue.Queue[bytes] = queue.Queue()
         self.far_end().declare_subscriber(f"ceilvo/robot1/{topic.value}", lambda s: inbox.put(s.payload.to_bytes()))
-        deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
-        while not bus.wanted(topic):
-            assert time.monotonic() < deadline
-            pause.wait(0.005)
+        until(lambda: bus.wanted(topic), "the subscriber is known")
         return lambda count: [inbox.get(timeout=PATIENCE_S) for _ in range(count)]
 
     def ask(self, bus: Publisher, name: str, payload: bytes) -> tuple[bool, bytes]:
-        deadline, pause = time.monotonic() + PATIENCE_S, threading.Event()
-        while True:
-            for reply in self.far_end().get(f"ceilvo/robot1/{name}", payload=payload, timeout=PATIENCE_S):
-                return reply.ok is not None, (reply.ok or reply.err).payload.to_bytes()
-            assert time.monotonic() < deadline
-            pause.wait(0.005)
+        replies: list[zenoh.Reply] = []
+
+        def answered() -> bool:
+            replies.extend(self.far_end().get(f"ceilvo/robot1/{name}", payload=payload, timeout=PATIENCE_S))
+            return bool(replies)
+
+        until(answered, f"an answer from {name}")
+        return replies[0].ok is not None, (replies[0].ok or replies[0].err).payload.to_bytes()

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S, until
 
 from ceilvo.bench.soak.faulty_camera import FaultyCamera
 from ceilvo.bench.soak.parts import STEM, Listener, PoseRow, free_port, set_base_fault
@@ -36,8 +37,6 @@ SEED = 5
 RATE_HZ = 15.0
 SPEED_MPS = 0.1
 """Slow, so that what the robot sees after a fault is in its map, however long a busy machine makes the fault last."""
-PATIENCE_S = 180.0
-"""Never waited for unless something is broken, or the machine has ten times as much to do as it can."""
 GOOD = (State.TRACKING, State.DEGRADED)
 
 
@@ -96,12 +95,11 @@ class Robot:
         return self.listener.heard.health[-1][1] if self.listener.heard.health else {}
 
     def until(self, true: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        pause = threading.Event()
-        while not true():
+        def true_and_alive() -> bool:
             assert not self.result, self.result
-            assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {what}; events {self.daemon.events[-3:]}"
-            pause.wait(0.01)
+            return true()
+
+        until(true_and_alive, what)
 
     def until_state(self, *states: State) -> None:
         """A pose captured from now on is in one of the states."""

@@ -12,6 +12,7 @@ import map_writer
 import numpy as np
 import pytest
 from map_writer import estimate, landmarks
+from patience import PATIENCE_S
 
 from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_state
 from ceilvo.daemon.map.store import MAP_NAME, REJECTED, STATE_NAME, Store
@@ -22,7 +23,6 @@ from ceilvo.types import State
 KILLS = int(os.environ.get("KILLS", "20"))
 """`make kill-test` sets 200."""
 SEED = 6
-PATIENCE_S = 60.0
 
 
 def test_killed_at_random_moments_while_it_saves(tmp_path: Path) -> None:

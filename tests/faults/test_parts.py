@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S
 
 from ceilvo import config
 from ceilvo.config import Config
@@ -86,8 +87,8 @@ def captured(picture: Callable[[int, int, int], np.ndarray], count: int, **setti
     events: list[CaptureEvent] = []
     loop = CaptureLoop(camera, config.Camera(**settings), lambda: 0, events.append)  # type: ignore[arg-type]
     loop.start()
-    assert done.wait(20.0)
-    assert loop.stop(20.0)
+    assert done.wait(PATIENCE_S)
+    assert loop.stop(PATIENCE_S)
     return loop.counters().frames, loop.counters().repeats
 
 

@@ -7,7 +7,6 @@ import shutil
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
+from patience import until
 
 from ceilvo import config
 from ceilvo.calibration import Calibration
@@ -28,7 +28,6 @@ from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Landmarks
 
 OPENSSL = shutil.which("openssl") or ""
-PATIENCE_S = 30.0
 STEM = "ceilvo/robot1"
 POSE = b'{"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}'
 
@@ -144,9 +143,13 @@ def let_in(daemon: Daemon, keys: Path, name: str | None, protocol: str = "tls") 
 
 def eventually(c: Client, key: str, payload: bytes = b"") -> list[bool]:
     """The first answer; declarations take a moment to arrive."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not (answers := c.ask(key, payload)):
-        assert time.monotonic() < deadline, key
+    answers: list[bool] = []
+
+    def answered() -> bool:
+        answers[:] = c.ask(key, payload)
+        return bool(answers)
+
+    until(answered, f"an answer from {key}")
     return answers
 
 
@@ -158,10 +161,7 @@ def test_an_operator_reads_and_commands(daemon: Daemon, keys: Path) -> None:
     before = len(daemon.asked)
     assert eventually(c, f"{STEM}/cmd/initial_pose", POSE) == [True]
     assert len(daemon.asked) == before + 1
-    deadline = time.monotonic() + PATIENCE_S
-    while not got.wait(0.05):
-        assert time.monotonic() < deadline
-        daemon.bus.put(Topic.POSE, b"{}")
+    until(lambda: daemon.bus.put(Topic.POSE, b"{}") or got.wait(0.05), "a pose")
     c.session.close()  # type: ignore[no-untyped-call]
 
 
@@ -170,10 +170,7 @@ def test_a_display_reads_and_may_not_command(daemon: Daemon, keys: Path) -> None
     c = client(daemon, keys, "display")
     got = threading.Event()
     c.session.declare_subscriber(f"{STEM}/pose", lambda _: got.set())
-    deadline = time.monotonic() + PATIENCE_S
-    while not got.wait(0.05):
-        assert time.monotonic() < deadline
-        daemon.bus.put(Topic.POSE, b"{}")
+    until(lambda: daemon.bus.put(Topic.POSE, b"{}") or got.wait(0.05), "a pose")
     assert eventually(c, f"{STEM}/map") == [True]
     before = len(daemon.asked)
     for command in commands.COMMANDS:
@@ -189,12 +186,13 @@ def test_nobody_else_may_speak_for_the_robot(daemon: Daemon, keys: Path) -> None
     liar, listener = client(daemon, keys, "display"), client(daemon, keys, "operator")
     heard: list[bytes] = []
     listener.session.declare_subscriber(f"{STEM}/pose", lambda s: heard.append(s.payload.to_bytes()))
-    deadline = time.monotonic() + PATIENCE_S
-    while b"true" not in heard:
-        assert time.monotonic() < deadline
+
+    def both_put() -> bool:
         liar.session.put(f"{STEM}/pose", b"false")
         daemon.bus.put(Topic.POSE, b"true")
-        time.sleep(0.05)
+        return b"true" in heard
+
+    until(both_put, "a pose")
     assert b"false" not in heard
     for c in (liar, listener):
         c.session.close()  # type: ignore[no-untyped-call]

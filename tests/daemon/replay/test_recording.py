@@ -263,20 +263,25 @@ def test_the_ring_replays_from_any_of_its_files(
     world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Default settings but for shorter files: no file has the pixels, and all but the first begin in the middle."""
-    monkeypatch.setattr("ceilvo.drivers.recording.storage._SEGMENTS", 16)
-    daemon = fly(world, tmp_path, 8.0, minutes=0.1)
+    # a file ends when it is full, however fast this computer is
+    monkeypatch.setattr("ceilvo.drivers.recording.storage._SEGMENTS", 200)
+    monkeypatch.setattr("ceilvo.drivers.recording.storage._MIN_SEGMENT_S", 0.0)
+    daemon = fly(world, tmp_path, 4.0, ring_bytes=20_000_000, minutes=60.0)
     ring = tmp_path / "recorder" / "ring"
     files = sorted(ring.glob("*.mcap"))
     assert len(files) >= 2
     assert open_recording(files[-1]).metadata["start"] == "joined"
+    counts = []
     for source in (ring, *files[1:]):
         assert cli.main(["replay", str(source), "--jsonl", str(tmp_path / "again.jsonl")]) == 0
         again = (tmp_path / "again.jsonl").read_text()
         assert again in "".join(estimate_json(e) for e in daemon.said)
         inside = [m for f in (files if source == ring else [source]) for m in topic(f, "/estimate")]
         count = len(again.splitlines())
-        assert count == len(inside) > 0
+        assert count == len(inside)
+        counts.append(count)
         assert f"{count} of {count} estimates are the same to the last bit" in capsys.readouterr().out
+    assert counts[0] == len(daemon.said) and sum(counts[1:]) > 0
 
 
 def test_pictures_alone_are_no_exact_replay(world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from link_parts import SETTINGS, FakeClock, Watched, estimate, received, wait_more
+from patience import PATIENCE_S
 
 from ceilvo import config
 from ceilvo.drivers.base.link import BaseLink
@@ -189,7 +190,7 @@ def test_an_unexpected_exception_is_reported(base: Watched) -> None:
     link.start()
     assert base.model.wait_received(1)
     link.submit("not an estimate")  # type: ignore[arg-type]
-    assert crashed.wait(5.0)
+    assert crashed.wait(PATIENCE_S)
     assert isinstance(crashes[0], AttributeError)
     assert link.stop()
     assert not base.is_open

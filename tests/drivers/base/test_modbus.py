@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 from ceilvo import config
 from ceilvo.drivers.base import protocol as bp
@@ -248,7 +249,7 @@ def test_crc_check_value() -> None:
 
 def test_an_exchange_is_never_faster_than_its_line() -> None:
     with SimBase(baud=9600, turnaround_s=0.002) as sim:
-        base = ModbusBase(settings(sim.port, baud=9600, timeout_s=2.0))
+        base = ModbusBase(settings(sim.port, baud=9600, timeout_s=20.0))
         base.open()
         begun_s = time.monotonic()
         base.exchange(TELEGRAM)
@@ -284,14 +285,14 @@ def test_as_a_program(program: subprocess.Popen[str], tmp_path: Path) -> None:
     assert program.stdout is not None
     port = program.stdout.readline().strip()
     assert port == str(tmp_path / "tty-base")
-    base = ModbusBase(settings(port, timeout_s=1.0))
+    base = ModbusBase(settings(port, timeout_s=20.0))
     base.open()
     before_ns = time.monotonic_ns()
     for i in range(3):
         base.exchange(replace(TELEGRAM, heartbeat=i, sequence=10 + i))
     base.close()
     program.send_signal(signal.SIGTERM)
-    assert program.wait(5.0) == 0
+    assert program.wait(PATIENCE_S) == 0
     lines = [json.loads(line) for line in (tmp_path / "telegrams.jsonl").read_text().splitlines()]
     assert [(line["sequence"], line["state"]) for line in lines] == [(10 + i, "TRACKING") for i in range(3)]
     assert all(before_ns <= line["recv_ns"] <= time.monotonic_ns() for line in lines)

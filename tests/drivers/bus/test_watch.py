@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from patience import PATIENCE_S, until
 
 from ceilvo import config
 from ceilvo.calibration import Calibration
@@ -25,7 +26,6 @@ from ceilvo.drivers.ports import Topic
 from ceilvo.errors import BusError
 from ceilvo.types import Estimate, FilterHealth, Landmarks, Motion, State
 
-PATIENCE_S = 20.0
 STAMP = messages.Stamp(1, 2)
 
 
@@ -98,12 +98,9 @@ class Scene:
             assert isinstance(result[0], int), result[0]
             return result[0]
 
-        pause = threading.Event()
-        for _ in range(int(PATIENCE_S / 0.005)):
-            if all(self.bus.wanted(t) for t in (Topic.POSE, Topic.HEALTH, Topic.EVENT)):
-                return join
-            pause.wait(0.005)
-        raise AssertionError("the watcher did not subscribe")
+        topics = (Topic.POSE, Topic.HEALTH, Topic.EVENT)
+        until(lambda: all(self.bus.wanted(t) for t in topics), "the watcher subscribes")
+        return join
 
 
 @pytest.fixture

@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import zenoh
-from zenoh_world import PATIENCE_S, Robot, World, bus_config, eventually, free_port, get, peer
+from patience import PATIENCE_S, until
+from zenoh_world import Robot, World, bus_config, free_port, get, peer
 
 from ceilvo import config
 from ceilvo.drivers.bus import zenoh_bus
@@ -59,7 +60,7 @@ def test_a_late_subscriber_gets_all_that_follows_and_the_others_miss_nothing(wor
             world.bus.put(Topic.POSE, str(sent).encode())
             return not inbox.empty()
 
-        eventually(arrives, "the new subscriber gets something")
+        until(arrives, "the new subscriber gets something")
     for inbox in inboxes:
         got = [int(inbox.get(timeout=PATIENCE_S).payload.to_bytes())]
         while got[-1] < sent:
@@ -74,7 +75,7 @@ def test_a_subscriber_that_restarts_is_served_again(world: World) -> None:
         world.bus.put(Topic.POSE, b"here")
         assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == b"here"
         session.close()
-        eventually(lambda: not world.bus.wanted(Topic.POSE), "the bus knows that the subscriber left")
+        until(lambda: not world.bus.wanted(Topic.POSE), "the bus knows that the subscriber left")
 
 
 SUBSCRIBER = """
@@ -97,7 +98,7 @@ def child(world: World) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-c", SUBSCRIBER, str(world.port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
-            eventually(lambda: world.bus.wanted(Topic.ODOM), "the other process subscribes")
+            until(lambda: world.bus.wanted(Topic.ODOM), "the other process subscribes")
             yield process
         finally:
             process.kill()
@@ -118,7 +119,7 @@ def test_a_subscriber_that_hangs_holds_up_nobody(world: World, child: subprocess
         world.bus.put(Topic.ODOM, b"0")
         return not inbox.empty()
 
-    eventually(arrives, "the healthy one gets something")
+    until(arrives, "the healthy one gets something")
     child.send_signal(signal.SIGSTOP)
     big = b"x" * 30_000
     rounds = 400  # 24 MB, more than the sockets hold for the one that hangs
@@ -144,7 +145,7 @@ def test_a_subscriber_that_hangs_holds_up_nobody(world: World, child: subprocess
         world.bus.put(Topic.ODOM, b"last")
         return child.poll() is not None
 
-    eventually(served_again, "the one that hung is served again")
+    until(served_again, "the one that hung is served again")
     reader.join(PATIENCE_S)
     assert out[-1] == "last"
     assert out.count("x" * 10) < 2 * rounds  # it did hang, and lost samples
@@ -158,7 +159,7 @@ def test_a_large_image_arrives_whole(world: World) -> None:
         world.bus.put(Topic.IMAGE, image)
         return not inbox.empty()
 
-    eventually(arrives, "an image")
+    until(arrives, "an image")
     assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == image
 
 
@@ -183,7 +184,7 @@ def test_on_demand_messages_cost_nothing_without_a_subscriber(world: World, topi
     assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == b"{}"
     assert made == [1]
     session.close()
-    eventually(lambda: not world.bus.wanted(topic), "the subscriber left")
+    until(lambda: not world.bus.wanted(topic), "the subscriber left")
     done.clear()
     world.clock.ns += 10**12
     world.bus.offer(topic, make)
@@ -199,7 +200,7 @@ def test_on_demand_messages_keep_their_period(world: World) -> None:
         world.bus.offer(Topic.PARTICLES, functools.partial(bytes, payload))
         if due:
             assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == payload
-    eventually(lambda: world.bus.counters()["samples_particles"] == 3, "three are counted")
+    until(lambda: world.bus.counters()["samples_particles"] == 3, "three are counted")
     assert inbox.empty()
 
 
@@ -212,7 +213,7 @@ def test_a_message_that_cannot_be_made_is_counted_and_the_next_one_is_sent(
         raise RuntimeError("no picture")
 
     world.bus.offer(Topic.IMAGE, fail)
-    eventually(lambda: world.bus.counters()["offer_errors"] == 1, "the failure is counted")
+    until(lambda: world.bus.counters()["offer_errors"] == 1, "the failure is counted")
     world.clock.ns += 10**10
     world.bus.offer(Topic.IMAGE, lambda: b"\xff\xd8")
     assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == b"\xff\xd8"
@@ -255,13 +256,13 @@ def test_a_router_that_is_absent_comes_goes_and_comes_back(mode: str) -> None:
         router = peer(listen=port, mode="router")
         inbox: queue.Queue[zenoh.Sample] = queue.Queue()
         router.declare_subscriber("ceilvo/robot1/pose", inbox.put)
-        eventually(lambda: bus.wanted(Topic.POSE), "the bus reaches the router")
+        until(lambda: bus.wanted(Topic.POSE), "the bus reaches the router")
         assert bus.counters()["routers"] == 1
         bus.put(Topic.POSE, str(i).encode())
         assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == str(i).encode()
         assert get(router, "ceilvo/robot1/map")[0][0]
         router.close()
-        eventually(lambda: bus.counters()["routers"] == 0, "the bus notices that the router left")
+        until(lambda: bus.counters()["routers"] == 0, "the bus notices that the router left")
     counts = bus.counters()
     bus.close()
     assert counts["unsent"] == (1 if mode == "client" else 0)
@@ -275,9 +276,9 @@ def test_losing_a_peer_is_logged(caplog: pytest.LogCaptureFixture, monkeypatch: 
     bus = ZenohBus(bus_config(port), "robot1", Robot().handlers())
     bus.open()
     session = peer(connect=port)
-    eventually(lambda: "0 routers, 1 peers connected (were 0, 0)" in caplog.text, "the peer is noticed")
+    until(lambda: "0 routers, 1 peers connected (were 0, 0)" in caplog.text, "the peer is noticed")
     session.close()
-    eventually(lambda: "0 routers, 0 peers connected (were 0, 1)" in caplog.text, "its loss is noticed")
+    until(lambda: "0 routers, 0 peers connected (were 0, 1)" in caplog.text, "its loss is noticed")
     bus.close()
 
 
@@ -307,4 +308,4 @@ def test_close_ends_a_client_that_never_found_its_router() -> None:
     bus = ZenohBus(cfg, "robot1", Robot().handlers())
     bus.open()
     bus.close()
-    eventually(lambda: not any(t.name.startswith("zenoh-o") for t in threading.enumerate()), "its threads end")
+    until(lambda: not any(t.name.startswith("zenoh-o") for t in threading.enumerate()), "its threads end")

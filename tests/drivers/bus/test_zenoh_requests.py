@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from zenoh_world import World, eventually, get
+from patience import until
+from zenoh_world import World, get
 
 from ceilvo.drivers.bus import commands
 from ceilvo.errors import FileFormatError
@@ -87,6 +88,6 @@ def test_reading_everything_moves_nothing(world: World, key: str, asked: int) ->
         refused[:] = [answer for ok, answer in get(session, key) if not ok]
         return len(refused) == asked
 
-    eventually(all_refuse, f"{asked} commands refuse {key}")
+    until(all_refuse, f"{asked} commands refuse {key}")
     assert all("wildcard" in a["error"] for a in refused)
     assert world.robot.calls == []

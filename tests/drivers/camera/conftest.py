@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
-from capture_rig import FAST, LONG_S, Gate, Rig
+from capture_rig import FAST, Gate, Rig
+from patience import PATIENCE_S
 
 from ceilvo import config
 from ceilvo.drivers.camera.mock_camera import MockCamera, Step
@@ -32,4 +33,4 @@ def start(gate: Gate) -> Iterator[Callable[..., Rig]]:
     yield make
     gate.opened.set()
     for rig in rigs:
-        assert rig.loop.stop(LONG_S)
+        assert rig.loop.stop(PATIENCE_S)

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_rig import FAST, LONG_S, Gate, Rig, collect
+from capture_rig import FAST, Gate, Rig, collect
+from patience import PATIENCE_S
 
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.camera.mock_camera import (
@@ -59,10 +60,10 @@ def test_a_frame_is_taken_once(start: Callable[..., Rig], gate: Gate) -> None:
 def test_take_wakes_up_when_a_frame_comes(start: Callable[..., Rig], gate: Gate) -> None:
     rig = start([])
     got: queue.Queue[Frame | None] = queue.Queue()
-    taker = threading.Thread(target=lambda: got.put(rig.loop.take(LONG_S)))
+    taker = threading.Thread(target=lambda: got.put(rig.loop.take(PATIENCE_S)))
     taker.start()
     gate.allow()
-    frame = got.get(timeout=LONG_S)
+    frame = got.get(timeout=PATIENCE_S)
     taker.join()
     assert frame is not None
     assert frame.seq == 0
@@ -119,8 +120,8 @@ def test_a_crash_is_handed_on_and_ends_the_loop(start: Callable[..., Rig], gate:
     error = ZeroDivisionError("driver")
     rig = start([Good(1), Crash(error)])
     collect(rig, gate, 1)
-    assert rig.crashes.get(timeout=LONG_S) is error
-    assert rig.loop.take(LONG_S) is None  # at once: none will come
+    assert rig.crashes.get(timeout=PATIENCE_S) is error
+    assert rig.loop.take(PATIENCE_S) is None  # at once: none will come
     assert not rig.loop.finished
     assert rig.loop.counters().last_error == "driver"
     assert not rig.loop.counters().connected
@@ -134,8 +135,8 @@ def test_a_listener_that_fails_is_a_crash(gate: Gate) -> None:
 
     loop = CaptureLoop(MockCamera(wait=gate), FAST, lambda: 0, fail, crashes.put)
     loop.start()
-    assert str(crashes.get(timeout=LONG_S)) == "listener"
-    assert loop.stop(LONG_S)
+    assert str(crashes.get(timeout=PATIENCE_S)) == "listener"
+    assert loop.stop(PATIENCE_S)
 
 
 def test_stop_closes_the_camera(gate: Gate) -> None:
@@ -144,16 +145,16 @@ def test_stop_closes_the_camera(gate: Gate) -> None:
     rig.loop.start()
     collect(rig, gate, 1)
     gate.opened.set()
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
     assert camera.opens == 1
     assert camera.closes >= 1
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
     rig.loop.take(0.0)
-    assert rig.loop.take(LONG_S) is None
+    assert rig.loop.take(PATIENCE_S) is None
 
 
 def test_stop_before_start_is_no_error() -> None:
-    assert CaptureLoop(MockCamera(), FAST, lambda: 0).stop(LONG_S)
+    assert CaptureLoop(MockCamera(), FAST, lambda: 0).stop(PATIENCE_S)
 
 
 def test_stop_says_when_the_driver_is_stuck(gate: Gate) -> None:
@@ -162,7 +163,7 @@ def test_stop_says_when_the_driver_is_stuck(gate: Gate) -> None:
     rig.until("opened")
     assert not rig.loop.stop(0.01)
     gate.opened.set()
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
 
 
 def test_a_recording_loses_nothing_however_slowly_it_is_taken(tmp_path: Path) -> None:
@@ -171,7 +172,7 @@ def test_a_recording_loses_nothing_however_slowly_it_is_taken(tmp_path: Path) ->
     rig = Rig(FolderCamera(tmp_path))
     rig.loop.start()
     taken = []
-    while (frame := rig.loop.take(LONG_S)) is not None:
+    while (frame := rig.loop.take(PATIENCE_S)) is not None:
         taken.append(frame)
     assert [(f.seq, f.stamp_ns) for f in taken] == [(f.seq, f.stamp_ns) for f in written]
     assert all(np.array_equal(a.gray, b.gray) for a, b in zip(taken, written, strict=True))
@@ -179,7 +180,7 @@ def test_a_recording_loses_nothing_however_slowly_it_is_taken(tmp_path: Path) ->
     assert rig.until("finished").text.endswith("end after 25 frames")
     counters = rig.loop.counters()
     assert (counters.frames, counters.drops, counters.connected) == (25, 0, False)
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
 
 
 def test_not_finished_while_the_last_frame_waits() -> None:
@@ -189,14 +190,14 @@ def test_not_finished_while_the_last_frame_waits() -> None:
     assert not rig.loop.finished
     rig.take()
     assert rig.loop.finished
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
 
 
 def test_stop_while_a_recording_waits_to_be_taken() -> None:
     rig = Rig(MockCamera([Good(9)], live=False, wait=lambda _: None))
     rig.loop.start()
     rig.until("opened")
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
     assert not rig.loop.finished
     assert rig.loop.counters().drops == 0
 
@@ -207,12 +208,12 @@ def test_a_damaged_recording_ends_the_loop_with_its_reason(tmp_path: Path) -> No
     rig = Rig(FolderCamera(tmp_path))
     rig.loop.start()
     assert [rig.take().seq, rig.take().seq] == [0, 1]
-    assert rig.loop.take(LONG_S) is None
-    error = rig.crashes.get(timeout=LONG_S)
+    assert rig.loop.take(PATIENCE_S) is None
+    error = rig.crashes.get(timeout=PATIENCE_S)
     assert isinstance(error, FileFormatError)
     assert "line 4" in str(error)
     assert not rig.loop.finished
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
 
 
 def test_notes_of_the_camera_are_said_once_an_opening(tmp_path: Path) -> None:
@@ -223,4 +224,4 @@ def test_notes_of_the_camera_are_said_once_an_opening(tmp_path: Path) -> None:
     rig.loop.start()
     assert "stamps assume 30 frames per second" in rig.until("note").text
     assert rig.loop.info is not None
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)

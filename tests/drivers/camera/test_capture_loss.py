@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable
 
 import numpy as np
-from capture_rig import FAST, LONG_S, Gate, Rig, collect
+from capture_rig import FAST, Gate, Rig, collect
+from patience import PATIENCE_S
 
 from ceilvo import config
 from ceilvo.drivers.camera.capture import CaptureLoop
@@ -78,7 +79,7 @@ def run_with_recorded_waits(script: list[Step], last: int) -> list[float]:
     stopping = RecordingEvent(last)
     loop._stopping = stopping
     loop.start()
-    loop._thread.join(LONG_S)
+    loop._thread.join(PATIENCE_S)
     assert not loop._thread.is_alive()
     return stopping.waits
 
@@ -100,7 +101,7 @@ def test_stop_does_not_wait_for_the_next_attempt(gate: Gate) -> None:
     rig = Rig(MockCamera([Loss(failed_opens=9)], wait=gate), config.Camera(reopen_min_s=3600.0, reopen_max_s=3600.0))
     rig.loop.start()
     rig.until("lost")
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
 
 
 def test_another_size_after_replugging_is_refused_until_the_right_one_is_back(
@@ -139,7 +140,7 @@ def test_numbers_increase_even_when_the_camera_starts_again_at_zero() -> None:
     frames = collect(rig, gate, 5)
     assert [f.seq for f in frames] == [0, 1, 2, 3, 4]
     gate.opened.set()
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)
 
 
 def test_settings_with_a_longest_wait_below_the_first_are_survived() -> None:
@@ -147,4 +148,4 @@ def test_settings_with_a_longest_wait_below_the_first_are_survived() -> None:
     rig = Rig(MockCamera([Loss(failed_opens=4)], wait=lambda _: None), settings)
     rig.loop.start()
     rig.take()
-    assert rig.loop.stop(LONG_S)
+    assert rig.loop.stop(PATIENCE_S)

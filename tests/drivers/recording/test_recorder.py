@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import errno
 import threading
-from collections.abc import Callable
 
 import pytest
+from patience import PATIENCE_S, until
 from recording_messages import S, text
 
 from ceilvo.drivers.recording.mcap_file import INPUT, Message
@@ -24,7 +24,7 @@ class Blocked:
 
     def write(self, message: Message) -> None:
         self.entered.set()
-        assert self.go.wait(30.0)
+        assert self.go.wait(PATIENCE_S)
         self.written.append(message.number)
 
     def begin(self, now_ns: int) -> None: ...
@@ -42,7 +42,7 @@ def test_a_disk_that_hangs_holds_nobody_up_and_drops_are_counted() -> None:
     recorder = Recorder(storage, lambda: 0)
     recorder.start()
     recorder.put(text(0, {}, 0))
-    assert storage.entered.wait(30.0)
+    assert storage.entered.wait(PATIENCE_S)
     for i in range(1, 200):
         recorder.put(text(0, {}, i), size=QUEUE_BYTES // 100)
     waiting = recorder.counters()
@@ -74,27 +74,18 @@ def test_a_full_disk_stops_the_recorder_and_nothing_else(retries: bool) -> None:
     recorder.start()
     for i in range(5):
         recorder.put(text(0, {}, i))
-    assert told.acquire(timeout=30.0)
+    assert told.acquire(timeout=PATIENCE_S)
     assert reasons == ["No space left on device (flight.mcap)"]
     recorder.put(text(0, {}, 9))
     stopped = recorder.counters()
     assert stopped.stopped == reasons[0] and stopped.dropped >= 1
     storage.full = False
     now_ns[0] = 31 * S
-    _wait(lambda: not recorder.counters().stopped or not retries)
+    until(lambda: not recorder.counters().stopped or not retries)
     recorder.put(text(0, {}, 10))
     assert recorder.stop()
     assert storage.written == ([0, 1, 10] if retries else [0, 1])
     assert recorder.counters().messages + recorder.counters().dropped == 7
-
-
-def _wait(done: Callable[[], bool]) -> None:
-    pause = threading.Event()
-    for _ in range(3000):
-        if done():
-            return
-        pause.wait(0.01)
-    raise AssertionError("it did not come")
 
 
 def test_a_mistake_in_the_recorder_is_told_and_stays_there(caplog: pytest.LogCaptureFixture) -> None:
@@ -112,7 +103,7 @@ def test_a_mistake_in_the_recorder_is_told_and_stays_there(caplog: pytest.LogCap
 
     storage.write = Encoding().write  # type: ignore[method-assign]
     recorder.put(Message(INPUT, 0, wrong))
-    assert told.wait(30.0)
+    assert told.wait(PATIENCE_S)
     recorder.put(text(0, {}))
     assert recorder.counters().stopped == "ValueError: cannot be encoded"
     assert "cannot be encoded" in caplog.text
@@ -128,6 +119,6 @@ def test_a_recorder_outlives_a_storage_that_cannot_even_be_closed(caplog: pytest
     recorder.start()
     for i in range(5):
         recorder.put(text(0, {}, i))
-    assert told.wait(30.0)
+    assert told.wait(PATIENCE_S)
     assert recorder.stop()
     assert "could not be closed" in caplog.text
