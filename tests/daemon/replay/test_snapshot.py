@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -185,7 +185,8 @@ def test_a_value_keeps_its_bits() -> None:
     again = read_value(value_json(odd), Motion)
     assert again.prev_from_curr.tobytes() == odd.prev_from_curr.tobytes()
     assert again.cov.flags.f_contiguous and np.array_equal(again.cov, odd.cov)
-    assert replace(again, prev_from_curr=odd.prev_from_curr, cov=odd.cov) == odd
+    rest = [f.name for f in fields(Motion) if f.name not in ("prev_from_curr", "cov")]
+    assert [getattr(again, name) for name in rest] == [getattr(odd, name) for name in rest]
     assert read_value(value_json(None), Motion) is None
     with pytest.raises(SnapshotError):
         read_value(value_json(odd), Crossings)
