@@ -20,8 +20,8 @@ from ceilvo.config import Config
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
 
-ROOMS_M = (5.0, 7.0)
-_LEG_S = 1800.0
+ROOMS_M = (5.0, 7.0)  # sides of the rooms in turn; chosen, docs/faults.md gives its figures for these two
+_LEG_S = 1800.0  # one room's drive; chosen: an hour has at least two rooms and two maps from nothing
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -19,9 +19,9 @@ from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Array, Crossings
 
-RATE_HZ = 10.0
-TAKES = 3
-_WARM_FRAMES = 5
+RATE_HZ = 10.0  # of the camera; chosen: a third of the usual 30 Hz, so that hours pass quickly
+TAKES = 3  # laps with noise of their own; chosen, every one is rendered, which is what costs time
+_WARM_FRAMES = 5  # before each take, not used: edge tracking settles in them; chosen
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,11 @@ WRONG_M = 0.3
 """A pose further off is wrong."""
 _HELP_AFTER_S = 60.0
 """An operator puts a robot right that has been wrong or searching for as long."""
-_MEAN_BETWEEN_S = 30.0
-_PERIOD_NS = round(1e9 / RATE_HZ)
-_COAST = 1
-_RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
-_SAVED_EVERY_S = 10.0
-_NEWS = 8
+_MEAN_BETWEEN_S = 30.0  # of the exponential pause after a fault, 5 s more at least; chosen: about one each half minute
+_PERIOD_NS = round(1e9 / RATE_HZ)  # derived
+_RESTART_SIGMA = np.array([0.05, 0.05, 0.05])  # m, m, rad, added to a stored pose: as daemon/app/estimator.py
+_SAVED_EVERY_S = 10.0  # as service.state_period_s
+_NEWS = 8  # faults and changes of state kept for a report; chosen: what led to a wrong pose, in one line
 
 
 @dataclass

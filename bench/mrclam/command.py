@@ -35,7 +35,7 @@ DATASET = "mrclam/MRCLAM_Dataset6"
 TASKS = ("localise", "slam", "start", "kidnap")
 RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "pfcf")
 SCORE_FILTER = "ukf_gated"
-_WIDTH = 160
+_WIDTH = 160  # characters of a table that goes to a file; chosen: the widest fits
 
 
 @dataclass(frozen=True)

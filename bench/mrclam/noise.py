@@ -13,17 +13,20 @@ from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.se2 import between, wrap_array
 from ceilvo.types import Array
 
-BINS = 12
+BINS = 12  # of distance, with as many observations each; chosen: a line through them has two coefficients
 WINDOW_S = 1.0
 """Odometry is compared with the truth over windows of this length."""
-NEAR_M = 0.3
+NEAR_M = 0.3  # m; chosen: nearer than this the bearing's sigma grows no more, 1 / r has no bound
 SIGMA_FACTORS = (1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
-ODOMETRY_FACTORS = (2.0, 4.0, 8.0, 16.0)
-_MIN_WINDOWS = 20
+"""Chosen grid, from little to far too much; the winner is fitted, see inflated()."""
+ODOMETRY_FACTORS = (2.0, 4.0, 8.0, 16.0)  # of variances; chosen grid, likewise
+_MIN_WINDOWS = 20  # chosen: below it three rates cannot be told from chance; a run has hundreds
 LATENCIES_S = np.arange(-10, 16) * 0.01
+"""Chosen grid: -0.10 to 0.15 s in steps of 10 ms; the winner is fitted, see bias_of()."""
 TRIM = 0.97
 """Share of the smallest bearing errors by which latencies are compared."""
 CLIP_SIGMAS, CLIP_ROUNDS = 3.0, 8
+"""Robust sigmas, usual for outliers; rounds: chosen, enough for the kept set to settle."""
 
 
 @dataclass(frozen=True)

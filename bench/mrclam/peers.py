@@ -20,7 +20,7 @@ from ceilvo.bench.mrclam.run import START_SIGMA, Event, scored
 from ceilvo.se2 import compose, wrap, wrap_array
 from ceilvo.types import Array
 
-GATE = 9.0
+GATE = 9.0  # squared Mahalanobis distance: 3 sigma squared, 98.9 % of chi-square with two degrees of freedom
 FLOOR = 0.02
 """Share of outliers in the particle filter's likelihood, spread over 4 m and half a turn, as ours."""
 Path = list[tuple[Event, Array, Array, float]]

@@ -26,16 +26,16 @@ from ceilvo.types import Array, Displacement, Ints, Landmarks, Motion, Observati
 
 GRID_S = 0.5
 """Between observations the filters predict this often."""
-START_SIGMA = np.array([0.01, 0.01, 0.01])
-FOUND_M = 0.5
+START_SIGMA = np.array([0.01, 0.01, 0.01])  # m, m, rad; chosen: the start is the truth, which a motion capture gives
+FOUND_M = 0.5  # m, docs/experiments.md (Recorded robots)
 FOUND_FOR_S = 10.0
 """A pose is found when the error stays below FOUND_M for this long, counted from its beginning."""
-WATCH_S = 60.0
-SETTLE_S = 30.0
-JUMP_S = 60.0
+WATCH_S = 60.0  # given for finding the pose; docs/experiments.md
+SETTLE_S = 30.0  # driven before a jump; chosen: half of WATCH_S, for the filter to converge
+JUMP_S = 60.0  # cut out of a run; docs/experiments.md
 JUMP_MIN_M = 1.0
 """A jump over which the robot moved less than this is no kidnap, and is not tried."""
-AGREES_SIGMAS = 3.0
+AGREES_SIGMAS = 3.0  # of a range; docs/experiments.md (Observations)
 FILTERS = ("ukf", "ukf_gated", "pf", "pfcf_paper", "pfcf")
 
 

@@ -44,8 +44,9 @@ from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 
 PARTICLES = (20, 50, 100, 200, 500)
+"""Numbers of particles on the axes of figures 6 to 9; chosen, the paper's text names none."""
 FILES = ("paper/world.py", "paper/filters.py", "paper/ekf.py", "paper/run.py")
-_WIDTH = 200
+_WIDTH = 200  # characters of a table that goes to a file; chosen: the widest fits
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ PLANS = {
     "kidnap": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "pfcf", "ekf_nn"), (200,), 40),
     "global": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "pfcf"), (500,), 60),
 }
+"""Particles and most seeds are chosen for the time of a run; the bars of tables.py count of 40 and 60 seeds."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,8 +31,8 @@ AGAINST_N = (
     ("fig8_feature_maximum", "feature_max_m", "maximum feature error (m)"),
     ("fig9_position_maximum", "position_max_m", "maximum position error (m)"),
 )
-RUN_PARTICLES = 100
-_ELLIPSE_CHI2 = 5.991
+RUN_PARTICLES = 100  # in figures 3 to 5; chosen, the middle of PARTICLES
+_ELLIPSE_CHI2 = 5.991  # 95 % of chi-square with two degrees of freedom
 
 Results = Mapping[Cell, Mapping[str, Any]]
 

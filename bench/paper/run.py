@@ -40,10 +40,10 @@ START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
 """m, m, rad: the start is known."""
 LOST_M = 0.25
 """Farther off than this is another pose."""
-KIDNAP_STEP = 50
+KIDNAP_STEP = 50  # 10 s after the start; chosen: the filter has settled by then
 WATCH_STEPS = 100
 """20 s after a kidnap, and of a global start."""
-LAPS = 3
+LAPS = 3  # of laps3; chosen: enough to see whether errors grow from lap to lap
 KEEP_EVERY = 9
 """Every ninth NEES is kept for medians over all runs: neighbours are much alike."""
 EXPERIMENTS = ("lap", "laps3", "grid", "kidnap", "global")

@@ -12,20 +12,21 @@ import numpy as np
 from ceilvo.se2 import compose, inverse, transform, wrap_array
 from ceilvo.types import Array, Ints
 
-ROOM_M = 5.0
+ROOM_M = 5.0  # side; the paper, section 3
 INSET_M = 0.45
 """Distance of the lap from the walls."""
-LAP_STEPS = 225
-SPEED_M_S = 0.35
-DT_S = 0.2
-VIEW_M = 1.6
-FEATURES_PER_SIDE = 4
-FEATURE_MARGIN_M = 0.8
-FEATURE_JITTER_M = 0.3
-TILE_M = 0.6
+LAP_STEPS = 225  # docs/experiments.md; the paper says only that the robot runs around along the walls
+SPEED_M_S = 0.35  # docs/experiments.md; not in the paper
+DT_S = 0.2  # docs/experiments.md; not in the paper
+VIEW_M = 1.6  # features farther away are not seen; docs/experiments.md, not in the paper
+FEATURES_PER_SIDE = 4  # 16 in all; docs/experiments.md
+FEATURE_MARGIN_M = 0.8  # from the walls; chosen, the paper does not say where features lie
+FEATURE_JITTER_M = 0.3  # either way, uniform; chosen, likewise: features do not lie on a grid
+TILE_M = 0.6  # docs/experiments.md: the usual tile of an office ceiling
 LAMP_FRACTION, VENT_FRACTION = 0.12, 0.05
-KIND_CROSSING, KIND_LAMP, KIND_VENT = 0, 1, 2
-KIDNAP_M = 0.4
+"""Of the tiles; chosen: few of each, so that most of a view is plain crossings."""
+KIND_CROSSING, KIND_LAMP, KIND_VENT = 0, 1, 2  # codes of this bench
+KIDNAP_M = 0.4  # docs/experiments.md: more than half a tile, less than one
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ SETTINGS = {
     "S0": replace(P, name="S0", slip_per_m=0.0, outlier_share=0.0, assumed=1.0),
     "S1": replace(P, name="S1", slip_per_m=0.30, outlier_share=0.03),
 }
+"""The settings of docs/experiments.md; S1's slip rate was set by looking at `pf` and `ukf_gated` alone."""
 
 
 @dataclass(frozen=True)

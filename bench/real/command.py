@@ -48,10 +48,12 @@ from ceilvo.types import Array, Crossings, Frame, Lines
 CEILING_M = 2.515
 """8.25 ft: the unit of the reference's u and v."""
 _NOMINAL = NoiseCurves((0.05,), (0.05,), sigma_theta_rad=0.02, r_min_m=0.0, r_max_m=6.0)
-_MATCH_NS = 10_000_000
+"""m, m, rad; chosen: nobody measured the noise of these cameras."""
+_MATCH_NS = 10_000_000  # 10 ms; chosen: less than half a period at the nominal 30 fps
 LAMP_PITCH_M = (3.048, 3.6576)
 """Lamps hang 10 and 12 ft apart (the recording's SOURCE.txt). Nobody tells ceilvo; the other tracker is built on it."""
 LAMP_BARS = {"distance_median_m": 0.15, "distance_max_m": 0.4, "heading_max_deg": 2.0, "step_median_m": 0.012}
+"""Bars of docs/bench.md (Recorded lamps): chosen, about twice what was found there."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,13 +17,13 @@ from ceilvo.calibration import Calibration
 from ceilvo.daemon.vision.crossings import to_ceiling
 from ceilvo.types import Array
 
-_BRIGHT = 127
-_FEWEST_PX = 25
-_BORDER_PX = 4
-_FARTHEST_M = 3.2
-_AREA_RATIO = 1.35
-_SMALLEST_M2 = 1e-4
-_SAME_LAMP_M = 0.4
+_BRIGHT = 127  # grey level; half of 255, as the frames hold 0 and 255 alone (SOURCE.txt)
+_FEWEST_PX = 25  # of an outline; chosen: smaller spots are specks
+_BORDER_PX = 4  # chosen: a lamp that comes nearer may be cut off
+_FARTHEST_M = 3.2  # from the base; chosen: beyond it a fisheye shows a lamp too flat for a centre
+_AREA_RATIO = 1.35  # to the median lamp, either way; chosen: two lamps in one, or half a one, are out
+_SMALLEST_M2 = 1e-4  # chosen: a square centimetre, guards the division by the area
+_SAME_LAMP_M = 0.4  # in two frames; chosen: far below the 3 m from one lamp to the next
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,9 @@ from ceilvo.files import write_atomic
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.world import World, WorldSpec
 
-_TICK_S = 0.05
-_USAGE_PERIOD_S = 5.0
-_START_S = 6.0
+_TICK_S = 0.05  # chosen: as long as a frame at 20 Hz
+_USAGE_PERIOD_S = 5.0  # between two looks at /proc; chosen: 720 an hour, for the slope of memory
+_START_S = 6.0  # until the world moves; chosen: the daemon is up by then
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

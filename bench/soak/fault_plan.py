@@ -43,6 +43,7 @@ FAULTS = (
     Fault("stopped", "process", 1.0),
     Fault("reboot", "base", 0.1),
 )
+"""s; chosen: longer than camera.read_timeout_s (1 s), and for a stopped process less than the watchdog (4 s)."""
 
 
 @dataclass(frozen=True, slots=True)

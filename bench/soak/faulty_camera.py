@@ -12,10 +12,10 @@ from ceilvo.drivers.ports import Camera, CameraInfo
 from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
 
-READ_TIMEOUT_S = 1.0
-_LOOK_S = 0.02
-_JUMP_NS = 40_000_000
-_BACK_NS = 1_000_000_000
+READ_TIMEOUT_S = 1.0  # as camera.read_timeout_s
+_LOOK_S = 0.02  # between two looks at the plan; chosen: less than a frame at 20 Hz
+_JUMP_NS = 40_000_000  # 40 ms ahead; chosen: below the 50 ms that are taken (docs/faults.md)
+_BACK_NS = 1_000_000_000  # 1 s; chosen: far older than the last frame
 
 
 class FaultyCamera:

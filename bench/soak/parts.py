@@ -23,7 +23,7 @@ from ceilvo.sim.base import SimBase
 from ceilvo.types import State
 
 STEM = "ceilvo/robot1"
-_FLOOD_TIMEOUT_S = 1.0
+_FLOOD_TIMEOUT_S = 1.0  # of one request; chosen: a flood ends this much late at most
 
 
 def free_port() -> int:

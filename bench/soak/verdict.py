@@ -15,13 +15,13 @@ from ceilvo.drivers.base.link import GOOD
 from ceilvo.sim.world import World
 from ceilvo.types import State
 
-WARM_UP_S = 600.0
-GROWTH_BAR_BYTES = 1e6
-RECOVERY_BAR_S = 2.0
-WRONG_M = 0.3
-STALL_BAR_S = 0.2
+WARM_UP_S = 600.0  # docs/faults.md (memory: after 10 min)
+GROWTH_BAR_BYTES = 1e6  # the bar of docs/faults.md, from first to last tenth
+RECOVERY_BAR_S = 2.0  # a bar, chosen; docs/faults.md has what was found
+WRONG_M = 0.3  # the bar of docs/faults.md, half a tile
+STALL_BAR_S = 0.2  # after the first missing frame; the bar of docs/faults.md
 _BLIND = ("unplugged", "stalled", "frozen picture", "black picture", "white picture", "corrupt frames")
-_NS = 1e-9
+_NS = 1e-9  # s in a nanosecond
 
 Floats = NDArray[np.float64]
 

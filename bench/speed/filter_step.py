@@ -34,18 +34,20 @@ from ceilvo.types import Array, Displacement, Landmarks, Motion, Observations
 
 METHODS = ("pf", "pfcf_paper", "pfcf", "ukf")
 PARTICLES = (20, 50, 100, 200, 500, 1000, 3000, 10_000, 30_000, 100_000)
-IN_VIEW = (1, 2, 4, 6, 10, 20, 40)
-MAPS = (100, 300, 1000, 3000, 10_000, 30_000)
+"""Axis of a table; chosen, from those of bench/paper to where time is linear in N."""
+IN_VIEW = (1, 2, 4, 6, 10, 20, 40)  # landmarks, axis; chosen, around the 6 of REFERENCE
+MAPS = (100, 300, 1000, 3000, 10_000, 30_000)  # landmarks, axis; chosen, from a room to a large building
 REFERENCE = {"particles": 200, "landmarks": 16, "in_view": 6}
-SIGMA_M = 0.03
-REPEATS = 5
-BATCH_S = 0.05
-_WARM_STEPS = 100
-_MOST_CALLS = 2000
-OWN_MAPS_TO = 300
+"""The point that the bars are held at; 16 landmarks as in bench/paper."""
+SIGMA_M = 0.03  # of an observation; chosen: the time is asked here, not the error
+REPEATS = 5  # batches; chosen: a median of them passes over two that were disturbed
+BATCH_S = 0.05  # processor time; docs/experiments.md (Speed)
+_WARM_STEPS = 100  # at most; chosen: caches are warm, and the size of a batch is known
+_MOST_CALLS = 2000  # in a batch; chosen: steps below 25 us make a shorter one
+OWN_MAPS_TO = 300  # landmarks; chosen: the joint covariance of a map in the making grows with their square
 QUADRATIC, QUADRATIC_TO = "pfcf_paper", 3000
 """Its search for nearest ancestors compares all with all; beyond this it is not run."""
-_WIDTH = 140
+_WIDTH = 140  # characters of a table that goes to a file; chosen: the widest fits
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

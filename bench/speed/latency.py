@@ -22,9 +22,9 @@ from ceilvo.config import Base
 from ceilvo.config.serial_budget import wire_budget
 from ceilvo.files import write_atomic
 
-RATE_HZ = 30.0
-_SETTLED_S = 5.0
-_NS = 1e-9
+RATE_HZ = 30.0  # of camera and base; docs/faults.md (bench-latency), the usual rate of a USB camera
+_SETTLED_S = 5.0  # from the start of the world, not counted; chosen: the map has begun
+_NS = 1e-9  # s in a nanosecond
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

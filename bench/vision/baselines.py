@@ -18,9 +18,9 @@ from ceilvo.daemon.vision.crossings import to_ceiling
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
-_POINTS = 200
-_FEWEST = 150
-_RANSAC_M = 0.01
+_POINTS = 200  # tracked at most; docs/bench.md (KLT)
+_FEWEST = 150  # chosen: three quarters of _POINTS left, then new ones are looked for
+_RANSAC_M = 0.01  # on the ceiling; chosen: about 2 px at the simulator's height
 
 
 class Baseline(Protocol):

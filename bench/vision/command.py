@@ -27,9 +27,9 @@ from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 
-QUICK_S = 6.0
-_REPORT_EVERY = 15
-_TABLE_WIDTH = 232
+QUICK_S = 6.0  # docs/bench.md (QUICK=1)
+_REPORT_EVERY = 15  # frames; chosen: twice a second of world time at 30 Hz
+_TABLE_WIDTH = 232  # characters of a table that goes to a file; chosen: all columns fit
 COLUMNS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("recall %\nall grid", (("recall_pct", ".1f"), ("recall_grid_pct", ".1f"))),
     ("precis.\n%", (("precision_pct", ".2f"),)),

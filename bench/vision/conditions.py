@@ -18,12 +18,14 @@ from ceilvo.sim.world import World, WorldSpec
 
 LAP = LapSpec(room_m=6.94, inset_m=1.0)  # 19.0 m
 USUAL = RenderSpec()
-TWO_DEG = TiltSpec(float(np.radians(2.0)))
+TWO_DEG = TiltSpec(float(np.radians(2.0)))  # rad; docs/simulation.md: tilt of up to 2 deg
 T_BAR = CeilingSpec(groove_m=0.024, lip_m=0.0, groove_albedo=0.95)
-FAINT = CeilingSpec(groove_albedo=0.66, lip_albedo=0.78)
+"""24 mm, the usual width of an exposed T-bar; brightness chosen."""
+FAINT = CeilingSpec(groove_albedo=0.66, lip_albedo=0.78)  # chosen: 13 % darker than a tile's 0.76
 BARE = CeilingSpec(joints=False, vents=0, spots=0, stains=3, tile_spread=0.0)
+"""Chosen: nothing but lamps and a few stains."""
 FULL = ("features.full_every=1",)
-MOUNT_XY_M = (0.05, -0.03)
+MOUNT_XY_M = (0.05, -0.03)  # chosen: off the centre, so that turning moves the camera
 
 
 @dataclass(frozen=True)
@@ -252,3 +254,4 @@ def _overhang() -> SurroundingsSpec:
 _DIM = replace(USUAL, lit=())
 OVERHANG = _overhang()
 ON_ROBOT = SurroundingsSpec(slabs=(Slab((MOUNT_XY_M[0], 0.17), (0.9, 0.19), 0.0, 0.5, 0.1, "base"),))
+"""m, rad; chosen: the plate hides 25 % of the view (occluded-fixed)."""

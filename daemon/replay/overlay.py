@@ -34,17 +34,17 @@ _GRID: Colour = (62, 56, 52)
 # sizes in pixels of the picture before it is enlarged, all chosen by eye at 640x480
 _DIMMED = 0.7  # of the frame's brightness, so that what is drawn stands out
 _DISC_PX, _POLYGON_PX = 3.5, 4.5  # radii of crossings
-_SHORTEST_ARROW_PX = 1.5
+_SHORTEST_ARROW_PX = 1.5  # a shorter motion is not drawn
 _HEAD_PX, _HEAD_PER_THICKNESS, _LONGEST_HEAD, _HEAD_SLOPE = 2.0, 2.5, 0.6, 0.55  # fraction of the arrow; half width
 _DIRECTION_PX = 60.0  # arrows of the dominant directions
 _FONT_SIZE = 0.42  # of cv2's Hershey font: 9 px
-_LANDMARK_PX, _TRUTH_PX, _PARTICLE_PX, _HEADING_PX = 2.0, 7.0, 1.3, 7.0
+_LANDMARK_PX, _TRUTH_PX, _PARTICLE_PX, _HEADING_PX = 2.0, 7.0, 1.3, 7.0  # radii, and the length of a heading
 _FAINTEST = 0.35  # of a particle's colour, for those of no weight
-_ROBOT_PX = np.array([[11.0, 0.0], [-7.0, 6.5], [-3.5, 0.0], [-7.0, -6.5], [11.0, 0.0]])
-_MOST_GRID_LINES = 12.0
-_FINEST_GRID_M = 1e-2
-_PANEL_MARGIN_M = 0.3
-_ELLIPSE_SIGMAS, _ELLIPSE_POINTS = 2.0, 25
+_ROBOT_PX = np.array([[11.0, 0.0], [-7.0, 6.5], [-3.5, 0.0], [-7.0, -6.5], [11.0, 0.0]])  # an arrow head
+_MOST_GRID_LINES = 12.0  # across the panel; more would hide what is drawn
+_FINEST_GRID_M = 1e-2  # finer lines are finer than what is shown
+_PANEL_MARGIN_M = 0.3  # around path and landmarks
+_ELLIPSE_SIGMAS, _ELLIPSE_POINTS = 2.0, 25  # about 86 % of a Gaussian in the plane
 
 _STEP_PX = 4.0
 """Between points of a line that is drawn as a curve; chosen: lenses bend lines by less than a pixel over it."""

@@ -35,6 +35,7 @@ _EXCEPTIONS = {
     4: "device failure; see the base's own diagnosis",
     6: "busy; lower base.rate_hz",
 }
+"""Exception codes of the same, section 7, and what to do about each."""
 
 
 def port_parity(port: str, parity: str) -> str:

@@ -30,14 +30,14 @@ SPEED_UNIT_MPS = 1e-3
 TURN_UNIT_RADPS = 1e-3
 """Of omega."""
 
-UINT16_MAX = 0xFFFF
-INT16_MAX = 0x7FFF
+UINT16_MAX = 0xFFFF  # registers have 16 bits, docs/base-protocol.md
+INT16_MAX = 0x7FFF  # the same, with sign
 INT32_MAX = 0x7FFFFFFF
 """Largest values of the registers' types."""
 
-STATUS_MOTORS_ON = 1 << 0
-STATUS_E_STOP = 1 << 1
-STATUS_FAULT = 1 << 2
+STATUS_MOTORS_ON = 1 << 0  # docs/base-protocol.md, as the three below
+STATUS_E_STOP = 1 << 1  # as above
+STATUS_FAULT = 1 << 2  # as above
 STATUS_HEARTBEAT_LOST = 1 << 3
 """Bits of the status word."""
 

@@ -24,11 +24,12 @@ PROBE_FRAMES = 5
 
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 _BUFFERS = 4  # OpenCV's own default, so no extra stream reset; the capture loop keeps the queue empty
-_BYTES_PER_PIXEL = {"GREY": 1, "YUYV": 2}
+_BYTES_PER_PIXEL = {"GREY": 1, "YUYV": 2}  # linux/videodev2.h; two pixels of YUYV share four bytes
 _AUTO_EXPOSURE_MANUAL = 1  # V4L2_EXPOSURE_MANUAL
 _AUTO_EXPOSURE_AUTO = (3, 0)  # V4L2_EXPOSURE_APERTURE_PRIORITY (USB cameras), V4L2_EXPOSURE_AUTO
 _EXPOSURE_UNIT_US = 100.0  # V4L2_CID_EXPOSURE_ABSOLUTE
 _EXPOSURE_TOLERANCE = 0.1
+"""Share of the time asked for; chosen: devices round to steps of their own, more is another exposure."""
 
 _RATE_TOLERANCE = 0.01
 """Of the rate asked for, within which a device's answer is the same: 29.97 Hz is 30."""

@@ -22,11 +22,11 @@ _FORMAT = struct.Struct("III32s4sI12x")
 _SIZE = struct.Struct("I4sI6I8x")
 _INTERVAL = struct.Struct("I4sIII6I8x")
 _CONTROL = struct.Struct("II32siiiiI8x")
-_READ, _READ_WRITE = 2, 3
-_CAPTURE, _CAPTURE_MPLANE, _DEVICE_CAPS = 0x1, 0x1000, 0x80000000
-_BUFFER_CAPTURE = 1
-_DISCRETE = 1
-_DISABLED, _READ_ONLY = 0x1, 0x4
+_READ, _READ_WRITE = 2, 3  # _IOC_READ, and with _IOC_WRITE, of asm-generic/ioctl.h
+_CAPTURE, _CAPTURE_MPLANE, _DEVICE_CAPS = 0x1, 0x1000, 0x80000000  # V4L2_CAP_*
+_BUFFER_CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+_DISCRETE = 1  # V4L2_FRMSIZE_TYPE_, V4L2_FRMIVAL_TYPE_DISCRETE
+_DISABLED, _READ_ONLY = 0x1, 0x4  # V4L2_CTRL_FLAG_*
 _MOST = 256
 """Answers of an enumeration, so that a driver that never says the end is left."""
 
@@ -37,11 +37,11 @@ def _code(direction: int, number: int, layout: struct.Struct) -> int:
     return direction << 30 | layout.size << 16 | ord("V") << 8 | number
 
 
-QUERYCAP = _code(_READ, 0, _CAPABILITY)
-ENUM_FMT = _code(_READ_WRITE, 2, _FORMAT)
-QUERYCTRL = _code(_READ_WRITE, 36, _CONTROL)
-ENUM_FRAMESIZES = _code(_READ_WRITE, 74, _SIZE)
-ENUM_FRAMEINTERVALS = _code(_READ_WRITE, 75, _INTERVAL)
+QUERYCAP = _code(_READ, 0, _CAPABILITY)  # VIDIOC_QUERYCAP
+ENUM_FMT = _code(_READ_WRITE, 2, _FORMAT)  # VIDIOC_ENUM_FMT
+QUERYCTRL = _code(_READ_WRITE, 36, _CONTROL)  # VIDIOC_QUERYCTRL
+ENUM_FRAMESIZES = _code(_READ_WRITE, 74, _SIZE)  # VIDIOC_ENUM_FRAMESIZES
+ENUM_FRAMEINTERVALS = _code(_READ_WRITE, 75, _INTERVAL)  # VIDIOC_ENUM_FRAMEINTERVALS
 
 
 @dataclass(frozen=True, slots=True)

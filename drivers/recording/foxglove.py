@@ -34,12 +34,14 @@ _RAW: Sequence[Field] = (
     ("data", 6, _TYPE_BYTES, ""),
     ("frame_id", 7, _TYPE_STRING, ""),
 )
+"""Field numbers of foxglove.RawImage."""
 _COMPRESSED: Sequence[Field] = (
     ("timestamp", 1, _TYPE_MESSAGE, _TIME),
     ("data", 2, _TYPE_BYTES, ""),
     ("format", 3, _TYPE_STRING, ""),
     ("frame_id", 4, _TYPE_STRING, ""),
 )
+"""Field numbers of foxglove.CompressedImage."""
 
 
 def raw_image(unix_ns: int, gray: NDArray[np.uint8], frame_id: str) -> bytes:

@@ -23,7 +23,7 @@ _GRACE_S = 2.0
 _SEGMENTS = 8
 """Of the ring; the oldest one is deleted as a whole."""
 _MIN_SEGMENT_S = 5.0  # a new one starts with the whole state of the pipeline, which may be megabytes
-_MAX_SEGMENT_S = 60.0
+_MAX_SEGMENT_S = 60.0  # chosen: of a long ring, too, the oldest goes minute by minute
 _MAX_AFTER = 6
 """Times the usual time after a fault that faults in a row may prolong one file."""
 _ROOM_CHECK_S = 1.0
