@@ -17,6 +17,7 @@ import pytest
 from ceilvo.drivers.host.systemd_notify import STATUS_MAX_CHARS, Notifier
 
 REPO = Path(__file__).resolve().parents[2]
+Done = subprocess.CompletedProcess[str]
 UNIT = REPO / "systemd" / "ceilvod.service"
 INSTALL = REPO / "systemd" / "install.sh"
 
@@ -213,8 +214,28 @@ def kit(tmp_path: Path) -> Path:
     return kit
 
 
-def run_installer(kit: Path, root: Path, *args: str) -> subprocess.CompletedProcess[str]:
-    command = ["bash", str(kit / "install.sh"), "--root", str(root), "--python", sys.executable, *args]
+PYTHON = """#!/bin/bash
+# A Python whose `-I -m venv ... FOLDER` is made once and then copied: pip is unpacked and compiled only once.
+made={template}
+for folder; do :; done
+if [ "$2 $3" != "-m venv" ]; then exec {python} "$@"; fi
+if [ ! -e "$made" ]; then {python} "$@" && cp -a "$folder" "$made" && echo "$folder" >"$made.path"; exit; fi
+cp -a "$made" "$folder"
+grep -rlIZ --fixed-strings "$(cat "$made.path")" "$folder/bin" "$folder/pyvenv.cfg" |
+  xargs -0r sed -i "s|$(cat "$made.path")|$folder|g"
+"""
+
+
+@pytest.fixture(scope="session")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("python")
+    (folder / "python3").write_text(PYTHON.format(template=folder / "venv", python=sys.executable))
+    (folder / "python3").chmod(0o755)
+    return folder / "python3"
+
+
+def run_installer(kit: Path, root: Path, *args: str, python: Path | str = sys.executable) -> Done:
+    command = ["bash", str(kit / "install.sh"), "--root", str(root), "--python", str(python), *args]
     return subprocess.run(command, capture_output=True, text=True)
 
 
@@ -235,11 +256,13 @@ def files(root: Path) -> set[str]:
 
 
 @as_root
-def test_install_twice_is_install_once_and_uninstall_keeps_only_what_is_the_robots(kit: Path, tmp_path: Path) -> None:
+def test_install_twice_is_install_once_and_uninstall_keeps_only_what_is_the_robots(
+    kit: Path, tmp_path: Path, python: Path
+) -> None:
     root = tmp_path / "root"
     root.mkdir()
     options = ("--wheel", str(kit / "ceilvo-9.9.9-py3-none-any.whl"), "--no-deps")
-    first = run_installer(kit, root, *options)
+    first = run_installer(kit, root, *options, python=python)
     assert first.returncode == 0, first.stderr
     assert "config.yaml written" in first.stdout
     once = tree(root)
@@ -255,7 +278,7 @@ def test_install_twice_is_install_once_and_uninstall_keeps_only_what_is_the_robo
     config.write_text("robot: {name: mine}\n")
     calibration.write_text("mine\n")
     (root / "var/lib/ceilvo/state").write_text("mine\n")
-    second = run_installer(kit, root, *options)
+    second = run_installer(kit, root, *options, python=python)
     assert second.returncode == 0, second.stderr
     assert "config.yaml kept" in second.stdout
     twice = tree(root)
@@ -277,13 +300,13 @@ def test_install_twice_is_install_once_and_uninstall_keeps_only_what_is_the_robo
 
 
 @as_root
-def test_failed_upgrade_leaves_the_old_program(kit: Path, tmp_path: Path) -> None:
+def test_failed_upgrade_leaves_the_old_program(kit: Path, tmp_path: Path, python: Path) -> None:
     root = tmp_path / "root"
     (root / "opt/ceilvo/bin").mkdir(parents=True)
     (root / "opt/ceilvo/bin/ceilvod").write_text("old")
     broken = kit / "ceilvo-1.0-py3-none-any.whl"
     broken.write_bytes(b"not a wheel")
-    r = run_installer(kit, root, "--wheel", str(broken), "--no-deps")
+    r = run_installer(kit, root, "--wheel", str(broken), "--no-deps", python=python)
     assert r.returncode != 0
     assert (root / "opt/ceilvo/bin/ceilvod").read_text() == "old"
     assert not (root / "opt/ceilvo.new").exists()

@@ -312,9 +312,10 @@ def test_a_result_is_replaced_by_force_only_and_kept(
 ) -> None:
     prepare(step)
     more = ["--model", "pinhole"] if step == "intrinsics" else []
-    run(step, "--simulate", *more)
+    if step == "sigma":  # it reads what it measured before
+        run(step, "--simulate")
     file = known_lens.folder / f"{step}.json"
-    file.write_text(json.dumps({"mine": 1} | json.loads(file.read_text())))
+    file.write_text(json.dumps({"mine": 1} | (known_lens.result(step) or {})))
     before = results(known_lens.folder)
     code, _, err = run(step, "--simulate", *more)
     assert code == 78 and f"{step}.json: found the result of an earlier run" in err and "pass --force" in err

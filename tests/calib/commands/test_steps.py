@@ -19,6 +19,7 @@ from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.intrinsics import Shot, calibrate
 from ceilvo.calib.targets.board import Board, BoardFinder
 from ceilvo.calibration_file import read_calibration
+from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 from ceilvo.sim.rig import simulated_camera
 
@@ -28,10 +29,10 @@ CAMERA = simulated_camera(width_px=480, height_px=360)
 BOARD = Board()
 
 
-def draw(board: Board = BOARD, count: int = 12, blur_px: float = 0.5) -> list[Gray]:
+def draw(board: Board = BOARD, count: int = 12, camera: CameraModel = CAMERA) -> list[Gray]:
     rng = np.random.default_rng(3)
-    renderer = BoardRenderer(CAMERA, board)
-    return [renderer(p, rng, blur_px) for p in board_poses(CAMERA, board, count, rng)]
+    renderer = BoardRenderer(camera, board)
+    return [renderer(p, rng, 0.5) for p in board_poses(camera, board, count, rng)]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +91,9 @@ def test_a_board_that_is_never_seen_is_said_so(run: Run, tmp_path: Path) -> None
 
 
 def test_a_board_of_another_size_is_recognised(run: Run, tmp_path: Path) -> None:
-    code, _, err = intrinsics(run, folder(tmp_path / "i", draw(Board(columns=7, rows=5), 1)))
+    code, _, err = intrinsics(
+        run, folder(tmp_path / "i", draw(Board(columns=7, rows=5), 1, simulated_camera(width_px=240, height_px=180)))
+    )
     assert code == 78
     assert "found a board of 7 x 5 inner corners, expected 9 x 6" in err
 

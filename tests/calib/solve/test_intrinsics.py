@@ -47,8 +47,8 @@ def test_without_noise_the_lens_comes_back(camera: CameraModel) -> None:
 
 
 def test_the_model_is_chosen_by_what_it_predicts() -> None:
-    assert choose_model(shots(simulated_camera(), 2, 12), SIZE, ("pinhole", "fisheye"))[0] == "pinhole"
-    chosen, scores = choose_model(shots(LAMPS, 3, 12), SIZE, ("pinhole", "fisheye"))
+    assert choose_model(shots(simulated_camera(), 2, 9), SIZE, ("pinhole", "fisheye"))[0] == "pinhole"
+    chosen, scores = choose_model(shots(LAMPS, 3, 9), SIZE, ("pinhole", "fisheye"))
     assert chosen == "fisheye" and scores["fisheye"] < 0.1 < scores["pinhole"]
 
 
