@@ -34,7 +34,7 @@ run: $(VENV)/.installed
 	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS)) $(if $(TILT),--tilt-deg $(TILT))
 
 test: check
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
