@@ -103,7 +103,7 @@ install_app() {
   done
   # Scripts name their interpreter by its path: make it the final one.
   grep -rlIZ --fixed-strings "$new" "$new/bin" "$new/pyvenv.cfg" | xargs -0r sed -i "s|$new|$APP|g"
-  # Byte code holds the date of its source, and before Python 3.11 its sets in the order of their hashes: with a fixed
+  # Byte code holds the date of its source, and before Python 3.11, its sets in the order of their hashes: with a fixed
   # date and seed an installation is the same bytes each time. -s and not -I, which would not let the seed be given.
   find "$new/lib" -name __pycache__ -prune -exec rm -rf {} +
   find "$new/lib" -name '*.py' -exec touch -d @315532800 {} +
@@ -126,7 +126,7 @@ install_share() {
   for f in "$here/constraints.txt" "$here/../constraints.txt"; do
     if [ -f "$f" ]; then install -m644 "$f" "$1/constraints.txt"; break; fi
   done
-  "$new/bin/python" -I -m ceilvo.config.reader >"$1/config.yaml"
+  "$new/bin/python" -I -m ceilvo.config.rendering >"$1/config.yaml"
 }
 
 install_user() {

@@ -206,7 +206,7 @@ def kit(tmp_path: Path) -> Path:
     info = "ceilvo-9.9.9.dist-info"
     with zipfile.ZipFile(kit / "ceilvo-9.9.9-py3-none-any.whl", "w") as z:
         z.writestr("ceilvo/__init__.py", "def main():\n    print('stub')\n")
-        z.writestr("ceilvo/config/reader.py", "print('robot: {name: robot1}')\n")
+        z.writestr("ceilvo/config/rendering.py", "print('robot: {name: robot1}')\n")
         z.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: ceilvo\nVersion: 9.9.9\n")
         z.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
         z.writestr(f"{info}/entry_points.txt", "[console_scripts]\nceilvod = ceilvo:main\ncalib = ceilvo:main\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -111,3 +112,10 @@ CONFLICT_KEYS = (
     ": base.timeout_s: ",
     ": base.rate_hz: ",
 )
+
+
+def test_the_installer_prints_the_default_configuration_by_a_module_that_does() -> None:
+    """In the tests of the installer a stub stands for ceilvo: it would print whatever module the installer named."""
+    (module,) = re.findall(r"-m (ceilvo[\w.]+) >\"\$1/config.yaml\"", (ROOT / "systemd" / "install.sh").read_text())
+    printed = subprocess.run([sys.executable, "-I", "-m", module], capture_output=True, text=True, check=True).stdout
+    assert printed == (ROOT / "config.yaml").read_text()
