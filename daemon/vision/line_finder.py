@@ -54,10 +54,6 @@ class LineFinder:
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
 
-    def reset(self) -> None:
-        """Forget the frames so far."""
-        self.state = LineFinderState()
-
     def __call__(
         self,
         gray: NDArray[np.uint8],

@@ -117,7 +117,7 @@ def test_simulated_run_ends_by_itself_with_a_summary(tmp_path: Path) -> None:
     assert set(summary) >= SUMMARY_KEYS
     assert summary["state"] == "TRACKING", output
     assert summary["position_rms_m"] < 0.01
-    assert summary["telegrams_sent"] > 5 and summary["zenoh_samples"] > 10
+    assert summary["telegrams_sent"] > 20 and summary["zenoh_samples"] > 50
     for stage in ("edges", "lines", "crossings", "odometry", "filter", "step"):
         assert set(summary["latency_ms"][stage]) == {"median", "p99"}
 

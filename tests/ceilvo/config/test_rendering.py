@@ -12,7 +12,7 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.config import Config
@@ -83,7 +83,6 @@ configs = st.builds(Config, **{s: section_values(type(getattr(Config(), s))) for
 
 
 @given(config=configs)
-@settings(max_examples=30)
 def test_what_is_rendered_reads_back_the_same(tmp_path_factory: pytest.TempPathFactory, config: Config) -> None:
     file = tmp_path_factory.mktemp("c") / "config.yaml"
     file.write_text(render_config(config))
