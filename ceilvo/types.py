@@ -177,6 +177,8 @@ class Observations:
         heading_rad, heading_var_rad2: heading in the map from the lines' common direction and R33 of eq. 27; an
             infinite variance means that there is none.
         common_var_m2: the part of var_m2 (mean of both axes) that all features of the frame share.
+        visible_m: (V, 2) corners in base of a convex part of the ceiling, counter-clockwise, in which whatever is there
+            would be seen; (0, 2) where that is not known, and then a landmark that is not seen says nothing.
     """
 
     xy_base_m: Array
@@ -186,6 +188,7 @@ class Observations:
     heading_rad: float = 0.0
     heading_var_rad2: float = float("inf")
     common_var_m2: float = 0.0
+    visible_m: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
         return len(self.label)

@@ -12,7 +12,7 @@ import json
 import math
 import types
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -152,10 +152,13 @@ def _read(node: Any, hint: Any, like: Any) -> Any:
 
 
 def _read_dataclass(node: Any, hint: Any, like: Any) -> Any:
+    """A field that came after the state was written has its default."""
     hints = _hints(hint)
-    names = [f.name for f in fields(hint) if f.init]
-    _expect(sorted(node), set(node) == set(names), sorted(names))
-    return hint(**{name: _read(node[name], hints[name], getattr(like, name, None)) for name in names})
+    known = [f for f in fields(hint) if f.init]
+    needed = {f.name for f in known if f.default is MISSING and f.default_factory is MISSING}
+    names = {f.name for f in known}
+    _expect(sorted(node), needed <= set(node) <= names, sorted(names))
+    return hint(**{name: _read(node[name], hints[name], getattr(like, name, None)) for name in sorted(node)})
 
 
 @lru_cache(maxsize=64)
