@@ -1,0 +1,149 @@
+"""The place index: from one view to the places of a map that it can be from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.relocalisation.place_index.blocks import fine
+from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_probability
+from ceilvo.daemon.relocalisation.place_index.id_table import Slots
+from ceilvo.daemon.relocalisation.place_index.members import Members
+from ceilvo.daemon.relocalisation.place_index.refinement import refined
+from ceilvo.daemon.relocalisation.place_index.search import Search
+from ceilvo.daemon.relocalisation.place_index.type_grid import REACH_M, TypeGrid
+from ceilvo.types import Array, Ints, Landmarks, Observations
+
+MOST = 16_384
+"""Candidates that are kept; a building of 15,000 m^2 has about 7,000 lamps, half of them at the right quarter turn."""
+MARGIN = 8
+"""Cost that a candidate may have beyond the best one's, 2 for a feature without a landmark, 1 for a landmark not seen;
+chosen: four features without a landmark have a chance of 6e-6 if one in twenty is false."""
+MOVED_M = 0.02
+"""A landmark that moved by less stays where it was indexed: less than a feature's noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Places that a view can be from, the best first: what they explain less their cost.
+
+    A place costs 2 for a feature that it contradicts and 1 for a landmark missed.
+
+    Attributes:
+        pose: (M, 3) map_from_base, within a few centimetres; see PlaceIndex.refined.
+        explained: (M,) features with a landmark of their type.
+        contradicted: (M,) features without one on mapped ground; the rest is on unmapped ground and says nothing.
+        missed: (M,) landmarks that should be seen and are not; 0 where the view does not say what is visible.
+        seen: features in the view.
+        floor: every place that explains so many features was looked at; more than `seen` if none was searched.
+        complete: every place was looked at that explains at least `floor` features, and all of them that are within
+            reach of the best are listed.
+        false_alarm_probability: (M,) chance that somewhere on a map like this a wrong place explains as many features.
+    """
+
+    pose: Array
+    explained: Ints
+    contradicted: Ints
+    missed: Ints
+    seen: int
+    floor: int
+    complete: bool
+    false_alarm_probability: Array
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+
+@dataclass(slots=True)
+class PlaceIndex:
+    """Landmarks that can be looked up by what is around them; it grows and changes with its map.
+
+    Attributes:
+        grid: which types are where.
+        members: landmarks by type.
+    """
+
+    grid: TypeGrid = field(default_factory=TypeGrid)
+    members: Members = field(default_factory=Members)
+
+    @staticmethod
+    def of(landmarks: Landmarks, reach_m: float = REACH_M) -> PlaceIndex:
+        index = PlaceIndex(TypeGrid(reach_m))
+        index.add(landmarks)
+        return index
+
+    def __len__(self) -> int:
+        return len(self.grid)
+
+    @property
+    def ids(self) -> Ints:
+        """(L,) of the landmarks that are indexed, in no order."""
+        return np.asarray(self.grid.blocks.ids[self.grid.blocks.live], np.int64)
+
+    def sync(self, landmarks: Landmarks, moved_m: float = MOVED_M) -> None:
+        """Bring the index up to date with these landmarks, a part of the map: new ones, moved ones, other types."""
+        blocks = self.grid.blocks
+        slots = blocks.find(landmarks.ids)
+        known = np.flatnonzero(slots >= 0)
+        at, was = fine(landmarks.xy_map_m[known]), blocks.xy[slots[known]]
+        off = np.hypot(*(at.astype(np.int64) - was).T)
+        other = blocks.crossing_type[slots[known]] != landmarks.crossing_type[known]
+        changed = known[(off > fine(np.array(moved_m))) | other]
+        self._remove(slots[changed])
+        fresh = slots < 0
+        fresh[changed] = True
+        if np.any(fresh):
+            self.add(_part(landmarks, fresh))
+
+    def add(self, landmarks: Landmarks) -> None:
+        """Landmarks with ids that are not there yet, each once."""
+        slots = self.grid.add(landmarks)
+        self.members.add(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
+
+    def remove(self, ids: Ints) -> None:
+        """Take landmarks out by their ids; those that are not there are passed over."""
+        slots = np.unique(self.grid.blocks.find(ids))
+        self._remove(slots[slots >= 0])
+
+    def _remove(self, slots: Slots) -> None:
+        self.members.remove(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
+        self.grid.remove(slots)
+
+    def candidates(self, view: Observations, margin: int = MARGIN, most: int = MOST) -> Candidates:
+        """The places that a view can be from.
+
+        Args:
+            view: its labels are not looked at; only heading_rad modulo 90 deg is.
+            margin: cost that a place may have beyond the best one's to be listed, as in Candidates.
+            most: places listed.
+        """
+        search = Search.of(self.grid, self.members, view, margin)
+        search.run()
+        found = search.kept()
+        kept = found.of(np.arange(min(len(found), most)))
+        impossible = int(np.count_nonzero(search.lengths() == 0))
+        return Candidates(
+            pose=search.poses(kept),
+            explained=kept.explained,
+            contradicted=kept.contradicted,
+            missed=kept.missed,
+            seen=len(view),
+            floor=len(view) + 1 - impossible - len(search.groups),
+            complete=bool(search.groups) and len(kept) == len(found) and not self.grid.blocks.left_out,
+            false_alarm_probability=false_alarm_probability(search, kept.explained),
+        )
+
+    def refined(self, poses: Array, view: Observations) -> Array:
+        """(M, 3) poses moved by the mean residual to the landmarks of the features' types within reach."""
+        return refined(self.grid, poses, view)
+
+    @property
+    def nbytes(self) -> int:
+        return self.grid.nbytes + self.members.nbytes
+
+
+def _part(landmarks: Landmarks, which: NDArray[np.bool_]) -> Landmarks:
+    m = landmarks
+    return Landmarks(m.ids[which], m.xy_map_m[which], m.cov_m2[which], m.crossing_type[which], m.sightings[which])
