@@ -9,20 +9,23 @@ from collections.abc import Callable
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.place.eye import Sight
+from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.robot import Base, Driver, Slip, arc
-from ceilvo.bench.place.sights import Camera, Seen
+from ceilvo.bench.place.sights import Camera, Seen, estimated
 from ceilvo.bench.place.tally import Tally
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.inputs import Silence
 from ceilvo.types import Array, Estimate, Landmarks, Pose, State, WheelMotion
 
 SILENT = "the camera gives no frames"
 _SURE = np.diag([1e-6, 1e-6, 1e-6])
 """m^2, m^2, rad^2 of a pose that is given as the truth."""
+_SETTLED_S = 3.0
+"""TRACKING for so long is no accident; chosen."""
 _KEPT = 64
 """Pictures that a fault can come back to; chosen: 2 s at 30 Hz."""
 
@@ -117,6 +120,21 @@ class Drive:
             return None
         return landmarks, axis, np.asarray(self.estimate.pose)
 
+    def go(self, seconds: float) -> None:
+        """Drive so long."""
+        for _ in range(round(seconds / self.dt_s)):
+            self.tick()
+
+    def settle(self, most_s: float) -> bool:
+        """Drive until TRACKING for a while; whether that came within most_s."""
+        good_s = 0.0
+        for _ in range(round(most_s / self.dt_s)):
+            estimate = self.tick()
+            good_s = good_s + self.dt_s if estimate is not None and estimate.state is State.TRACKING else 0.0
+            if good_s >= _SETTLED_S:
+                return True
+        return False
+
     def tick(self) -> Estimate | None:
         """One period of the camera."""
         self._ns += round(1e9 * self.dt_s)
@@ -131,7 +149,7 @@ class Drive:
         wheels = self._wheels()
         begun = time.perf_counter()
         if c.silent:
-            estimate = self.pipeline.step_crossings(self._stamp_ns, None, wheels, missing=SILENT)
+            estimate = estimated(self.pipeline, Silence(self._stamp_ns, SILENT, wheels))
         else:
             estimate = self.camera.give(self.pipeline, self._stamp_ns, seen, wheels)
         self.step_ms.append(1e3 * (time.perf_counter() - begun))

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.bench.place.eye import PLAIN, Sight, SyntheticEye
-from ceilvo.bench.place.truth import Features
+from ceilvo.bench.place.ceiling.eye import PLAIN, Sight, SyntheticEye
+from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.calibration import Calibration
 from ceilvo.crossing_types import crossing_type_of, turned_type
-from ceilvo.daemon.pipeline import NO_LINES, Pipeline
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.inputs import FrameInput, Sighting, Silence, apply
 from ceilvo.sim.renderer import Renderer
 from ceilvo.types import Array, Crossings, Estimate, Frame, WheelMotion
 
@@ -21,6 +22,13 @@ Seen = Any
 """Of one moment: Crossings or None from CrossingSight, an (H, W) uint8 picture from PictureSight."""
 _JITTER_M = 1e-6
 """By which crossings of one picture with a bit of noise differ; chosen: far below a new picture's noise."""
+
+
+def estimated(pipeline: Pipeline, given: FrameInput | Sighting | Silence) -> Estimate:
+    """What comes of an input, given as the daemon gives it."""
+    estimate = apply(pipeline, given)
+    assert estimate is not None  # of these inputs there always is one
+    return estimate
 
 
 class Camera(Protocol):
@@ -88,7 +96,7 @@ class CrossingSight:
         return self._moved(seen, seen.xy_base_m + _JITTER_M * self._rng.standard_normal(seen.xy_base_m.shape))
 
     def give(self, pipeline: Pipeline, stamp_ns: int, seen: Crossings | None, wheels: WheelMotion | None) -> Estimate:
-        return pipeline.step_crossings(stamp_ns, seen, wheels, missing=NO_LINES)
+        return estimated(pipeline, Sighting(stamp_ns, seen, wheels))
 
     def _moved(self, seen: Crossings, xy_base_m: Array) -> Crossings:
         s = np.column_stack([xy_base_m, np.ones(len(xy_base_m))]) @ self._calibration.level_from_ceiling.T
@@ -121,4 +129,4 @@ class PictureSight:
 
     def give(self, pipeline: Pipeline, stamp_ns: int, seen: NDArray[np.uint8], wheels: WheelMotion | None) -> Estimate:
         self._seq += 1
-        return pipeline.step(Frame(self._seq, stamp_ns, seen), wheels)
+        return estimated(pipeline, FrameInput(Frame(self._seq, stamp_ns, seen), wheels))

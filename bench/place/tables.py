@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ SAY_BAR_S = 1.0
 FOUND_BAR = (10.0, 15.0)
 """Metres or seconds within which a robot that was carried is found, in FOUND_SHARE of the tries."""
 FOUND_SHARE = 0.95
+RESTART_BAR_S = 1.0
 
 
 def by_kind(results: Iterable[Result]) -> dict[str, list[Result]]:
@@ -41,9 +42,8 @@ def _row(name: str, group: Sequence[Result]) -> list[str]:
     cases = f"{len(f)}" + (f" (+{not_settled} never TRACKING)" if not_settled else "")
     if not f:
         return [name, cases, *["-"] * 13]
-    say = [x["say_s"] for x in f if x["waited"]]
-    known = [s for s in say if s is not None]
-    never = len(say) - len(known)
+    say = [x["say_s"] for x in f if x["say_s"] > 0.0 and not x["wrong_now"]]
+    never = sum(x["wrong_now"] for x in f)
     found = [x for x in f if x["recovered_s"] is not None]
     seconds = sum(x["seconds"] for x in f)
     tracking = 100.0 * sum(x["state_s"].get("TRACKING", 0.0) for x in f) / seconds
@@ -55,14 +55,14 @@ def _row(name: str, group: Sequence[Result]) -> list[str]:
         f"{_worst(f, 'worst_m'):.2f}",
         f"{np.degrees(_worst(f, 'worst_rad')):.1f}",
         f"{sum(bool(x['wrong_s']) for x in f)}",
-        _median(known),
-        f"{max(known, default=0.0):.1f}" + (f", {never} never" if never else ""),
+        median(say),
+        (f"{max(say):.1f}" if say else "-") + (f", {never} never" if never else ""),
         f"{len(found)}/{len(f)}",
-        _median([x["recovered_s"] for x in found]),
-        _median([x["recovered_m"] for x in found]),
+        median([x["recovered_s"] for x in found]),
+        median([x["recovered_m"] for x in found]),
         f"{tracking:.0f}",
-        _median([r["step_ms"]["median"] for r in group if r["settled"]]),
-        _median([r["step_ms"]["p99"] for r in group if r["settled"]]),
+        median([r["step_ms"]["median"] for r in group if r["settled"]]),
+        median([r["step_ms"]["p99"] for r in group if r["settled"]]),
     ]
 
 
@@ -74,7 +74,7 @@ def _worst(figures: Iterable[Result], name: str) -> float:
     return float(max((v for x in figures for v in x[name].values()), default=0.0))
 
 
-def _median(values: Sequence[float]) -> str:
+def median(values: Sequence[float]) -> str:
     return f"{np.median(values):.1f}" if len(values) else "-"
 
 
@@ -97,12 +97,12 @@ def carried_bars(results: Sequence[Result]) -> list[Bar]:
     f = [r["fault"] for r in results if r["kind"] in CARRIED_KINDS]
     if not f:
         return []
-    said = [x["say_s"] is not None and x["say_s"] <= SAY_BAR_S for x in f if x["waited"]]
+    said = [not x["wrong_now"] and x["say_s"] <= SAY_BAR_S for x in f]
     found = [_found(x) for x in f]
     wrong = wrong_s(f, "TRACKING") + wrong_s(f, "DEGRADED")
     return [
-        _share("carried 1 to 5 tiles: said within 1 s of motion, share", said, 1.0),
-        _share("carried 1 to 5 tiles: found within 10 m or 15 s, share", found, FOUND_SHARE),
+        share_bar("carried 1 to 5 tiles: said within 1 s of motion, share", said, 1.0),
+        share_bar("carried 1 to 5 tiles: found within 10 m or 15 s, share", found, FOUND_SHARE),
         Bar("carried 1 to 5 tiles: wrong, s", wrong, f"{wrong:.1f}", high=0.0),
     ]
 
@@ -120,14 +120,27 @@ def _found(x: Result) -> bool:
     return x["recovered_s"] is not None and (x["recovered_m"] <= FOUND_BAR[0] or x["recovered_s"] <= FOUND_BAR[1])
 
 
-def _share(name: str, good: Sequence[bool], low: float) -> Bar:
+def share_bar(name: str, good: Sequence[bool], low: float) -> Bar:
     share = float(np.mean(good)) if good else 1.0
     return Bar(name, share, f"{sum(good)} of {len(good)}", low=low)
 
 
-def worst_cases(results: Sequence[Result], key: Callable[[Result], float], most: int = 10) -> list[Result]:
-    return sorted((r for r in results if key(r) > 0.0), key=key, reverse=True)[:most]
+def restart_bars(results: Sequence[Result]) -> list[Bar]:
+    f = [r["fault"] for r in results if r["settled"]]
+    soon = [x["recovered_s"] is not None and x["recovered_s"] <= RESTART_BAR_S for x in f]
+    wrong = wrong_s(f, "TRACKING") + wrong_s(f, "DEGRADED")
+    return [
+        share_bar("TRACKING within 1 s, share", soon, FOUND_SHARE),
+        Bar("TRACKING or DEGRADED wrong, s", wrong, f"{wrong:.1f}", high=0.0),
+    ]
 
 
-def wrong_of(result: Result) -> float:
-    return float(sum(result["fault"]["wrong_s"].values())) if result["settled"] else 0.0
+def worst_cases(results: Sequence[Result], most: int) -> list[str]:
+    """Those with most seconds of wrong poses, told."""
+    wrong = [r for r in results if r["settled"] and r["fault"]["wrong_s"]]
+    return [_told(r) for r in sorted(wrong, key=lambda r: -sum(r["fault"]["wrong_s"].values()))[:most]]
+
+
+def _told(r: Result) -> str:
+    about = {k: r[k] for k in ("size", "tile_m", "lamps", "wheels", "map", "eye", "rate_hz", "seed", "number")}
+    return f"{r['kind']} {about}: wrong {r['fault']['wrong_s']}\n    " + "; ".join(r["fault"]["reasons"][:6])

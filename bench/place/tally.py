@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ CLAIMED = (State.TRACKING, State.DEGRADED)
 """States that call a pose usable."""
 MOVED_M, MOVED_RAD = 0.02, 0.05
 """By which a robot has moved after a fault; chosen: what an eye can tell from standing."""
+_REASONS = 40
+"""Changes of state that are kept for a report; chosen."""
 _KEPT_S = 1.0
 """A right pose in TRACKING for so long is a recovery; chosen."""
 
@@ -25,8 +28,8 @@ class Tally:
     Attributes:
         state_s, wrong_s, worst_m, worst_rad: by state; wrong ones by CLAIMED states alone.
         false_alarms: entries into LOST or RELOCALISING.
-        effect_s: moment from which on the daemon could have known; say_s: from there until a wrong pose was no longer
-            claimed for the first time, None while it is; 0 where it never was.
+        effect_s: moment from which on the daemon could have known; say_s: from there until a wrong pose was claimed for
+            the last time, 0 where it never was; wrong_now: it is still claimed.
         over_s: end of the fault; recovered_s, recovered_m: from there until TRACKING with a right pose, and what was
             driven; None while not.
     """
@@ -38,7 +41,9 @@ class Tally:
     worst_rad: dict[str, float] = field(default_factory=dict)
     false_alarms: int = 0
     effect_s: float | None = None
-    say_s: float | None = None
+    say_s: float = 0.0
+    wrong_now: bool = False
+    metres: float = 0.0
     over_s: float | None = None
     recovered_s: float | None = None
     recovered_m: float | None = None
@@ -48,22 +53,21 @@ class Tally:
     _right_since: tuple[float, float] | None = None
     _over_m: float = 0.0
     _moved: tuple[float, float] = (0.0, 0.0)
-    _metres: float = 0.0
     _waits: bool = False
 
     def effect(self) -> None:
         """From the next motion on it can be known."""
-        self.effect_s, self.say_s, self._moved = None, None, (0.0, 0.0)
+        self.effect_s, self.say_s, self._moved = None, 0.0, (0.0, 0.0)
         self._waits = self.marked = True
 
     def over(self) -> None:
         """The fault is over."""
-        self.over_s, self._over_m, self._right_since = self.seconds, self._metres, None
+        self.over_s, self._over_m, self._right_since = self.seconds, self.metres, None
 
     def add(self, dt_s: float, state: State, off: tuple[float, float], moved: tuple[float, float], reason: str) -> None:
         """An estimate that held for dt_s, off by (m, rad), while the robot moved by (m, rad)."""
         self.seconds += dt_s
-        self._metres += moved[0]
+        self.metres += moved[0]
         name = state.name
         self.state_s[name] = self.state_s.get(name, 0.0) + dt_s
         claimed = state in CLAIMED
@@ -86,7 +90,8 @@ class Tally:
             self._moved = (self._moved[0] + moved[0], self._moved[1] + moved[1])
             if self._moved[0] > MOVED_M or self._moved[1] > MOVED_RAD:
                 self._waits, self.effect_s = False, self.seconds
-        if self.effect_s is not None and self.say_s is None and not claimed_wrong:
+        self.wrong_now = claimed_wrong
+        if self.effect_s is not None and claimed_wrong:
             self.say_s = self.seconds - self.effect_s
 
     def _recover(self, right: bool) -> None:
@@ -95,7 +100,37 @@ class Tally:
         if not right:
             self._right_since = None
         elif self._right_since is None:
-            self._right_since = (self.seconds, self._metres)
+            self._right_since = (self.seconds, self.metres)
         elif self.seconds - self._right_since[0] >= _KEPT_S:
             since = self._right_since
             self.recovered_s, self.recovered_m = since[0] - self.over_s, since[1] - self._over_m
+
+
+def figures(t: Tally) -> dict[str, Any]:
+    """As JSON can hold them."""
+    return {
+        "seconds": round(t.seconds, 3),
+        "state_s": _rounded(t.state_s),
+        "wrong_s": _rounded(t.wrong_s),
+        "worst_m": _rounded(t.worst_m),
+        "worst_rad": _rounded(t.worst_rad),
+        "alarms": t.false_alarms,
+        "say_s": t.say_s,
+        "wrong_now": t.wrong_now,
+        "recovered_s": t.recovered_s,
+        "recovered_m": t.recovered_m,
+        "reasons": t.reasons[-_REASONS:],
+    }
+
+
+def _rounded(values: dict[str, float]) -> dict[str, float]:
+    return {k: round(v, 4) for k, v in values.items()}
+
+
+def times(ms: list[float]) -> dict[str, float]:
+    return {
+        "median": float(np.median(ms)),
+        "p99": float(np.quantile(ms, 0.99)),
+        "max": float(np.max(ms)),
+        "sum_s": 1e-3 * sum(ms),
+    }

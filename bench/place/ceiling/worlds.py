@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ceilvo.bench.place.truth import Features, features_of
+from ceilvo.bench.place.ceiling.truth import Features, features_of
 from ceilvo.sim.ceiling.layout import Layout
 from ceilvo.sim.ceiling.panels import Panel, Rect
 from ceilvo.sim.ceiling.spec import CeilingSpec

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.place.eye import SyntheticEye
-from ceilvo.bench.place.truth import PX_M, Features, Origin, features_of
+from ceilvo.bench.place.ceiling.eye import SyntheticEye
+from ceilvo.bench.place.ceiling.truth import PX_M, Features, Origin, features_of
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.crossing_types import quarter_turns, turned_type

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.bench.place.truth import PX_M, Features, Origin
+from ceilvo.bench.place.ceiling.truth import PX_M, Features, Origin
 from ceilvo.calibration import Calibration
 from ceilvo.crossing_types import crossing_type_of, quarter_turns, turned_type
 from ceilvo.daemon.vision.crossings import to_ceiling
