@@ -161,7 +161,7 @@ class SyntheticEye:
         error = np.where(far, PX_M * noise.outlier_px, sigma_m) * rng.standard_normal(len(ids))
         confused = (origin == Origin.LAMP) & (rng.random(len(ids)) < noise.confused)
         kind = np.where(confused, LineKind.GROOVE, f.kind[ids])
-        return ~missed[index].any(axis=1), error[index], sigma_m[index], kind[index]
+        return np.asarray(~missed[index].any(axis=1)), error[index], sigma_m[index], kind[index]
 
     def _with_false(
         self, xy: Array, sigma_m: Array, kinds: Ints, normals: Array, sight: Sight

@@ -190,12 +190,12 @@ def _crossings(rows: Array) -> tuple[Array, Ints, Ints, Ints]:
     level = level[np.argsort(rows[level, 1], kind="stable")]
     heights = rows[level, 1]
     found_a, found_b = [], []
-    for a in upright:
-        first, last = np.searchsorted(heights, (rows[a, 2] - _CORNER_M, rows[a, 3] + _CORNER_M))
-        b = level[first:last]
-        good = _has_arm(rows[a, 1], rows[b, 2], rows[b, 3]) & _has_arm(rows[b, 1], rows[a, 2], rows[a, 3])
-        found_a.append(np.full(int(good.sum()), a))
-        found_b.append(b[good])
+    for k in upright:
+        first, last = np.searchsorted(heights, (rows[k, 2] - _CORNER_M, rows[k, 3] + _CORNER_M))
+        near = level[first:last]
+        good = _has_arm(rows[k, 1], rows[near, 2], rows[near, 3]) & _has_arm(rows[near, 1], rows[k, 2], rows[k, 3])
+        found_a.append(np.full(int(good.sum()), k))
+        found_b.append(near[good])
     a, b = np.concatenate(found_a), np.concatenate(found_b)
     pairs, first_of = np.unique(np.column_stack([line[a], line[b]]), axis=0, return_index=True)
     return np.column_stack([rows[a, 1], rows[b, 1]])[first_of], pairs, origin, kind
