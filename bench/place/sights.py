@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.bench.place.ceiling.eye import PLAIN, Sight, SyntheticEye
 from ceilvo.bench.place.ceiling.truth import Features
-from ceilvo.calibration import Calibration
-from ceilvo.crossing_types import crossing_type_of, turned_type
+from ceilvo.calibration import Calibration, mount_angles
+from ceilvo.crossing_types import crossing_type_of, quarter_turns, turned_type
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.inputs import FrameInput, Sighting, Silence, apply
+from ceilvo.se2 import rotation
 from ceilvo.sim.renderer import Renderer
 from ceilvo.types import Array, Crossings, Estimate, Frame, WheelMotion
 
 Seen = Any
 """Of one moment: Crossings or None from CrossingSight, an (H, W) uint8 picture from PictureSight."""
-_JITTER_M = 1e-6
-"""By which crossings of one picture with a bit of noise differ; chosen: far below a new picture's noise."""
+_JITTER_M = 3e-5
+"""By which crossings of one picture with a bit of noise differ: 10 to 60 um on rendered frames of a room, where new
+noise on all bits makes 30 to 100 um."""
 
 
 def estimated(pipeline: Pipeline, given: FrameInput | Sighting | Silence) -> Estimate:
@@ -54,6 +56,7 @@ class CrossingSight:
     def __init__(self, eye: SyntheticEye, calibration: Calibration, rng: np.random.Generator) -> None:
         self.eye = eye
         self._calibration, self._rng = calibration, rng
+        self._yaw_rad = mount_angles(calibration.camera_from_base)[0]
 
     def use(self, features: Features) -> None:
         """Another ceiling."""
@@ -66,29 +69,32 @@ class CrossingSight:
         return None
 
     def mirrored(self, seen: Crossings | None) -> Crossings | None:
-        """Left and right exchanged in the camera: the normal of axis 1 is turned round with it."""
+        """Left and right exchanged in the picture: the normal of axis 0 is turned round with it."""
         if seen is None:
             return None
         k0, k1 = seen.crossing_type // 3 - 1, seen.crossing_type % 3 - 1
-        flip = np.array([1.0, -1.0])
-        mount = self._calibration.mount_xy_m
-        return self._moved(
-            replace(
-                seen,
-                psi_rad=-seen.psi_rad,
-                crossing_type=crossing_type_of(k0, -k1),
-                cov_base_m2=seen.cov_base_m2 * np.outer(flip, flip),
-            ),
-            mount + (seen.xy_base_m - mount) * flip,
-        )
+        psi = 2.0 * self._yaw_rad - seen.psi_rad  # in [-pi/4, pi/4) again, but for the mounting's few degrees
+        psi_wrapped = float((psi + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi)
+        kind = turned_type(crossing_type_of(-k0, k1), quarter_turns(psi, psi_wrapped))
+        out = replace(seen, psi_rad=psi_wrapped, crossing_type=kind)
+        return self._moved(out, self._flipped(seen.xy_base_m, np.array([-1.0, 1.0])))
 
     def turned(self, seen: Crossings | None) -> Crossings | None:
         if seen is None:
             return None
-        mount = self._calibration.mount_xy_m
-        return self._moved(
-            replace(seen, crossing_type=turned_type(seen.crossing_type, 2)), 2.0 * mount - seen.xy_base_m
-        )
+        out = replace(seen, crossing_type=turned_type(seen.crossing_type, 2))
+        return self._moved(out, self._flipped(seen.xy_base_m, np.array([-1.0, -1.0])))
+
+    def _flipped(self, xy_base_m: Array, sign: Array) -> Array:
+        """(M, 2) where pixels are exchanged across the picture's middle along its axes of sign -1; lens not counted."""
+        camera, mount = self._calibration.camera, self._calibration.mount_xy_m
+        size = np.array([camera.width_px, camera.height_px])
+        centre = np.array([camera.cx_px, camera.cy_px])
+        view = self._calibration.level_view
+        off_m = (size - 1.0 - 2.0 * centre) * self._calibration.ceiling_height_m / view.focal_px
+        turn = rotation(self._yaw_rad)
+        inside = (xy_base_m - mount) @ turn
+        return np.asarray((inside * sign + off_m * (sign < 0)) @ turn.T + mount)
 
     def again(self, seen: Crossings | None) -> Crossings | None:
         if seen is None:

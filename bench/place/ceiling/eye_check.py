@@ -23,7 +23,11 @@ _FOUND_M = 0.012
 """A crossing so near is the true one; chosen: far above the noise, below half of what any two are apart."""
 _INSIDE_PX = 14.0
 """True crossings nearer the border are not asked for: as bench/vision/metrics.py."""
+_CLIP_M = 0.001
+"""Larger errors of lines count as this in their correlation; chosen: six times their middle 68 %."""
 RATE_HZ = 10.0
+_STANDS_EVERY = 10
+"""Frames; in one of so many the robot is looked at twice; chosen."""
 
 
 @dataclass
@@ -41,7 +45,9 @@ class Score:
     psi: list[float] = field(default_factory=list)
     common: list[Array] = field(default_factory=list)
     line_error: list[tuple[int, float]] = field(default_factory=list)
-    line_missed: list[tuple[int, bool, bool]] = field(default_factory=list)
+    line_pairs: list[tuple[float, float]] = field(default_factory=list)
+    standing_m: list[float] = field(default_factory=list)
+    _line_errors: dict[int, float] = field(default_factory=dict)
     said_px: list[float] = field(default_factory=list)
     said_tilt: list[float] = field(default_factory=list)
     said_psi: list[float] = field(default_factory=list)
@@ -83,10 +89,22 @@ class Score:
         common = np.median(error_map[grid], axis=0)
         self.common.append(common)
         along = (error_map - common) @ se2.rotation(f.axis_rad)
+        before, self._line_errors = self._line_errors, {}
         for axis in (0, 1):
             line = f.line[true, axis]
             for k in np.unique(line):
-                self.line_error.append((int(f.origin[k]), float(along[line == k, axis].mean())))
+                error = float(along[line == k, axis].mean())
+                self.line_error.append((int(f.origin[k]), error))
+                if f.origin[k] == Origin.GRID:
+                    self._line_errors[int(k)] = error
+                    if int(k) in before:
+                        self.line_pairs.append((before[int(k)], error))
+
+    def stood(self, first: Crossings | None, second: Crossings | None) -> None:
+        """Two views of a robot that stands."""
+        if first is not None and second is not None:
+            apart = np.hypot(*(first.xy_base_m[:, None] - second.xy_base_m[None]).transpose(2, 0, 1)).min(axis=1)
+            self.standing_m.append(float(np.median(apart)))
 
     def _shown(self, pose: Array) -> Ints:
         f, cal = self.features, self.calibration
@@ -105,9 +123,8 @@ class Score:
                 counts[row, which] += 1
         out = {"crossings a frame": self.reported / self.frames, "extra a frame": self.extra / self.frames}
         origin = f.feature_origin
-        both = [(s, h) for s, h in zip(self.shown, self.hit, strict=True)]
         inside = np.zeros(len(f))
-        for s, h in both:
+        for s, h in zip(self.shown, self.hit, strict=True):
             inside[np.intersect1d(s, h)] += 1
         right = np.zeros(len(f))
         for s, h in zip(self.shown, self.right_type, strict=False):
@@ -121,10 +138,31 @@ class Score:
         common = np.array(self.common)
         out["common shift rms mm"] = 1e3 * float(np.sqrt(np.mean(common**2)))
         out["common shift a frame apart, correlation"] = float(np.mean(common[1:] * common[:-1]) / np.mean(common**2))
+        pairs = np.array(self.line_pairs)
+        out["line GRID error a frame apart, correlation"] = float(
+            np.corrcoef(np.clip(pairs, -_CLIP_M, _CLIP_M).T)[0, 1]
+        )
+        out |= self._again()
+        out["standing: crossings differ by um"] = 1e6 * float(np.median(self.standing_m))
         out["psi rms mrad"] = 1e3 * float(np.sqrt(np.mean(np.square(self.psi))))
         out["psi said mrad"] = 1e3 * float(np.median(self.said_psi))
         out["line said px"] = float(np.median(self.said_px))
         out["tilt said mrad"] = 1e3 * float(np.median(self.said_tilt))
+        return out
+
+    def _again(self) -> dict[str, float]:
+        """How often a crossing that is missed in a frame is missed in the next."""
+        missed = [np.setdiff1d(s, h) for s, h in zip(self.shown, self.hit, strict=True)]
+        out = {}
+        for o in Origin:
+            again = asked = 0
+            for before, shown, now in zip(missed[:-1], self.shown[1:], missed[1:], strict=True):
+                still = np.intersect1d(before, shown)
+                still = still[self.features.feature_origin[still] == o]
+                asked += len(still)
+                again += len(np.intersect1d(still, now))
+            if asked:
+                out[f"missed again {o.name} %"] = 100.0 * again / asked
         return out
 
     def _line_figures(self) -> dict[str, float]:
@@ -166,11 +204,17 @@ def compare(seed: int, frames: int) -> tuple[dict[str, float], dict[str, float]]
     made = SyntheticEye(features, world.calibration, np.random.default_rng(seed))
     real, synthetic = (Score(features, world.calibration) for _ in range(2))
     before: Array | None = None
+    rng = np.random.default_rng(seed)
     for k in range(frames):
         t_s = 5.0 + k / RATE_HZ
         pose = world.truth_at(t_s)
         expected = None if before is None else se2.between(before, pose)
-        real.add(find(Frame(k, k, world.frame_at(t_s)), expected), pose)
-        synthetic.add(made.look(pose), pose)
+        seen = find(Frame(k, k, world.frame_at(t_s)), expected), made.look(pose)
+        real.add(seen[0], pose)
+        synthetic.add(seen[1], pose)
+        if k % _STANDS_EVERY == 0:
+            again = world.renderer.render(pose, rng)
+            real.stood(seen[0], find(Frame(k, k, again), np.zeros(3)))
+            synthetic.stood(seen[1], made.look(pose))
         before = pose
     return real.figures(), synthetic.figures()

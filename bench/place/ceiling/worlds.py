@@ -10,7 +10,7 @@ import numpy as np
 
 from ceilvo.bench.place.ceiling.truth import Features, features_of
 from ceilvo.sim.ceiling.layout import Layout
-from ceilvo.sim.ceiling.panels import Panel, Rect
+from ceilvo.sim.ceiling.panels import Panel, PanelKind, Rect
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.types import Array, Landmarks
 
@@ -27,6 +27,8 @@ _SPARSE = 1.0 / 40.0
 """Lamps a tile where they hang at random; chosen: one in 14 m^2 of 0.6 m tiles."""
 _VENTS: dict[Lamps, float] = {"raster": 1.0 / 150.0, "sparse": 1.0 / 60.0, "bare stretch": 1.0 / 150.0}
 """Vents a tile; chosen: one in some 20 to 50 m^2 of 0.6 m tiles."""
+_DIFFUSERS = 0.4
+"""Of them, as in sim/ceiling/arrangement.py; slatted vents have hardly a crossing."""
 _STRETCH_M, _STRETCH_EVERY_M = 10.0, 30.0
 """A bare stretch has neither lamps nor vents for so long, and so far from the next one (a small room: its middle)."""
 _SEVERAL_TILES_M = 1.0
@@ -111,7 +113,8 @@ def hang(spec: WorldSpec, x: Array, y: Array, rng: np.random.Generator) -> tuple
             panels.append(Panel("lamp", _rect(spec.tile_m, x[i], y[j], wide), 0))
     where = np.argwhere(free)
     for i, j in where[rng.permutation(len(where))[: max(1, round(free.size * _VENTS[spec.lamps]))]]:
-        panels.append(Panel("vent", _rect(spec.tile_m, x[i], y[j], 1), int(rng.integers(2))))
+        kind: PanelKind = "diffuser" if rng.random() < _DIFFUSERS else "vent"
+        panels.append(Panel(kind, _rect(spec.tile_m, x[i], y[j], 1), int(rng.integers(2))))
     return tuple(panels)
 
 
