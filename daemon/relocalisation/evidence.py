@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, turned_type
 from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
+from ceilvo.daemon.relocalisation.place_index.blocks import fine
+from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
 from ceilvo.types import Array, Ints, Landmarks, Observations
 
 REACH_M = 0.1
@@ -45,6 +47,8 @@ MOST_VISIBLE = 0.8
 """A landmark's own visibility is believed up to here: it was counted from other spots, where its lines looked better."""
 CLOSE = 15.0
 """Log-likelihood under the best pose from which landmarks that are not seen are no longer looked for; chosen."""
+AT_ONCE = 256
+"""Poses weighed at once, so that their arrays stay in the cache; chosen."""
 _VISIBLE = np.uint16(1 << 15)
 _QUARTER = 0.5 * np.pi
 
@@ -110,16 +114,19 @@ class Surroundings:
         raster: the same to look into.
         coverage: which ground the map knows.
         chance: (9,) how often a wrong place explains a feature of each type.
+        reach_m: how far from the tracked pose all that a pose sees is in it.
     """
 
     landmarks: Landmarks
     raster: TypeRaster
     coverage: Coverage
     chance: Array
+    reach_m: float
 
     @staticmethod
-    def of(landmarks: Landmarks, coverage: Coverage, chance: Array) -> Surroundings:
-        return Surroundings(landmarks, TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type), coverage, chance)
+    def of(landmarks: Landmarks, coverage: Coverage, chance: Array, reach_m: float) -> Surroundings:
+        raster = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type)
+        return Surroundings(landmarks, raster, coverage, chance, reach_m)
 
 
 def chance_matches(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Array:
@@ -158,15 +165,30 @@ class ViewEvidence:
         out[near] = _mixed(score[near] + self._missed(poses[near]))
         return out
 
+    @property
+    def reach_m(self) -> float:
+        return self._around.reach_m
+
+    def log_ratio_in(self, grid: TypeGrid, poses: Array) -> Array:
+        """(M,) the same for poses (M, 3) anywhere on the map, without what is missing: at least what it would be."""
+        out = np.empty(len(poses))
+        for part in np.array_split(np.arange(len(poses)), len(poses) // AT_ONCE + 1):
+            at, types = _moved(poses[part], self._view.xy_base_m), self._types[self._turns(poses[part])]
+            bits = grid.bits(fine(at[..., 0]), fine(at[..., 1]))
+            out[part] = _mixed(self._scored(poses[part], (bits >> types.astype(np.uint16)) & np.uint16(1) > 0))
+        return out
+
     def _turns(self, poses: Array) -> Ints:
         return np.asarray(np.round((self._view.heading_rad - poses[:, 2]) / _QUARTER).astype(np.int64) % 4)
 
     def _features(self, poses: Array) -> Array:
         """(M, R) of what is seen, for each fraction of change."""
-        types = self._types[self._turns(poses)]
         at = _moved(poses, self._view.xy_base_m)
-        matched = self._around.raster.has(at, types)
-        views = self._around.coverage.views(at)
+        return self._scored(poses, self._around.raster.has(at, self._types[self._turns(poses)]))
+
+    def _scored(self, poses: Array, matched: NDArray[np.bool_]) -> Array:
+        types = self._types[self._turns(poses)]
+        views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
         step = views // _VIEWS_PER_STEP
         each = np.where(matched[..., None], self._gain[step, types], self._loss[step, types])
         each[(views < VIEWS) & ~matched] = 0.0

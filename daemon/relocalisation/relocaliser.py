@@ -13,8 +13,9 @@ from ceilvo.daemon.relocalisation import doubts, shims
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, chance_matches
-from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
+from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.se2 import transform, wrap, wrap_array
@@ -35,8 +36,14 @@ HALF = 0.5
 """A view of which the map explains less teaches nothing."""
 FEWEST_KNOWN = 10
 """Features on known ground that it takes to say so; chosen."""
+INDEXED_M = 2.5
+"""What a view may change of the map lies so near the robot; most cameras see less."""
 CONVINCING = 0.85
 """While the place is in doubt a view corrects the pose where so much of it is explained; chosen."""
+MOST_FOUND = 4000
+"""Places that a view is found at; chosen for time."""
+PLACES_PER_M2 = 4.0 / 0.6**2
+"""Places of a map that a view may be from: four headings on every tile of 0.6 m."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 MEASURED_M = 6.0
@@ -57,6 +64,7 @@ class RelocaliserState:
         jumped: a frame of the gap that lasts had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         coverage: ground that the map knows.
+        index: of the whole map, to find a place in it.
         chance: (9,) how often chance explains a feature of each type; measured_m: way since it was measured.
     """
 
@@ -67,6 +75,7 @@ class RelocaliserState:
     jumped: bool = False
     map_axis_rad: float | None = None
     coverage: Coverage = field(default_factory=Coverage)
+    index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Array = field(default_factory=lambda: np.full(9, 0.5))
     measured_m: float = np.inf
 
@@ -127,7 +136,7 @@ class Relocaliser:
         doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf)
         self.start_at(pose, cov, landmarks, doubt)
         lattice = Lattice.of(landmarks, map_axis_rad)
-        self.state.map_axis_rad = map_axis_rad
+        self.state.map_axis_rad, self.state.index = map_axis_rad, PlaceIndex.of(landmarks)
         self.state.coverage = Coverage.of(landmarks, 0.0 if lattice is None else float(np.max(lattice.tile_m)))
 
     def travelled(self, track: Track, crossings: int) -> None:
@@ -187,7 +196,9 @@ class Relocaliser:
         pose = self.filter.estimate()[0]
         if len(s.belief) == 1 and evidence.log_ratio(pose[None])[0] < SURPRISE:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around)
-        s.belief.weigh(evidence.log_ratio(rival_poses(s.belief.places, pose)))
+        if not self.sure and not s.belief.spot_views:
+            self._search(view, pose)
+        s.belief.weigh(self._log_ratio(evidence, pose))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 
@@ -212,6 +223,28 @@ class Relocaliser:
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0
 
+    def _search(self, view: Observations, pose: Array) -> None:
+        """List the places of the whole map that this view can be from, each with its part of what is not listed."""
+        s = self.state
+        found = s.index.candidates(view, most=MOST_FOUND)
+        s.belief.cut = not found.complete
+        if not len(found):
+            return
+        poses = s.index.refined(found.pose, view)
+        per_place = np.log(max(s.coverage.area_m2, 1.0) * PLACES_PER_M2)
+        odds = s.belief.unknown - s.belief.log_weight[0] - per_place
+        s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
+
+    def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
+        """(P,) of all places; those that are far off are looked up in the index, landmarks that are missing left out."""
+        poses = rival_poses(self.state.belief.places, pose)
+        far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
+        out = np.empty(len(poses))
+        out[~far] = evidence.log_ratio(poses[~far])
+        if np.any(far):
+            out[far] = evidence.log_ratio_in(self.state.index.grid, poses[far])
+        return out
+
     def _decided(self, pose: Array) -> bool:
         s = self.state
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
@@ -228,11 +261,11 @@ class Relocaliser:
         s = self.state
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
         near = shims.landmarks_near(self.filter, pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
-        around = Surroundings.of(near, s.coverage, s.chance)
+        around = Surroundings.of(near, s.coverage, s.chance, reach_m)
         if s.measured_m < MEASURE_AGAIN_M:
             return around
         lattice = Lattice.of(near, s.map_axis_rad or 0.0)
-        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(WATCH_M)
+        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
         s.chance, s.measured_m = chance_matches(near, around.raster, s.coverage, shifts), 0.0
         return replace(around, chance=s.chance)
 
@@ -252,7 +285,17 @@ class Relocaliser:
         """The filter has learnt from a view of a sure place: its ground is known better."""
         if self.sure and len(self._visible_m):
             shims.count(self.filter, self._visible_m, view)
-            self.state.coverage.show(transform(Pose(self.filter.estimate()[0]), self._visible_m))
+            pose = Pose(self.filter.estimate()[0])
+            self.state.coverage.show(transform(pose, self._visible_m))
+            self._index_around(pose)
+
+    def _index_around(self, pose: Array) -> None:
+        """What the filter has learnt around the robot goes into the index."""
+        index = self.state.index
+        near = shims.landmarks_near(self.filter, pose[None, :2], INDEXED_M)[1]
+        index.sync(near)
+        there = index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
+        index.remove(np.setdiff1d(there, near.ids))
 
 
 def _off(pose: Array, expected: Array) -> Array:
