@@ -199,9 +199,13 @@ class LandmarkBlocks:
             on = np.flatnonzero(slot >= 0)
             if not len(on):
                 return
-            which, slot = which[on], slot[on]
+            which, slot = which.take(on), slot.take(on)
             yield which, slot
             slot = self.chain.take(slot)
+
+    def own_bit(self, slots: Slots) -> NDArray[np.uint16]:
+        """(N,) with the bit of each landmark's type."""
+        return np.left_shift(np.uint16(1), self.crossing_type.take(slots).astype(np.uint16))
 
     def near(self, xy: Fine, reach: int) -> Slots:
         """Slots, in order, of all landmarks within reach, along both axes, of any of the points (Q, 2)."""

@@ -85,7 +85,7 @@ class Found:
         return Found(*(np.concatenate([getattr(p, name) for p in parts]) for name in Found.__slots__))
 
     def of(self, which: Ints) -> Found:
-        return Found(*(getattr(self, name)[which] for name in self.__slots__))
+        return Found(*(getattr(self, name).take(which) for name in self.__slots__))
 
     def __len__(self) -> int:
         return len(self.x)

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ceilvo.crossing_types import CROSSING_TYPES, turned_type
-from ceilvo.daemon.relocalisation.place_index.blocks import CELL_M, FINE_BITS, Fine, fine
+from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_BITS, CELL_M, FINE_BITS, Fine, fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import Bits, reached
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Ints, Observations
 
 TURNS = 4
 """Headings that the direction of the lines leaves."""
+SIDE = 1 << BLOCK_BITS
+"""Cells of a block's side."""
 ALL_TYPES = np.uint16((1 << CROSSING_TYPES) - 1)
 
 
@@ -25,8 +27,8 @@ class TurnedViews:
         heading_rad: (4,) of the robot in the map.
         xy: (4, K, 2) offsets.
         kind: (4, K) types in the map's quadrant, as int32.
-        unseen: (4, W, H) bits of the types that are not seen in a cell though they would be; (4, 0, 0) where it is not
-            known what is in view.
+        unseen: (4, W, H) bits of the types that are not seen in a cell though they would be, with a block's width of
+            zeros around; whole blocks in size; (4, 0, 0) where it is not known what is in view.
         corner: (4, 2) offset of the lower corner of unseen[:, 0, 0].
     """
 
@@ -53,12 +55,13 @@ class TurnedViews:
 
 
 def _frame(corners: Array) -> tuple[Ints, tuple[int, int]]:
-    """First cells (4, 2) and one size in cells of the rectangles around corners (4, V, 2)."""
+    """First cells (4, 2) and the size in cells of rectangles around corners (4, V, 2) and a rim."""
     if not corners.shape[1]:
         return np.zeros((TURNS, 2), np.int64), (0, 0)
     low = np.floor(corners.min(axis=1) / CELL_M).astype(np.int64)
     size = np.max(np.floor(corners.max(axis=1) / CELL_M).astype(np.int64) - low, axis=0) + 1
-    return low, (int(size[0]), int(size[1]))
+    blocks = -(-size // SIDE) + 2
+    return low - SIDE, (int(blocks[0]) * SIDE, int(blocks[1]) * SIDE)
 
 
 def _unseen(xy: Array, kind: Ints, corners: Array, low: Ints, shape: tuple[int, int], reach_m: float) -> Bits:
