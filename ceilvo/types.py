@@ -206,16 +206,45 @@ class Observations:
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
-    """The map as estimated: ids (L,), xy_map_m (L, 2), cov_m2 (L, 2, 2), crossing_type (L,), sightings (L,)."""
+    """The map as estimated.
+
+    Attributes:
+        ids, crossing_type: (L,).
+        xy_map_m, cov_m2: (L, 2) and (L, 2, 2).
+        sightings: (L,) how often each was seen.
+        expected: (L,) how often each was in view and should have been seen; at least `sightings`, which it is where
+            nobody counted (an empty array is given).
+    """
 
     ids: Ints
     xy_map_m: Array
     cov_m2: Array
     crossing_type: Ints
     sightings: Ints
+    expected: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        counted = np.maximum(self.expected, self.sightings) if len(self.expected) else self.sightings
+        object.__setattr__(self, "expected", counted)
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def visibility(self) -> Array:
+        """(L,) chance that a view shows a landmark that is in it; the mean of a uniform prior after the counts."""
+        return np.asarray((self.sightings + 1.0) / (self.expected + 2.0), np.float64)
+
+    def of(self, which: NDArray[np.bool_] | Ints) -> Landmarks:
+        """The landmarks `which`: a mask (L,), or their indices in the order wanted."""
+        return Landmarks(
+            self.ids[which],
+            self.xy_map_m[which],
+            self.cov_m2[which],
+            self.crossing_type[which],
+            self.sightings[which],
+            self.expected[which],
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -62,6 +63,7 @@ def associate(
     landmarks: Landmarks,
     settings: Filter,
     map_axis_rad: float,
+    visible_m: Array | None = None,
 ) -> Observations:
     """Observations of one frame, labelled with the landmarks (their index) that explain them, else -1.
 
@@ -73,6 +75,7 @@ def associate(
         landmarks: the map as estimated.
         settings: association_gate_m is used.
         map_axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
+        visible_m: (V, 2) as in Observations; None: not known.
     """
     turns = quarter_turns(crossings.psi_rad + float(pose[2]), map_axis_rad)
     kind = turned_type(crossings.crossing_type, turns)
@@ -88,6 +91,7 @@ def associate(
         heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
         heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
         common_var_m2=0.5 * float(np.trace(crossings.common_cov_m2)),
+        visible_m=np.empty((0, 2)) if visible_m is None else visible_m,
     )
 
 
@@ -111,14 +115,11 @@ def usable(obs: Observations, landmarks: int) -> Observations:
     repeated = label >= 0
     repeated[first] = False
     label[repeated] = NO_LANDMARK
-    return Observations(
-        obs.xy_base_m[good],
-        np.maximum(obs.var_m2[good], VAR_FLOOR),
-        obs.crossing_type[good],
-        label,
-        obs.heading_rad,
-        obs.heading_var_rad2,
-        obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
+    return replace(
+        obs.of(good),
+        var_m2=np.maximum(obs.var_m2[good], VAR_FLOOR),
+        label=label,
+        common_var_m2=obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
     )
 
 

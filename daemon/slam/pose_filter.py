@@ -69,6 +69,10 @@ observations were refused; landmarks born and merged; resamplings, and curves th
 the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling."""
 
 
+TINY = 1e-300
+"""In place of a chance of zero, whose logarithm there is not."""
+
+
 def checked_motion(motion: Motion) -> Motion:
     """The same motion.
 

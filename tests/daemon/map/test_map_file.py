@@ -21,12 +21,19 @@ from ceilvo.types import Landmarks, State
 
 SEED = 7
 
-# Files as version 1 wrote them; they must load for as long as version 1 is supported.
+# Files as versions 1 and 2 wrote them; they must load for as long as those versions are supported.
 MAP_V1 = (
     '{"format": "ceilvo-map", "version": 1, "sha256": '
     '"546255ca890883bd371800c4e6ff4e739b983e8c18568988f55be0da34504165", "content": {"map_axis_rad": 0.25, '
     '"landmarks": {"id": [3, 8], "xy_map_m": [[1.5, -2.0], [0.1, 4.0]], '
     '"cov_xx_xy_yy_m2": [[0.0004, 0.0001, 0.0009], [0.01, 0.0, 0.02]], "kind": [4, 0], "sightings": [12, 3]}}}\n'
+)
+MAP_V2 = (
+    '{"format": "ceilvo-map", "version": 2, "sha256": '
+    '"f07f97f48162db90eaa244e62342501005eb25357b0c3f29799a9c991e17b950", "content": {"map_axis_rad": 0.25, '
+    '"landmarks": {"id": [3, 8], "xy_map_m": [[1.5, -2.0], [0.1, 4.0]], '
+    '"cov_xx_xy_yy_m2": [[0.0004, 0.0001, 0.0009], [0.01, 0.0, 0.02]], "kind": [4, 0], "sightings": [12, 3], '
+    '"expected": [20, 3]}}}\n'
 )
 STATE_V1 = (
     '{"format": "ceilvo-state", "version": 1, "sha256": '
@@ -39,12 +46,14 @@ STATE_V1 = (
 def landmarks(n: int, seed: int = SEED) -> Landmarks:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(n, 2, 2)) * 0.05
+    sightings = rng.integers(1, 1000, n)
     return Landmarks(
         ids=rng.permutation(10 * n)[:n].astype(np.int64),
         xy_map_m=rng.normal(size=(n, 2)) * 3.0,
         cov_m2=a @ np.swapaxes(a, 1, 2),
         crossing_type=rng.integers(0, 9, n),
-        sightings=rng.integers(1, 1000, n),
+        sightings=sightings,
+        expected=sightings + rng.integers(0, 100, n),
     )
 
 
@@ -56,6 +65,7 @@ def same(a: StoredMap, b: Landmarks, axis: float) -> bool:
         and np.array_equal(a.landmarks.cov_m2, b.cov_m2)
         and np.array_equal(a.landmarks.crossing_type, b.crossing_type)
         and np.array_equal(a.landmarks.sightings, b.sightings)
+        and np.array_equal(a.landmarks.expected, b.expected)
     )
 
 
@@ -98,8 +108,18 @@ def test_version_1_files_load(tmp_path: Path) -> None:
     assert stored.landmarks.ids.tolist() == [3, 8]
     assert stored.landmarks.cov_m2[0].tolist() == [[0.0004, 0.0001], [0.0001, 0.0009]]
     assert (stored.map_axis_rad, stored.landmarks.crossing_type.tolist()) == (0.25, [4, 0])
+    assert stored.landmarks.expected.tolist() == stored.landmarks.sightings.tolist() == [12, 3]
     assert state.pose.tolist() == [1.25, -0.5, 3.0]
     assert (state.state, state.stamp_ns) == (State.TRACKING, 123456789012345)
+
+
+def test_version_2_files_load(tmp_path: Path) -> None:
+    (tmp_path / "map").write_text(MAP_V2)
+    stored = load_map(tmp_path / "map")
+    assert stored is not None
+    assert stored.landmarks.sightings.tolist() == [12, 3]
+    assert stored.landmarks.expected.tolist() == [20, 3]
+    np.testing.assert_allclose(stored.landmarks.visibility, [13 / 22, 4 / 5])
 
 
 def test_no_file_is_no_map(tmp_path: Path) -> None:
@@ -129,8 +149,17 @@ BAD_MAPS: dict[str, tuple[str, str]] = {
     "not JSON": ("hello", "damaged or cut short"),
     "a list": ("[1]", "not a ceilvo-map file"),
     "the state file": (STATE_V1, "not a ceilvo-map file"),
-    "newer": (MAP_V1.replace('"version": 1', '"version": 2'), "version 2 was written by a newer ceilvo"),
-    "older": (MAP_V1.replace('"version": 1', '"version": 0'), "version is 0, expected a whole number from 1 to 1"),
+    "newer": (MAP_V1.replace('"version": 1', '"version": 3'), "version 3 was written by a newer ceilvo"),
+    "older": (MAP_V1.replace('"version": 1', '"version": 0'), "version is 0, expected a whole number from 1 to 2"),
+    "version 1 as 2": (MAP_V1.replace('"version": 1', '"version": 2'), "landmarks: missing keys ['expected']"),
+    "version 2 as 1": (
+        MAP_V2.replace('"version": 2', '"version": 1'),
+        "landmarks: missing keys none, unknown keys ['exp",
+    ),
+    "fewer expected than seen": (
+        edited(MAP_V2, table("expected", [20, 2])),
+        "landmarks.expected[1] is 2, expected at least its sightings, 3",
+    ),
     "version as text": (MAP_V1.replace('"version": 1', '"version": "1"'), "version is '1'"),
     "changed by hand": (MAP_V1.replace("1.5", "1.6"), "checksum does not match"),
     "NaN": (MAP_V1.replace("1.5", "NaN"), "NaN is not a number"),
@@ -232,12 +261,12 @@ json_values: st.SearchStrategy[Any] = st.recursive(
 )
 
 
-@given(st.sampled_from(["id", "xy_map_m", "cov_xx_xy_yy_m2", "kind", "sightings", ""]), json_values)
+@given(st.sampled_from(["id", "xy_map_m", "cov_xx_xy_yy_m2", "kind", "sightings", "expected", ""]), json_values)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
 def test_any_signed_content_is_a_map_or_an_error(tmp_path: Path, key: str, value: Any) -> None:
     """A right checksum over wrong content gets past the first check, not past the second."""
     path = tmp_path / "map"
-    path.write_text(edited(MAP_V1, table(key, value) if key else lambda d: d.__setitem__("content", value)))
+    path.write_text(edited(MAP_V2, table(key, value) if key else lambda d: d.__setitem__("content", value)))
     try:
         stored = load_map(path)
     except FileFormatError as e:
