@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.place_index.blocks import fine
 from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_probability
@@ -37,9 +36,9 @@ class Candidates:
         contradicted: (M,) features without one on mapped ground; the rest is on unmapped ground and says nothing.
         missed: (M,) landmarks that should be seen and are not; 0 where the view does not say what is visible.
         seen: features that were looked at: all of the view, or the 64 with the fewest landmarks of their type.
-        floor: every place that explains so many features was looked at; more than `seen` if none was searched.
-        complete: every place was looked at that explains at least `floor` features, and all of them that are within
-            reach of the best are listed.
+        floor: every place that explains at least so many features was looked at; above `seen` where nothing was searched.
+        complete: every place within `margin` of the best is listed, unless it is one that lies partly on unmapped ground
+            and explains less than `floor` features.
         false_alarm_probability: (M,) chance that somewhere on a map like this a wrong place explains as many features.
     """
 
@@ -95,7 +94,7 @@ class PlaceIndex:
         fresh = slots < 0
         fresh[changed] = True
         if np.any(fresh):
-            self.add(_part(landmarks, fresh))
+            self.add(landmarks.of(fresh))
 
     def add(self, landmarks: Landmarks) -> None:
         """Landmarks with ids that are not there yet, each once."""
@@ -123,17 +122,15 @@ class PlaceIndex:
         search.run()
         found = search.kept()
         kept = found.of(np.arange(min(len(found), most)))
-        impossible = int(np.count_nonzero(search.lengths()[search.order] == 0))
+        whole = len(kept) == len(found) and not self.grid.blocks.left_out
         return Candidates(
             pose=search.poses(kept),
             explained=kept.explained,
             contradicted=kept.contradicted,
             missed=kept.missed,
             seen=len(search.order),
-            floor=len(search.order) + 1 - impossible - len(search.groups),
-            complete=bool(
-                search.groups and search.lenient and len(kept) == len(found) and not self.grid.blocks.left_out
-            ),
+            floor=search.floor,
+            complete=whole and search.complete,
             false_alarm_probability=false_alarm_probability(search, kept.explained),
         )
 
@@ -144,8 +141,3 @@ class PlaceIndex:
     @property
     def nbytes(self) -> int:
         return self.grid.nbytes + self.members.nbytes
-
-
-def _part(landmarks: Landmarks, which: NDArray[np.bool_]) -> Landmarks:
-    m = landmarks
-    return Landmarks(m.ids[which], m.xy_map_m[which], m.cov_m2[which], m.crossing_type[which], m.sightings[which])

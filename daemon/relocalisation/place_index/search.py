@@ -160,6 +160,18 @@ class Search:
         """Whether nothing was left out that is within reach of what is now the best."""
         return self.strictest >= self._most_cost()
 
+    @property
+    def floor(self) -> int:
+        """Every place that explains so many features was looked at: of those that it may lack, each spoils one group."""
+        impossible = int(np.count_nonzero(self.lengths()[self.order] == 0))
+        return len(self.order) - impossible - len(self.groups) + 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether a place that was not looked at contradicts too much to be within reach of the best."""
+        lacking = len(self.order) - self.floor + 1
+        return bool(len(self.best) and self.lenient and CONTRADICTED * lacking > self._most_cost())
+
     def _group(self, left: list[int]) -> bool:
         """Verify the poses of the next group, which is taken from `left`; False if they are too many."""
         group = self._chosen(left)
