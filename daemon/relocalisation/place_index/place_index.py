@@ -36,9 +36,9 @@ class Candidates:
         contradicted: (M,) features without one on mapped ground; the rest is on unmapped ground and says nothing.
         missed: (M,) landmarks that should be seen and are not; 0 where the view does not say what is visible.
         seen: features that were looked at: all of the view, or the 64 with the fewest landmarks of their type.
-        floor: every place that explains at least so many features was looked at; above `seen` where nothing was searched.
-        complete: every place within `margin` of the best is listed, unless it is one that lies partly on unmapped ground
-            and explains less than `floor` features.
+        floor: every place that explains at least so many features was looked at; above `seen` where none was.
+        complete: every place within `margin` of the best is listed, except those that lie partly on unmapped ground and
+            explain less than `floor` features.
         false_alarm_probability: (M,) chance that somewhere on a map like this a wrong place explains as many features.
     """
 
@@ -110,12 +110,13 @@ class PlaceIndex:
         self.members.remove(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
         self.grid.remove(slots)
 
-    def candidates(self, view: Observations, margin: int = MARGIN, most: int = MOST) -> Candidates:
+    def candidates(self, view: Observations, margin: float = MARGIN, most: int = MOST) -> Candidates:
         """The places that a view can be from.
 
         Args:
             view: its labels are not looked at; only heading_rad modulo 90 deg is.
-            margin: cost that a place may have beyond the best one's to be listed, as in Candidates.
+            margin: cost that a place may have beyond the best one's to be listed, for up to 32 features; in proportion
+                more for more.
             most: places listed.
         """
         search = Search.of(self.grid, self.members, view, margin)

@@ -40,6 +40,9 @@ CONTRADICTED_FRACTION = 0.5
 """A place that contradicts more of a view than this is none; chosen."""
 EXPLAINED_FRACTION = 0.5
 """A place that explains less than this fraction of what the best one does is none; chosen."""
+INDEPENDENT = 32
+"""Features from which on the margin grows with their number: a line that is missed or taken for another kind takes all
+its crossings with it, six of 32 in a square grid; chosen."""
 CONTRADICTED = 4
 """Landmarks not seen that weigh as much as a feature where no landmark is. That one in ten is passed over makes
 log(10) = 2.3 of each; that one feature in twenty is false, and then lies anywhere on 4 m^2 (association's outliers)
@@ -108,7 +111,7 @@ class Search:
     Attributes:
         grid, members: the map.
         views: the view at its four headings.
-        margin: cost that a place may have beyond the best one's.
+        margin: cost that a place may have beyond the best one's, in proportion more in a view of many features.
         order: features, those with the fewest landmarks first.
         groups: those whose poses have been verified.
         tried, verified: poses so far.
@@ -120,7 +123,7 @@ class Search:
     grid: TypeGrid
     members: Members
     views: TurnedViews
-    margin: int
+    margin: float
     order: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     groups: list[list[int]] = field(default_factory=list)
     tried: int = 0
@@ -130,9 +133,10 @@ class Search:
     strictest: float = np.inf
 
     @staticmethod
-    def of(grid: TypeGrid, members: Members, view: Observations, margin: int) -> Search:
+    def of(grid: TypeGrid, members: Members, view: Observations, margin: float) -> Search:
         out = Search(grid, members, TurnedViews.of(view, grid.reach_m), margin)
         out.order = np.lexsort((np.sum(view.var_m2, axis=1), out.lengths()))[:MOST_FEATURES]
+        out.margin = margin * max(1.0, len(out.order) / INDEPENDENT)
         return out
 
     def lengths(self) -> Ints:
@@ -162,7 +166,7 @@ class Search:
 
     @property
     def floor(self) -> int:
-        """Every place that explains so many features was looked at: of those that it may lack, each spoils one group."""
+        """Every place that explains so many features was looked at: each that it lacks spoils one group only."""
         impossible = int(np.count_nonzero(self.lengths()[self.order] == 0))
         return len(self.order) - impossible - len(self.groups) + 1
 

@@ -68,12 +68,12 @@ def _unseen(xy: Array, kind: Ints, corners: Array, low: Ints, shape: tuple[int, 
     """(W, H) types not seen; where a cell is within reach of the rim of what is visible, none."""
     if not np.prod(shape):
         return np.zeros(shape, np.uint16)
-    centre = (low + np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1) + 0.5) * CELL_M
+    x, y = ((low[i] + np.arange(shape[i]) + 0.5) * CELL_M for i in (0, 1))
     side = np.roll(corners, -1, axis=0) - corners
     length = np.hypot(*side.T)
-    rim, side = corners[length > 0.0], side[length > 0.0] / length[length > 0.0, None]
-    off = centre[:, :, None, :] - rim
-    inside = np.all(side[:, 0] * off[..., 1] - side[:, 1] * off[..., 0] >= reach_m, axis=-1)
+    inside = np.ones(shape, bool)
+    for (cx, cy), (dx, dy) in zip(corners[length > 0.0], side[length > 0.0] / length[length > 0.0, None], strict=True):
+        inside &= dx * (y - cy) - dy * (x[:, None] - cx) >= reach_m
     return np.asarray(inside * (ALL_TYPES & ~_seen(xy, kind, low, shape, reach_m)), np.uint16)
 
 
