@@ -33,9 +33,8 @@ LARGEST_GROUP = 3
 """A triangle."""
 MOST_VERIFIED = 32_768
 """Poses of a query that all features are counted for; chosen for time."""
-GROUPS_FRACTION = 0.25
-"""Of the features seen, how many may at most be without a landmark at a place that is found for certain; chosen: beyond
-that the place has changed too much to be known from one view."""
+MOST_GROUPS = 12
+"""Groups that a query tries while it is not complete; chosen for time."""
 CONTRADICTED_FRACTION = 0.5
 """A place that contradicts more of a view than this is none; chosen."""
 EXPLAINED_FRACTION = 0.5
@@ -117,6 +116,7 @@ class Search:
         tried, verified: poses so far.
         found: of each group.
         best: the place with the best score so far, alone; none before one was verified.
+        directed: the view has a heading.
         strictest: least cost beyond which a place was left out, unless it promised to be the best.
     """
 
@@ -131,11 +131,13 @@ class Search:
     found: list[Found] = field(default_factory=list)
     best: Found = field(default_factory=lambda: Found.all_of([]))
     strictest: float = np.inf
+    directed: bool = True
 
     @staticmethod
     def of(grid: TypeGrid, members: Members, view: Observations, margin: float) -> Search:
         out = Search(grid, members, TurnedViews.of(view, grid.reach_m), margin)
         out.order = np.lexsort((np.sum(view.var_m2, axis=1), out.lengths()))[:MOST_FEATURES]
+        out.directed = bool(np.isfinite(view.heading_var_rad2))
         out.margin = margin * max(1.0, len(out.order) / INDEPENDENT)
         return out
 
@@ -144,7 +146,7 @@ class Search:
         return np.asarray(np.sum(self.members.count[self.views.kind], axis=0), np.int64)
 
     def run(self) -> None:
-        """Verify groups until enough features may be wrong, or work ends; once more where the limit was too strict."""
+        """Verify groups until it is complete, or work ends; once more where the limit was too strict."""
         for _ in range(RUNS):
             self.groups, self.found, self.tried, self.verified, self.strictest = [], [], 0, 0, np.inf
             self._run_once()
@@ -153,10 +155,9 @@ class Search:
 
     def _run_once(self) -> None:
         length = self.lengths()
-        left = [int(k) for k in self.order if length[k]]
-        wanted = 1 + int(GROUPS_FRACTION * len(self.order))
-        while left and len(self.groups) < wanted and self.tried + length[left[0]] <= MOST_TRIED:
-            if not self._group(left):
+        left = [int(k) for k in self.order if length[k]] if self.directed else []
+        while left and len(self.groups) < MOST_GROUPS and self.tried + length[left[0]] <= MOST_TRIED:
+            if self.complete or not self._group(left):
                 return
 
     @property
