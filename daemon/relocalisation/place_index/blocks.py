@@ -199,21 +199,28 @@ class LandmarkBlocks:
             on = np.flatnonzero(slot >= 0)
             if not len(on):
                 return
-            which, slot = which[on], slot[on]
+            which, slot = which.take(on), slot.take(on)
             yield which, slot
             slot = self.chain.take(slot)
 
+    def own_bit(self, slots: Slots) -> NDArray[np.uint16]:
+        """(N,) with the bit of each landmark's type."""
+        return np.left_shift(np.uint16(1), self.crossing_type.take(slots).astype(np.uint16))
+
     def near(self, xy: Fine, reach: int) -> Slots:
-        """Slots, in order, of all landmarks within reach of any of the points (Q, 2), and of some further out."""
-        blocks = np.unique(self.directory.at(*(_touched(xy, reach) << BLOCK_SHIFT).T))
-        return np.sort(np.concatenate([np.empty(0, np.int32), *(slot for _, slot in self.walk(blocks))]))
+        """Slots, in order, of all landmarks within reach, along both axes, of any of the points (Q, 2)."""
+        found = [np.empty(0, np.int32)]
+        for which, slot in self.walk(self.directory.at(*(_touched(xy, reach) << BLOCK_SHIFT).T)):
+            off = np.abs(self.xy.take(slot, axis=0) - xy.take(which % len(xy), axis=0))
+            found.append(slot[np.max(off, axis=1) <= reach])
+        return np.unique(np.concatenate(found))
 
     def nearest(self, xy: Fine, kind: Ints, reach: int) -> tuple[Slots, NDArray[np.float64]]:
         """For each point (Q, 2) the slot of the nearest landmark of its type (Q,), or -1, and its distance in FINE."""
         best, label = np.full(len(xy), np.inf), np.full(len(xy), END, np.int32)
         for dx, dy in ((-reach, -reach), (-reach, reach), (reach, -reach), (reach, reach)):
             for which, slot in self.walk(self.directory.at(xy[:, 0] + np.int32(dx), xy[:, 1] + np.int32(dy))):
-                apart = np.hypot(*(self.xy[slot] - xy[which]).T.astype(np.float64))
+                apart = np.hypot(*(self.xy.take(slot, axis=0) - xy.take(which, axis=0)).T.astype(np.float64))
                 closer = (apart < best[which]) & (self.crossing_type[slot] == kind[which])
                 best[which[closer]], label[which[closer]] = apart[closer], slot[closer]
         label[best > reach] = END

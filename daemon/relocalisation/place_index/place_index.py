@@ -5,22 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.place_index.blocks import fine
 from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_probability
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
 from ceilvo.daemon.relocalisation.place_index.refinement import refined
-from ceilvo.daemon.relocalisation.place_index.search import Search
+from ceilvo.daemon.relocalisation.place_index.search import CONTRADICTED, Search
 from ceilvo.daemon.relocalisation.place_index.type_grid import REACH_M, TypeGrid
 from ceilvo.types import Array, Ints, Landmarks, Observations
 
 MOST = 16_384
 """Candidates that are kept; a building of 15,000 m^2 has about 7,000 lamps, half of them at the right quarter turn."""
-MARGIN = 8
-"""Cost that a candidate may have beyond the best one's, 2 for a feature without a landmark, 1 for a landmark not seen;
-chosen: four features without a landmark have a chance of 6e-6 if one in twenty is false."""
+MARGIN = 3 * CONTRADICTED
+"""Cost that a candidate may have beyond the best one's; three features that are false have a chance of 1e-4 if one in
+twenty is."""
 MOVED_M = 0.02
 """A landmark that moved by less stays where it was indexed: less than a feature's noise."""
 
@@ -29,17 +28,17 @@ MOVED_M = 0.02
 class Candidates:
     """Places that a view can be from, the best first: what they explain less their cost.
 
-    A place costs 2 for a feature that it contradicts and 1 for a landmark missed.
+    A place costs 4 for a feature that it contradicts and 1 for a landmark missed.
 
     Attributes:
         pose: (M, 3) map_from_base, within a few centimetres; see PlaceIndex.refined.
         explained: (M,) features with a landmark of their type.
         contradicted: (M,) features without one on mapped ground; the rest is on unmapped ground and says nothing.
         missed: (M,) landmarks that should be seen and are not; 0 where the view does not say what is visible.
-        seen: features in the view.
-        floor: every place that explains so many features was looked at; more than `seen` if none was searched.
-        complete: every place was looked at that explains at least `floor` features, and all of them that are within
-            reach of the best are listed.
+        seen: features that were looked at: all of the view, or the 64 with the fewest landmarks of their type.
+        floor: every place that explains at least so many features was looked at; above `seen` where none was.
+        complete: every place within `margin` of the best is listed, except those that lie partly on unmapped ground and
+            explain less than `floor` features.
         false_alarm_probability: (M,) chance that somewhere on a map like this a wrong place explains as many features.
     """
 
@@ -102,7 +101,7 @@ class PlaceIndex:
         fresh = slots < 0
         fresh[changed] = True
         if np.any(fresh):
-            self.add(_part(landmarks, fresh))
+            self.add(landmarks.of(fresh))
 
     def add(self, landmarks: Landmarks) -> None:
         """Landmarks with ids that are not there yet, each once."""
@@ -118,27 +117,28 @@ class PlaceIndex:
         self.members.remove(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
         self.grid.remove(slots)
 
-    def candidates(self, view: Observations, margin: int = MARGIN, most: int = MOST) -> Candidates:
+    def candidates(self, view: Observations, margin: float = MARGIN, most: int = MOST) -> Candidates:
         """The places that a view can be from.
 
         Args:
             view: its labels are not looked at; only heading_rad modulo 90 deg is.
-            margin: cost that a place may have beyond the best one's to be listed, as in Candidates.
+            margin: cost that a place may have beyond the best one's to be listed, for up to 32 features; in proportion
+                more for more.
             most: places listed.
         """
         search = Search.of(self.grid, self.members, view, margin)
         search.run()
         found = search.kept()
         kept = found.of(np.arange(min(len(found), most)))
-        impossible = int(np.count_nonzero(search.lengths() == 0))
+        whole = len(kept) == len(found) and not self.grid.blocks.left_out
         return Candidates(
             pose=search.poses(kept),
             explained=kept.explained,
             contradicted=kept.contradicted,
             missed=kept.missed,
-            seen=len(view),
-            floor=len(view) + 1 - impossible - len(search.groups),
-            complete=bool(search.groups) and len(kept) == len(found) and not self.grid.blocks.left_out,
+            seen=len(search.order),
+            floor=search.floor,
+            complete=whole and search.complete,
             false_alarm_probability=false_alarm_probability(search, kept.explained),
         )
 
@@ -149,8 +149,3 @@ class PlaceIndex:
     @property
     def nbytes(self) -> int:
         return self.grid.nbytes + self.members.nbytes
-
-
-def _part(landmarks: Landmarks, which: NDArray[np.bool_]) -> Landmarks:
-    m = landmarks
-    return Landmarks(m.ids[which], m.xy_map_m[which], m.cov_m2[which], m.crossing_type[which], m.sightings[which])

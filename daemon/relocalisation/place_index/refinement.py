@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ceilvo.crossing_types import turned_type
 from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
-from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
+from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid, turns_to
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Observations
 
@@ -27,10 +28,11 @@ def _refined(grid: TypeGrid, pose: Array, view: Observations) -> Array:
     weight = 1.0 / (np.mean(view.var_m2, axis=1) + MAP_VAR_M2)
     var = view.heading_var_rad2
     stiff = 1.0 / var if np.isfinite(var) and var > 0.0 else 1.0 / HEADING_VAR_RAD2
+    kind = turned_type(view.crossing_type, int(turns_to(view, pose[2:])[0]))
     start = float(pose[2])
     for _ in range(ROUNDS):
         arm = view.xy_base_m @ rotation(float(pose[2])).T
-        slot, _ = grid.blocks.nearest(fine(pose[:2] + arm), view.crossing_type, reach)
+        slot, _ = grid.blocks.nearest(fine(pose[:2] + arm), kind, reach)
         on = slot >= 0
         if not np.any(on):
             break

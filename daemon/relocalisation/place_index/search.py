@@ -15,17 +15,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, Fine
+from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
 from ceilvo.daemon.relocalisation.place_index.missing import missed
-from ceilvo.daemon.relocalisation.place_index.turned_view import TurnedView
+from ceilvo.daemon.relocalisation.place_index.turned_views import TURNS, TurnedViews
 from ceilvo.daemon.relocalisation.place_index.type_grid import GROUND, TypeGrid
 from ceilvo.types import Array, Ints, Observations
 
-TURNS = 4
-"""Headings that the direction of the lines leaves."""
 MOST_TRIED = 800_000
 """Poses that a query lays features on landmarks for; chosen for time."""
 ENOUGH = 16_384
@@ -34,22 +33,35 @@ LARGEST_GROUP = 3
 """A triangle."""
 MOST_VERIFIED = 32_768
 """Poses of a query that all features are counted for; chosen for time."""
-GROUPS_FRACTION = 0.25
-"""Of the features seen, how many may at most be without a landmark at a place that is found for certain; chosen: beyond
-that the place has changed too much to be known from one view."""
+MOST_GROUPS = 12
+"""Groups that a query tries while it is not complete; chosen for time."""
 CONTRADICTED_FRACTION = 0.5
 """A place that contradicts more of a view than this is none; chosen."""
 EXPLAINED_FRACTION = 0.5
 """A place that explains less than this fraction of what the best one does is none; chosen."""
-CONTRADICTED = 2
-"""Landmarks not seen that weigh as much as a feature where no landmark is: detection passes over one in ten, one in
-twenty is false and then may lie anywhere; chosen."""
+INDEPENDENT = 32
+"""Features from which on the margin grows with their number: a line that is missed or taken for another kind takes all
+its crossings with it, six of 32 in a square grid; chosen."""
+CONTRADICTED = 4
+"""Landmarks not seen that weigh as much as a feature where no landmark is. That one in ten is passed over makes
+log(10) = 2.3 of each; that one feature in twenty is false, and then lies anywhere on 4 m^2 (association's outliers)
+instead of within 2 cm, makes log(19 * 4 / (2 pi 0.02^2)) = 10 of it."""
+SAMPLE = 1024
+"""Poses that a group is judged by before all of its are looked at; chosen for time."""
+PREVIEW = 16
+"""One of so many poses is verified before the others; chosen for time."""
+MOST_FEATURES = 64
+"""Of a view, those with the fewest landmarks, the surest first; a ceiling of 0.3 m tiles shows hundreds, and time must
+not depend on that."""
 FIRST = 32
 """Of a group the best places so far, for which is counted at once what they miss; chosen for time."""
 SAME_PLACE_M = 0.2
 """Side of the cells in which poses are one place: nearer than half of it always, never a tile of 0.3 m apart."""
-LOOK_EVERY = 4
-"""Features counted between two looks for hopeless poses; chosen for time."""
+RUNS = 2
+"""The second with the best place of the first in mind."""
+LOOK_EVERY, AT_ONCE = 4, 1 << 14
+"""Features counted between two looks for hopeless poses, or so many that this many points are looked up; chosen for
+time."""
 
 
 @dataclass(slots=True)
@@ -64,13 +76,18 @@ class Found:
     missed: Ints
 
     @staticmethod
+    def at(x: Fine, y: Fine, turn: Ints) -> Found:
+        """Nothing is counted yet."""
+        return Found(x, y, turn, *np.zeros((3, len(x)), np.int64))
+
+    @staticmethod
     def all_of(parts: Sequence[Found]) -> Found:
-        none = np.empty(0, np.int64)
-        parts = [Found(none.astype(np.int32), none.astype(np.int32), none, none, none, none), *parts]
+        none = np.empty(0, np.int32)
+        parts = [Found.at(none, none, none.astype(np.int64)), *parts]
         return Found(*(np.concatenate([getattr(p, name) for p in parts]) for name in Found.__slots__))
 
     def of(self, which: Ints) -> Found:
-        return Found(*(getattr(self, name)[which] for name in self.__slots__))
+        return Found(*(getattr(self, name).take(which) for name in self.__slots__))
 
     def __len__(self) -> int:
         return len(self.x)
@@ -93,135 +110,192 @@ class Search:
     Attributes:
         grid, members: the map.
         views: the view at its four headings.
-        margin: cost that a place may have beyond the best one's.
+        margin: cost that a place may have beyond the best one's, in proportion more in a view of many features.
         order: features, those with the fewest landmarks first.
         groups: those whose poses have been verified.
         tried, verified: poses so far.
-        found: of each group and turn.
+        found: of each group.
         best: the place with the best score so far, alone; none before one was verified.
+        directed: the view has a heading.
+        strictest: least cost beyond which a place was left out, unless it promised to be the best.
     """
 
     grid: TypeGrid
     members: Members
-    views: list[TurnedView]
-    margin: int
+    views: TurnedViews
+    margin: float
     order: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     groups: list[list[int]] = field(default_factory=list)
     tried: int = 0
     verified: int = 0
     found: list[Found] = field(default_factory=list)
     best: Found = field(default_factory=lambda: Found.all_of([]))
+    strictest: float = np.inf
+    directed: bool = True
 
     @staticmethod
-    def of(grid: TypeGrid, members: Members, view: Observations, margin: int) -> Search:
-        views = [TurnedView.of(view, turn, grid.reach_m) for turn in range(TURNS)]
-        out = Search(grid, members, views, margin)
-        out.order = np.lexsort((np.sum(view.var_m2, axis=1), out.lengths()))
+    def of(grid: TypeGrid, members: Members, view: Observations, margin: float) -> Search:
+        out = Search(grid, members, TurnedViews.of(view, grid.reach_m), margin)
+        out.order = np.lexsort((np.sum(view.var_m2, axis=1), out.lengths()))[:MOST_FEATURES]
+        out.directed = bool(np.isfinite(view.heading_var_rad2))
+        out.margin = margin * max(1.0, len(out.order) / INDEPENDENT)
         return out
 
     def lengths(self) -> Ints:
         """(K,) landmarks that each feature can be laid on, over all turns."""
-        return np.asarray(sum(self.members.count[v.crossing_type] for v in self.views), np.int64)
+        return np.asarray(np.sum(self.members.count[self.views.kind], axis=0), np.int64)
 
     def run(self) -> None:
-        """Verify groups until enough features may be wrong, or work ends."""
-        length = self.lengths()
-        left = [int(k) for k in self.order if length[k]]
-        wanted = 1 + int(GROUPS_FRACTION * len(length))
-        while left and len(self.groups) < wanted and self.tried + length[left[0]] <= MOST_TRIED:
-            if not self._group(left):
+        """Verify groups until it is complete, or work ends; once more where the limit was too strict."""
+        for _ in range(RUNS):
+            self.groups, self.found, self.tried, self.verified, self.strictest = [], [], 0, 0, np.inf
+            self._run_once()
+            if self.lenient:
                 return
+
+    def _run_once(self) -> None:
+        length = self.lengths()
+        left = [int(k) for k in self.order if length[k]] if self.directed else []
+        while left and len(self.groups) < MOST_GROUPS and self.tried + length[left[0]] <= MOST_TRIED:
+            if self.complete or not self._group(left):
+                return
+
+    @property
+    def lenient(self) -> bool:
+        """Whether nothing was left out that is within reach of what is now the best."""
+        return self.strictest >= self._most_cost()
+
+    @property
+    def floor(self) -> int:
+        """Every place that explains so many features was looked at: each that it lacks spoils one group only."""
+        impossible = int(np.count_nonzero(self.lengths()[self.order] == 0))
+        return len(self.order) - impossible - len(self.groups) + 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether a place that was not looked at contradicts too much to be within reach of the best."""
+        lacking = len(self.order) - self.floor + 1
+        return bool(len(self.best) and self.lenient and CONTRADICTED * lacking > self._most_cost())
 
     def _group(self, left: list[int]) -> bool:
         """Verify the poses of the next group, which is taken from `left`; False if they are too many."""
-        anchor = left.pop(0)
-        at = [self.laid(view, anchor) for view in self.views]
-        self.tried += sum(len(x) for x, _ in at)
-        group = [anchor]
-        while sum(len(x) for x, _ in at) > ENOUGH and left and len(group) < LARGEST_GROUP:
-            group.append(left.pop(0))
-            at = [self._with(view, group[-1], *xy) for view, xy in zip(self.views, at, strict=True)]
-        at = [self._new(view, *xy) for view, xy in zip(self.views, at, strict=True)]
-        self.verified += sum(len(x) for x, _ in at)
+        group = self._chosen(left)
+        if group is None:
+            return False
+        laid = self._new(self._laid_whole(group))
+        self.tried += int(self.lengths()[group[0]])
+        self.verified += len(laid)
         if self.verified > MOST_VERIFIED:
             return False
-        fresh = Found.all_of([self._verified(turn, x, y) for turn, (x, y) in enumerate(at)])
-        self._improve(fresh)
-        self.found.append(fresh)
+        some = np.arange(len(laid)) % PREVIEW == 0  # one good place makes the others' hopelessness show early
+        for part in (laid.of(np.flatnonzero(some)), laid.of(np.flatnonzero(~some))):
+            fresh = self._verified(part)
+            self._improve(fresh)
+            self.found.append(fresh)
         self.groups.append(group)
         return True
 
-    def laid(self, view: TurnedView, k: int) -> tuple[Fine, Fine]:
-        """Where the robot is if feature k is one of the landmarks."""
-        at = self.grid.blocks.xy[self.members.of(int(view.crossing_type[k]))]
-        return at[:, 0] - view.xy[k, 0], at[:, 1] - view.xy[k, 1]
+    def _chosen(self, left: list[int]) -> list[int] | None:
+        """The next group, taken from `left`, judged on a sample of its poses; None if there are too many."""
+        group = [left.pop(0)]
+        every = max(int(self.lengths()[group[0]]) // SAMPLE, 1)
+        sample = self.laid(group[0], every)
+        while len(sample) * every > ENOUGH and left and len(group) < LARGEST_GROUP:
+            group.append(left.pop(0))
+            sample = self._with(group[-1], sample)
+        return group if len(sample) * every <= MOST_VERIFIED - self.verified else None
 
-    def there(self, view: TurnedView, k: int, x: Fine, y: Fine) -> tuple[Ints, Ints]:
-        """(M,) 1 where feature k has a landmark, and where ground is mapped at it."""
-        bits = self.grid.bits(x + view.xy[k, 0], y + view.xy[k, 1])
-        return (bits >> int(view.crossing_type[k])) & 1, (bits & GROUND) >> CROSSING_TYPES
+    def _laid_whole(self, group: list[int]) -> Found:
+        """Where the robot is if the whole group is on landmarks."""
+        kept = []
+        for turn, kind in enumerate(self.views.kind[:, group[0]].tolist()):
+            slots = self.members.of(kind)
+            for begin in range(0, len(slots), AT_ONCE):
+                laid = self._on(slots[begin : begin + AT_ONCE], group[0], turn)
+                for k in group[1:]:
+                    laid = self._with(k, laid)
+                kept.append(laid)
+        return Found.all_of(kept)
 
-    def _with(self, view: TurnedView, k: int, x: Fine, y: Fine) -> tuple[Fine, Fine]:
-        on = np.flatnonzero(self.there(view, k, x, y)[0])
-        return x[on], y[on]
+    def _with(self, k: int, f: Found) -> Found:
+        """Those at which feature k has a landmark."""
+        return f.of(np.flatnonzero(self.there([k], f)[0][0]))
 
-    def _new(self, view: TurnedView, x: Fine, y: Fine) -> tuple[Fine, Fine]:
+    def laid(self, k: int, every: int = 1) -> Found:
+        """Where the robot is if feature k is one of the landmarks of its type, or one of every so many."""
+        kinds = enumerate(self.views.kind[:, k].tolist())
+        return Found.all_of([self._on(self.members.of(kind)[::every], k, turn) for turn, kind in kinds])
+
+    def _on(self, slots: Slots, k: int, turn: int) -> Found:
+        at = self.grid.blocks.xy.take(slots, axis=0) - self.views.xy[turn, k]
+        return Found.at(at[:, 0].copy(), at[:, 1].copy(), np.full(len(slots), turn))
+
+    def there(self, ks: Sequence[int], f: Found) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(F, M) whether features ks have a landmark, and whether ground is mapped there; f in the order of turns."""
+        count = np.bincount(f.turn, minlength=TURNS)
+        dx, dy = (np.repeat(self.views.xy[:, ks, i].T, count, axis=1) for i in (0, 1))
+        own = np.repeat(np.left_shift(1, self.views.kind[:, ks].T).astype(np.uint16), count, axis=1)
+        bits = self.grid.bits(dx + f.x, dy + f.y)
+        return (bits & own) > 0, (bits & GROUND) > 0
+
+    def _new(self, f: Found) -> Found:
         """Without those that an earlier group has found."""
-        for group in self.groups:
-            old = np.ones(len(x), bool)
-            for k in group:
-                old &= self.there(view, k, x, y)[0] > 0
-            x, y = x[~old], y[~old]
-        return x, y
+        singles = [g[0] for g in self.groups if len(g) == 1]
+        for part in (singles[i : i + LOOK_EVERY] for i in range(0, len(singles), LOOK_EVERY)):
+            f = f.of(np.flatnonzero(~np.any(self.there(part, f)[0], axis=0)))
+        for group in (g for g in self.groups if len(g) > 1):
+            f = f.of(np.flatnonzero(~np.all(self.there(group, f)[0], axis=0)))
+        return f
 
-    def _verified(self, turn: int, x: Fine, y: Fine) -> Found:
-        """What poses explain and contradict, without those that are found hopeless on the way."""
-        view, last = self.views[turn], len(self.order) - 1
-        explained, contradicted = np.zeros(len(x), np.int64), np.zeros(len(x), np.int64)
-        most, least = self._most_contradicted(), self._least_explained()
-        for done, k in enumerate(self.order):
-            there, ground = self.there(view, int(k), x, y)
-            explained += there
-            contradicted += ground & ~there
-            if done % LOOK_EVERY == LOOK_EVERY - 1 or done == last:
-                on = np.flatnonzero((contradicted <= most) & (explained + (last - done) >= least))
-                x, y, explained, contradicted = x[on], y[on], explained[on], contradicted[on]
-        return Found(x, y, np.full(len(x), turn), explained, contradicted, np.zeros(len(x), np.int64))
+    def _verified(self, f: Found) -> Found:
+        """Poses with what they explain and contradict, without those that are found hopeless on the way."""
+        order, done = self.order.tolist(), 0
+        self.strictest = min(self.strictest, self._most_cost())
+        while done < len(order) and len(f):
+            ks = order[done : done + max(LOOK_EVERY, AT_ONCE // len(f))]
+            there, ground = self.there(ks, f)
+            f.explained += np.count_nonzero(there, axis=0)
+            f.contradicted += np.count_nonzero(ground & ~there, axis=0)
+            done += len(ks)
+            f = f.of(np.flatnonzero(self._hopeful(f, len(order) - done)))
+        return f
 
-    def _most_contradicted(self) -> float:
+    def _hopeful(self, f: Found, left: int) -> NDArray[np.bool_]:
+        """Which can be within reach of the best, or be the best, if all features that are left are explained."""
         if not len(self.best):
-            return CONTRADICTED_FRACTION * len(self.order)
-        return float(self.best.cost[0] + self.margin) / CONTRADICTED
+            return f.cost <= self._most_cost()
+        within = (f.cost <= self._most_cost()) & (f.explained + left >= EXPLAINED_FRACTION * self.best.explained[0])
+        return np.asarray(within | (f.score + CONTRADICTED * left >= self.best.score[0]))
 
-    def _least_explained(self) -> float:
-        return max(EXPLAINED_FRACTION * float(self.best.explained[0]), 1.0) if len(self.best) else 1.0
+    def _most_cost(self) -> float:
+        if not len(self.best):
+            return CONTRADICTED * CONTRADICTED_FRACTION * len(self.order)
+        return float(self.best.cost[0] + self.margin)
 
     def _improve(self, fresh: Found) -> None:
         """Take the best of what was found for the best, if it is."""
-        first = fresh.of(np.argsort(-fresh.score, kind="stable")[:FIRST])
+        better = np.flatnonzero(fresh.score > self.best.score[0]) if len(self.best) else np.arange(len(fresh))
+        first = fresh.of(better[np.argsort(-fresh.score[better], kind="stable")[:FIRST]])
         self._count_missed(first)
         first = Found.all_of([self.best, first])
-        self.best = first.of(np.argsort(-first.score, kind="stable")[:1])
+        self.best = first.of(np.lexsort((-first.cost, -first.score))[:1])
 
     def _count_missed(self, f: Found) -> None:
-        f.missed = missed(self.grid, self.views, f.x, f.y, f.turn)
+        f.missed = missed(self.grid.blocks, self.views, f.x, f.y, f.turn)
 
     def kept(self) -> Found:
         """All that is within reach of the best, best first, each place once."""
         f = Found.all_of(self.found)
-        possible = (f.contradicted <= self._most_contradicted()) & (f.explained >= self._least_explained())
-        f = f.of(np.flatnonzero(possible))
+        f = f.of(np.flatnonzero(self._hopeful(f, 0)))
         self._count_missed(f)
-        self._improve(f)
-        good = (f.cost <= self.best.cost[0] + self.margin) if len(f) else np.zeros(0, bool)
-        f = f.of(np.flatnonzero(good))
+        self.best = f.of(np.lexsort((-f.cost, -f.score))[:1])
+        f = f.of(np.flatnonzero(self._hopeful(f, 0)))
         f = f.of(np.lexsort((f.turn, f.y, f.x, -f.score)))
         return f.of(_first_of_places(f))
 
     def poses(self, f: Found) -> Array:
         """(M, 3) map_from_base."""
-        heading = np.array([v.heading_rad for v in self.views])
-        return np.column_stack([FINE_M * f.x, FINE_M * f.y, heading[f.turn]])
+        return np.column_stack([FINE_M * f.x, FINE_M * f.y, self.views.heading_rad[f.turn]])
 
 
 def _first_of_places(f: Found) -> Ints:

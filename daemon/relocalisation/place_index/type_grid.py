@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.crossing_types import CROSSING_TYPES, turned_type
 from ceilvo.daemon.relocalisation.place_index.blocks import (
     BLOCK_BITS,
     CELL_M,
@@ -37,8 +37,6 @@ CELLS = 1 << 2 * BLOCK_BITS
 """Of a block."""
 CHUNK, DRAWN = 1 << 14, 1 << 10
 """Points looked up and landmarks drawn at once, so that their arrays stay in the cache; chosen."""
-STAMP = int(np.ceil(GROUND_M / CELL_M))
-"""Cells that a landmark reaches to each side of its own."""
 
 
 @dataclass(slots=True)
@@ -82,8 +80,7 @@ class TypeGrid:
         gone = self.blocks.xy[slots]
         self.blocks.remove(slots)
         for part in np.array_split(gone, len(gone) // DRAWN + 1):
-            at, _ = self._stamps(part, np.zeros(len(part), np.int64))
-            self.cells[at] = 0
+            self.cells[self._stamps(part, np.zeros(len(part), np.int64))[0]] = 0
         self._draw(self._around(gone))
 
     def replace(self, landmarks: Landmarks) -> None:
@@ -93,27 +90,30 @@ class TypeGrid:
 
     def bits(self, x: Fine, y: Fine) -> Bits:
         """(Q,) of the cells in which points lie."""
-        block = self.blocks.directory.at(x, y) << 2 * BLOCK_BITS
-        block |= ((x >> (FINE_BITS - BLOCK_BITS)) & (IN_BLOCK << BLOCK_BITS)) | ((y >> FINE_BITS) & IN_BLOCK)
-        return self.cells.take(block)
+        return self.cells.take(self._addresses(x, y))
 
     def hits(self, poses: Array, view: Observations) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """For poses (M, 3) and the K features of a view, as typed in it.
+        """For poses (M, 3) and the K features of a view, their types turned into the quadrant of each pose's heading.
 
         Returns:
             (M, K) whether a landmark of its type is where a feature is, and (M, K) whether ground is mapped there.
         """
         there = np.empty((len(poses), len(view)), bool)
         ground = np.empty((len(poses), len(view)), bool)
-        for begin in range(0, len(poses), CHUNK):
-            part = slice(begin, begin + CHUNK)
-            x, y, theta = poses[part].T
-            c, s = np.cos(theta), np.sin(theta)
-            for k, ((fx, fy), kind) in enumerate(zip(view.xy_base_m, view.crossing_type, strict=True)):
-                bits = self.bits(fine(x + c * fx - s * fy), fine(y + s * fx + c * fy))
-                there[part, k] = bits & np.uint16(1 << int(kind))
-                ground[part, k] = bits & GROUND
+        own = np.array([np.left_shift(1, turned_type(view.crossing_type, t)) for t in range(4)], np.uint16)
+        at_once = max(CHUNK // max(len(view), 1), 1)
+        for begin in range(0, len(poses), at_once):
+            part = slice(begin, begin + at_once)
+            bits = self._bits_seen(poses[part], view.xy_base_m)
+            there[part] = bits & own[turns_to(view, poses[part, 2])]
+            ground[part] = bits & GROUND
         return there, ground
+
+    def _bits_seen(self, poses: Array, xy_base_m: Array) -> Bits:
+        """(M, K) bits at points of base."""
+        c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        x, y = xy_base_m.T
+        return self.bits(fine(poses[:, :1] + c * x - s * y), fine(poses[:, 1:2] + s * x + c * y))
 
     @property
     def nbytes(self) -> int:
@@ -121,26 +121,46 @@ class TypeGrid:
 
     def _draw(self, slots: Slots) -> None:
         for part in np.array_split(slots, len(slots) // DRAWN + 1):
-            at, bits = self._stamps(self.blocks.xy[part], self.blocks.crossing_type[part])
+            at, bits = self._stamps(self.blocks.xy[part], self.blocks.crossing_type[part].astype(np.int64))
             np.bitwise_or.at(self.cells, at, bits)
 
-    def _stamps(self, xy: Fine, kind: NDArray[np.integer]) -> tuple[Ints, Bits]:
+    def _stamps(self, xy: Fine, kind: NDArray[np.integer]) -> tuple[Fine, Bits]:
         """Cells that landmarks reach, and the bits that they set there."""
-        offset = np.arange(-STAMP, STAMP + 1, dtype=np.int32) << FINE_BITS
-        centre = ((xy >> FINE_BITS) << FINE_BITS) + np.int32(1 << (FINE_BITS - 1))
-        dx, dy = ((centre[:, i] - xy[:, i])[:, None] + offset for i in (0, 1))
-        apart2 = dx[:, :, None] ** 2 + dy[:, None, :] ** 2
-        which, i, j = np.nonzero(apart2 <= _fine(GROUND_M) ** 2)
-        x, y = centre[which, 0] + offset[i], centre[which, 1] + offset[j]
-        block = self.blocks.directory.at(x, y) << 2 * BLOCK_BITS
-        at = block | ((x >> (FINE_BITS - BLOCK_BITS)) & (IN_BLOCK << BLOCK_BITS)) | ((y >> FINE_BITS) & IN_BLOCK)
-        own = np.left_shift(1, kind.astype(np.uint16))[which].astype(np.uint16)
-        near = apart2[which, i, j] <= _fine(self.reach_m) ** 2
-        return at, np.where(near, own | GROUND, GROUND).astype(np.uint16)
+        x, y, own, near = reached(xy, kind, self.reach_m, GROUND_M)
+        return self._addresses(x, y), np.where(near, own | GROUND, GROUND).astype(np.uint16)
+
+    def _addresses(self, x: Fine, y: Fine) -> NDArray[np.int32]:
+        """Of the cells of points."""
+        at = self.blocks.directory.at(x, y)
+        at <<= 2 * BLOCK_BITS
+        at |= (x >> (FINE_BITS - BLOCK_BITS)) & (IN_BLOCK << BLOCK_BITS)
+        at |= (y >> FINE_BITS) & IN_BLOCK
+        return at
 
     def _around(self, xy: Fine) -> Slots:
         """Landmarks whose cells may be those of landmarks at these points."""
         return self.blocks.near(xy, _fine(2.0 * GROUND_M + CELL_M))
+
+
+def reached(
+    xy: Fine, kind: NDArray[np.integer], reach_m: float, furthest_m: float
+) -> tuple[Fine, Fine, Bits, NDArray[np.bool_]]:
+    """Centres (N,), (N,) of all cells within `furthest_m` of points, the bit of the point's type, whether in reach."""
+    cells = int(np.ceil(furthest_m / CELL_M))
+    offset = np.arange(-cells, cells + 1, dtype=np.int32) << FINE_BITS
+    centre = ((xy >> FINE_BITS) << FINE_BITS) + np.int32(1 << (FINE_BITS - 1))
+    dx, dy = ((centre[:, i] - xy[:, i])[:, None] + offset for i in (0, 1))
+    apart2 = dx[:, :, None] ** 2 + dy[:, None, :] ** 2
+    which, i, j = np.nonzero(apart2 <= _fine(furthest_m) ** 2)
+    own = np.left_shift(1, kind).astype(np.uint16)[which]
+    return centre[which, 0] + offset[i], centre[which, 1] + offset[j], own, apart2[which, i, j] <= _fine(reach_m) ** 2
+
+
+def turns_to(view: Observations, heading_rad: Array) -> Ints:
+    """(M,) by how many quarter turns the types of a view must be named further where the robot's heading is (M,)."""
+    if not np.isfinite(view.heading_var_rad2):
+        return np.zeros(len(heading_rad), np.int64)
+    return np.asarray(np.round((view.heading_rad - heading_rad) / (0.5 * np.pi)), np.int64) % 4
 
 
 def _fine(length_m: float) -> int:
