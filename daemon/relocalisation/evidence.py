@@ -144,10 +144,14 @@ def chance_matches(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage,
 
 
 class ViewEvidence:
-    """One view, to be weighed at many poses."""
+    """One view, to be weighed at many poses.
 
-    def __init__(self, view: Observations, around: Surroundings) -> None:
-        self._view, self._around = view, around
+    Args:
+        worth: (K,) of each feature in those of a view from new ground: what was looked at before says less again.
+    """
+
+    def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
+        self._view, self._around, self._worth = view, around, worth
         q = around.chance
         self._gain, self._loss = _tables(q)
         self._types = np.array([turned_type(view.crossing_type, t) for t in range(4)])
@@ -192,7 +196,7 @@ class ViewEvidence:
         step = views // _VIEWS_PER_STEP
         each = np.where(matched[..., None], self._gain[step, types], self._loss[step, types])
         each[(views < VIEWS) & ~matched] = 0.0
-        return np.asarray(np.sum(each, axis=1))
+        return np.asarray(np.einsum("mkr,k->mr", each, self._worth))
 
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
@@ -209,7 +213,7 @@ class ViewEvidence:
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
         missed = (bits & _VISIBLE > 0) & ((bits >> kind.astype(np.uint16)) & np.uint16(1) == 0)
-        return np.asarray(missed @ surprise)
+        return np.asarray(missed @ surprise) * float(np.mean(self._worth)) if len(self._worth) else out
 
 
 def _mixed(score: Array) -> Array:

@@ -30,6 +30,8 @@ FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
 """Log-likelihood ratio of a view below which rivals of a place that was sure are weighed; 1 view in 100 (docs)."""
+FRESH_SPOTS = 12
+"""While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 WATCH_M = 2.0
 """How far those are looked for; chosen: three tiles, as a robot that jumps without a trace does not jump far."""
 HALF = 0.5
@@ -63,6 +65,7 @@ class RelocaliserState:
         views: weighed since the last doubt.
         jumped: a frame of the gap that lasts had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
+        looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         coverage: ground that the map knows.
         index: of the whole map, to find a place in it.
         chance: (9,) how often chance explains a feature of each type; measured_m: way since it was measured.
@@ -74,6 +77,8 @@ class RelocaliserState:
     views: int = 0
     jumped: bool = False
     map_axis_rad: float | None = None
+    looked: Coverage = field(default_factory=Coverage)
+    spots: int = 0
     coverage: Coverage = field(default_factory=Coverage)
     index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Array = field(default_factory=lambda: np.full(9, 0.5))
@@ -135,8 +140,14 @@ class Relocaliser:
         """Begin on a map of an earlier run; the robot may have been moved since the pose was stored."""
         doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf)
         self.start_at(pose, cov, landmarks, doubt)
-        lattice = Lattice.of(landmarks, map_axis_rad)
-        self.state.map_axis_rad, self.state.index = map_axis_rad, PlaceIndex.of(landmarks)
+        self.state.map_axis_rad = map_axis_rad
+        self.survey_map()
+
+    def survey_map(self) -> None:
+        """Index a map that came without, and find out which ground it knows."""
+        landmarks, axis_rad = self.filter.landmarks(), self.state.map_axis_rad or 0.0
+        lattice = Lattice.of(landmarks, axis_rad)
+        self.state.index = PlaceIndex.of(landmarks)
         self.state.coverage = Coverage.of(landmarks, 0.0 if lattice is None else float(np.max(lattice.tile_m)))
 
     def travelled(self, track: Track, crossings: int) -> None:
@@ -187,12 +198,12 @@ class Relocaliser:
     def _weigh(self, view: Observations) -> bool:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
         s = self.state
-        s.belief.arrive()
+        self._arrive()
         before = self.filter.estimate()[0]
         around = self._surroundings(view, before, WATCH_M if s.pending is None else s.pending.search_m)
-        evidence = ViewEvidence(view, around)
         if s.pending is not None:
             self._instantiate(s.pending, view, around)
+        evidence = ViewEvidence(view, around, self._worth(view))
         pose = self.filter.estimate()[0]
         if len(s.belief) == 1 and evidence.log_ratio(pose[None])[0] < SURPRISE:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around)
@@ -202,11 +213,27 @@ class Relocaliser:
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 
+    def _arrive(self) -> None:
+        """What is seen again from another spot is worth less: the same lamp twice is not two lamps."""
+        s = self.state
+        if not s.belief.at_another_spot:
+            return
+        s.belief.leave_spot()
+        s.looked.show(transform(Pose(self.filter.estimate()[0]), self._visible_m))
+        s.spots += 1
+        if self.sure and s.spots > FRESH_SPOTS:
+            s.looked, s.spots = Coverage(), 0
+
+    def _worth(self, view: Observations) -> Array:
+        at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+        return np.asarray(1.0 / (1.0 + self.state.looked.views(at)))
+
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
         s = self.state
         if doubt.unmeasured:
             s.belief.leave_spot()
+            s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
         lattice = Lattice.of(around.landmarks, s.map_axis_rad or 0.0)
         if lattice is not None:
@@ -249,6 +276,7 @@ class Relocaliser:
         s = self.state
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
         if winner is not None:
+            s.looked, s.spots = Coverage(), 0
             shims.jump(self.filter, Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
