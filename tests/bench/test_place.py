@@ -242,7 +242,7 @@ def test_cases_are_of_every_kind_in_turn() -> None:
 def test_a_case_runs_through_the_daemon_and_is_the_same_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, seconds in (("_LEARN_S", 20.0), ("_AFTER_S", 3.0), ("_AFTER_MOST_S", 5.0)):
         monkeypatch.setattr(case_module, name, seconds)
-    case = Case("faint", 3, 0, ("5",))
+    case = Case("faint", 3, 4, ("5",))
     first, again = run_case(case), run_case(case)
     for result in (first, again):
         result.pop("step_ms")

@@ -22,7 +22,7 @@ def _bumped(d: Drive, site: Site) -> tuple[Sight, float]:
 
 
 def _dirty(d: Drive, site: Site) -> tuple[Sight, float]:
-    return Sight(ghosts_m=d.rng.uniform(-1.0, 1.0, (8, 2))), 20.0
+    return Sight(ghosts_m=d.rng.uniform(-1.0, 1.0, (4, 2))), 20.0
 
 
 def _ramp(d: Drive, site: Site) -> tuple[Sight, float]:
@@ -44,6 +44,8 @@ KINDS: dict[str, Kind] = {
     "carried anywhere light": Kind(carried.anywhere(False)),
     "turned 90 deg": Kind(carried.turned_quarter),
     "spun in the dark": Kind(carried.spun_dark),
+    "towed in the dark": Kind(carried.towed),
+    "wheels in the air": Kind(carried.wheels_in_the_air, wheels=(True,)),
     "ring of 2": Kind(pictures.ring(2), pictures=True),
     "ring of 4": Kind(pictures.ring(4), pictures=True),
     "frozen with noise": Kind(pictures.frozen, pictures=True),
@@ -66,6 +68,7 @@ KINDS: dict[str, Kind] = {
     "silent while changing speed": Kind(signals.no_frames(True)),
     "gap while changing speed": Kind(signals.no_frames(False)),
     "half the frames": Kind(signals.dropped),
+    "frames a second apart": Kind(signals.seconds_apart),
     "stamps behind": Kind(signals.stamps_behind),
     "stamps jump": Kind(signals.stamps_jump),
     "wheels backwards": Kind(signals.wheels_say(signals.scaled(-1.0, 1.0)), wheels=(True,)),
@@ -81,6 +84,7 @@ KINDS: dict[str, Kind] = {
     "restart here": Kind(carried.restart(False)),
     "restart elsewhere": Kind(carried.restart(True)),
     "30 % renovated": Kind(changes.over_night(changes.SHARE)),
+    "lamps rehung": Kind(changes.rehung()),
     "another building": Kind(changes.over_night(1.0)),
     "other floor": Kind(changes.other_floor),
 }

@@ -68,6 +68,16 @@ def dropped(d: Drive, site: Site) -> Iterator[None]:
     d.conditions.skipped = False
 
 
+def seconds_apart(d: Drive, site: Site) -> Iterator[None]:
+    """A computer that is too slow: one frame in .5 to 1 s, while the robot drives on."""
+    every = round(float(d.rng.uniform(0.5, 1.0)) / d.dt_s)
+    d.tally.effect()
+    for k in range(round(15.0 / d.dt_s)):
+        d.conditions.skipped = k % every != 0
+        yield
+    d.conditions.skipped = False
+
+
 def stamps_behind(d: Drive, site: Site) -> Iterator[None]:
     d.conditions.clock = 0.8
     d.tally.effect()
