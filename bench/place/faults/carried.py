@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, carry, goes_on, halt, tiles_away
+from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.types import Pose
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from ceilvo.bench.place.ceiling.truth import Features, Origin, features_of, joined, without
 from ceilvo.bench.place.ceiling.worlds import World, make_world
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, goes_on, halt, last
-from ceilvo.bench.place.sights import CrossingSight
+from ceilvo.bench.place.robot.drive import Drive
+from ceilvo.bench.place.robot.sights import CrossingSight
 
 SHARE = 0.3
 """Of a room that is renovated, issue's."""

@@ -6,9 +6,9 @@ import numpy as np
 
 from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Origin
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults import carried, changes, pictures, signals
 from ceilvo.bench.place.faults.script import Kind, Site
+from ceilvo.bench.place.robot.drive import Drive
 
 
 def _scaled(d: Drive, site: Site) -> tuple[Sight, float]:
@@ -73,7 +73,7 @@ KINDS: dict[str, Kind] = {
     "stamps jump": Kind(signals.stamps_jump),
     "wheels backwards": Kind(signals.wheels_say(signals.scaled(-1.0, 1.0)), wheels=(True,)),
     "wheels turn flipped": Kind(signals.wheels_say(signals.scaled(1.0, -1.0)), wheels=(True,)),
-    "wheels 6 % long": Kind(signals.wheels_say(signals.scaled(1.06, 1.0), dark_s=3.0), wheels=(True,)),
+    "wheels that count too much": Kind(signals.wheels_say(signals.scaled(1.06, 1.0), dark_s=3.0), wheels=(True,)),
     "wheels stuck": Kind(signals.wheels_say(signals.scaled(0.0, 0.0), dark_s=1.0), wheels=(True,)),
     "wheels late": Kind(signals.wheels_late, wheels=(True,)),
     "slip in yaw": Kind(signals.wheels_say(signals.turning(0.5), 2.0, 2.0), wheels=(True,)),
@@ -83,7 +83,7 @@ KINDS: dict[str, Kind] = {
     "pose a tile off": Kind(carried.pose_a_tile_off),
     "restart here": Kind(carried.restart(False)),
     "restart elsewhere": Kind(carried.restart(True)),
-    "30 % renovated": Kind(changes.over_night(changes.SHARE)),
+    "a third renovated": Kind(changes.over_night(changes.SHARE)),
     "lamps rehung": Kind(changes.rehung()),
     "another building": Kind(changes.over_night(1.0)),
     "other floor": Kind(changes.other_floor),

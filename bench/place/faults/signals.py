@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, halt, last
+from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.types import Array
 
 
