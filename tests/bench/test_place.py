@@ -14,12 +14,12 @@ from ceilvo.bench.place import case as case_module
 from ceilvo.bench.place import command, study_tables, tables
 from ceilvo.bench.place.case import Case, cases, drive_in, run_case
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
-from ceilvo.bench.place.drive import Conditions, Drive
 from ceilvo.bench.place.faults.kinds import KINDS
 from ceilvo.bench.place.faults.script import Kind, Site, carry
-from ceilvo.bench.place.robot import Base, Driver, arc
-from ceilvo.bench.place.sights import CrossingSight, Seen
-from ceilvo.bench.place.tally import Tally, figures
+from ceilvo.bench.place.robot.drive import Conditions, Drive
+from ceilvo.bench.place.robot.driver import Base, Driver, arc
+from ceilvo.bench.place.robot.sights import CrossingSight, Seen
+from ceilvo.bench.place.robot.tally import Tally, figures
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Crossings, Estimate, Pose, State, WheelMotion
@@ -242,7 +242,7 @@ def test_cases_are_of_every_kind_in_turn() -> None:
 def test_a_case_runs_through_the_daemon_and_is_the_same_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, seconds in (("_LEARN_S", 20.0), ("_AFTER_S", 3.0), ("_AFTER_MOST_S", 5.0)):
         monkeypatch.setattr(case_module, name, seconds)
-    case = Case("faint", 3, 0, ("5",))
+    case = Case("faint", 3, 4, ("5",))
     first, again = run_case(case), run_case(case)
     for result in (first, again):
         result.pop("step_ms")
@@ -278,3 +278,12 @@ def test_poses_are_of_the_map_not_of_the_room() -> None:
     d.map_from_room = np.array([1.0, 2.0, 0.5])
     assert np.allclose(se2.between(d.map_from_room, d.pose), d.room_pose)
     assert isinstance(Pose(d.pose), np.ndarray)
+
+
+@pytest.mark.parametrize("name", ["faults", "carried", "restart", "laps", "start", "renovated", "eye-check"])
+def test_every_command_has_help_that_keeps_seeds_apart(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        command.main([name, "--help"])
+    assert end.value.code == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--seed" in text and (name == "eye-check" or "1000 and more for figures" in text)

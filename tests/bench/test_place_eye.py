@@ -12,7 +12,7 @@ from ceilvo.bench.place.ceiling.eye import EyeNoise, Sight, SyntheticEye
 from ceilvo.bench.place.ceiling.eye_check import compare
 from ceilvo.bench.place.ceiling.truth import Features, Origin, features_of, joined, without
 from ceilvo.bench.place.ceiling.worlds import MAP_SIGMA_M, SIZES_M, WorldSpec, landmarks_of, make_world
-from ceilvo.bench.place.sights import CrossingSight, PictureSight
+from ceilvo.bench.place.robot.sights import CrossingSight, PictureSight
 from ceilvo.config import Config
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.vision.crossing_finder import CrossingFinder
