@@ -80,8 +80,12 @@ def nearest(landmarks: Landmarks, xy: Array, kind: Ints | None) -> Array:
     return np.asarray(np.min(apart, axis=-1, initial=np.inf))
 
 
-def explained(landmarks: Landmarks, pose: Array, view: Observations, reach_m: float) -> int:
-    """Features with a landmark of their type within reach."""
+def explained(landmarks: Landmarks, poses: Array, view: Observations, reach_m: float) -> Ints:
+    """(M,) features with a landmark of their type within reach, from poses (M, 3)."""
+    return np.array([_explained(landmarks, p, view, reach_m) for p in np.reshape(poses, (-1, 3))])
+
+
+def _explained(landmarks: Landmarks, pose: Array, view: Observations, reach_m: float) -> int:
     xy, kind = at_heading(view, float(pose[2]))
     return int(np.count_nonzero(nearest(landmarks, xy + pose[:2], kind) <= reach_m))
 
@@ -106,11 +110,12 @@ def missed(landmarks: Landmarks, pose: Array, view: Observations, reach_m: float
 
 
 def all_places(landmarks: Landmarks, view: Observations) -> Array:
-    """(N, 3) poses that put any feature on any landmark of its type, at the four headings."""
+    """(N, 3) poses that put any feature on any landmark of its type, at the four headings; of those within 1 cm one."""
     out = []
     for turn in range(4):
         heading = wrap(view.heading_rad - 0.5 * np.pi * turn)
         xy, kind = at_heading(view, heading)
         k, m = np.nonzero(kind[:, None] == landmarks.crossing_type)
         out.append(np.column_stack([landmarks.xy_map_m[m] - xy[k], np.full(len(k), heading)]))
-    return np.concatenate(out)
+    places = np.concatenate(out)
+    return np.asarray(places[np.unique(np.round(places, 2), axis=0, return_index=True)[1]])

@@ -173,9 +173,12 @@ class Search:
 
     @property
     def complete(self) -> bool:
-        """Whether a place that was not looked at contradicts too much to be within reach of the best."""
-        lacking = len(self.order) - self.floor + 1
-        return bool(len(self.best) and self.lenient and CONTRADICTED * lacking > self._most_cost())
+        """Whether what was not looked at contradicts too much to be within reach of the best, or to be the best."""
+        if not len(self.best) or not self.lenient:
+            return False
+        most, lacking = self.floor - 1, len(self.order) - self.floor + 1
+        better = CONTRADICTED * (most - lacking) > self.best.score[0]
+        return bool(CONTRADICTED * lacking > self._most_cost() and not better)
 
     def _group(self, left: list[int]) -> bool:
         """Verify the poses of the next group, which is taken from `left`; False if they are too many."""

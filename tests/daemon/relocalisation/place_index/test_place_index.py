@@ -66,14 +66,14 @@ def test_every_place_within_reach_is_listed_and_counted_as_brute_force_does(seed
     counted_as_brute_force_does(found, known, view)
     if found.complete:
         everything_is_listed(found, known, view)
-        truly = place_maps.explained(known, pose, view, 0.03)
+        truly = place_maps.explained(known, pose, view, 0.03)[0]
         if truly >= max(found.floor, found.explained.max()):
             assert has(found, pose)
 
 
 def counted_as_brute_force_does(found, known, view):
     for i in np.unique(np.linspace(0, len(found) - 1, 12).astype(int)) if len(found) else ():
-        counts = [place_maps.explained(known, found.pose[i], view, r) for r in (SURE_M, FURTHEST_M)]
+        counts = [place_maps.explained(known, found.pose[i], view, r)[0] for r in (SURE_M, FURTHEST_M)]
         assert counts[0] <= found.explained[i] <= counts[1]
         least = place_maps.contradicted(known, found.pose[i], view, FURTHEST_M, GROUND_M - HALF_DIAGONAL_M - FINE_M)
         most = place_maps.contradicted(known, found.pose[i], view, SURE_M, GROUND_M + HALF_DIAGONAL_M + FINE_M)
@@ -86,15 +86,18 @@ def counted_as_brute_force_does(found, known, view):
 
 
 def everything_is_listed(found, known, view):
-    """Of all places, those that are surely within the margin and explain enough, are candidates."""
-    best_cost = CONTRADICTED * found.contradicted[0] + found.missed[0]
-    for place in place_maps.all_places(known, view):
-        enough = place_maps.explained(known, place, view, 0.5 * SURE_M)
-        if enough < max(found.floor, EXPLAINED_FRACTION * found.explained.max()):
-            continue
+    """Of all places that lie on mapped ground, or explain enough, those surely within the margin are candidates."""
+    cost = CONTRADICTED * found.contradicted + found.missed
+    places = place_maps.all_places(known, view)
+    explained = place_maps.explained(known, places, view, 0.5 * SURE_M)
+    enough = explained >= EXPLAINED_FRACTION * found.explained[0]
+    for place, count in zip(places[enough], explained[enough], strict=True):
         contradicted = place_maps.contradicted(known, place, view, 0.5 * SURE_M, GROUND_M + 0.2)
         missed = place_maps.missed(known, place, view, 0.5 * SURE_M, 0.0)
-        if CONTRADICTED * contradicted + missed <= best_cost + MARGIN:
+        if count < found.floor and count + contradicted < len(view):
+            continue
+        assert CONTRADICTED * (count - contradicted) - missed <= CONTRADICTED * found.explained[0] - cost[0]
+        if CONTRADICTED * contradicted + missed <= cost[0] + MARGIN:
             assert has(found, place, 0.2)
 
 
@@ -220,8 +223,8 @@ def test_refined_poses_are_at_the_truth_from_a_few_centimetres_off():
     errors = []
     for pose in poses:
         view = place_maps.view_of(known, pose, rng, int(rng.integers(4)), noise_m=0.01, keep=0.8, extra=2)
-        start = pose + [*(0.05 * rng.standard_normal(2)), 0.01 * rng.standard_normal()]
-        wrong_quarter = start + [0.0, 0.0, 0.5 * np.pi]
+        start = pose + np.array([0.05, 0.05, 0.01]) * rng.standard_normal(3)
+        wrong_quarter = start + np.array([0.0, 0.0, 0.5 * np.pi])
         better, elsewhere = index.refined(np.stack([start, wrong_quarter]), view)
         errors.append(np.hypot(*(better - pose)[:2]))
         assert abs(wrap_array(better[2] - pose[2])) < 0.02

@@ -47,7 +47,7 @@ def test_a_part_of_the_map_can_be_brought_up_to_date_alone():
     rng = np.random.default_rng(1)
     world = place_maps.random_map(rng, 300, 10.0)
     index = PlaceIndex.of(world)
-    moved = replace(world, xy_map_m=world.xy_map_m + [0.3, -0.2])
+    moved = replace(world, xy_map_m=world.xy_map_m + np.array([0.3, -0.2]))
     for begin in range(0, 300, 37):
         index.sync(moved.of(np.arange(begin, min(begin + 37, 300))))
     same_answers(index, PlaceIndex.of(moved), place_maps.view_of(moved, [0.0, 0.5, 0.2], rng))
@@ -79,7 +79,7 @@ def test_a_moved_landmark_is_looked_for_where_it_is_now():
     world = place_maps.random_map(rng, 500, 16.0)
     index = PlaceIndex.of(world)
     drift = 0.02 * rng.standard_normal((500, 2))
-    now = replace(world, xy_map_m=world.xy_map_m + [0.5, 0.5] + drift)
+    now = replace(world, xy_map_m=world.xy_map_m + 0.5 + drift)
     index.sync(now)
     pose = np.array([1.0, 1.0, 0.3])
     view = place_maps.view_of(now, pose, rng)
