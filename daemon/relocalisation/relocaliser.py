@@ -24,6 +24,8 @@ from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 VIEW_PERIOD_S = 0.1
 """A standing robot whose place is in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
+SPOT_VIEWS = 5
+"""Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
 FEWEST_VIEWS = 3
@@ -199,6 +201,8 @@ class Relocaliser:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
         s = self.state
         self._arrive()
+        if s.pending is None and s.belief.spot_views >= SPOT_VIEWS:
+            return False
         before = self.filter.estimate()[0]
         around = self._surroundings(view, before, WATCH_M if s.pending is None else s.pending.search_m)
         if s.pending is not None:
