@@ -113,7 +113,7 @@ class Relocaliser:
         reach_m = drift_m + blind_m + REACH_M
         if self.state.hypothesis is not None:
             self.state.hypothesis = self.state.hypothesis.after_gap(usable, reach_m)
-        elif len(self.filter.landmarks()) >= FEWEST_LANDMARKS:
+        elif self.filter.size() >= FEWEST_LANDMARKS:
             self._end_search()
             self.state.hypothesis = PoseHypothesis(Source.DEAD_RECKONED if usable else Source.BLIND, reach_m, blind_m)
 
@@ -130,9 +130,9 @@ class Relocaliser:
         pose, _, health = self.filter.estimate()
         if self.state.map_axis_rad is None:
             self.state.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
-        axis, landmarks = self.state.map_axis_rad, self.filter.landmarks()
+        axis, near = self.state.map_axis_rad, self.filter.landmarks_near
         noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
-        view = associate(crossings, noise, mount_xy_m, pose, landmarks, self._settings, axis)
+        view = associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis)
         if health.mode_weight >= SURE or self.state.hypothesis is not None:
             return view
         return replace(view, label=np.full(len(view), UNLABELLED))
