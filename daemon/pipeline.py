@@ -134,7 +134,7 @@ class Pipeline:
             motion=motion,
             health=health,
             crossings=crossings,
-            landmarks=len(self.filter.landmarks()),
+            landmarks=self.filter.size(),
         )
 
     # -- what the outside may ask or say

@@ -220,8 +220,7 @@ class ViewEvidence:
         out = np.zeros((len(poses), len(CHANGED)))
         if not len(self._view.visible_m) or not len(landmarks):
             return out
-        from ceilvo.daemon.relocalisation import shims
-        hit = np.minimum(shims.visibility(landmarks), MOST_VISIBLE)[:, None] * (1.0 - CHANGED)
+        hit = np.minimum(landmarks.visibility, MOST_VISIBLE)[:, None] * (1.0 - CHANGED)
         surprise = np.minimum(np.log((1.0 - hit) / (1.0 - self._around.chance[landmarks.crossing_type][:, None])), 0.0)
         kind = self._seen_as[self._turns(poses)][:, landmarks.crossing_type]
         off = landmarks.xy_map_m - poses[:, None, :2]

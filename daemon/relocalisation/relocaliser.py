@@ -9,7 +9,7 @@ import numpy as np
 from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
-from ceilvo.daemon.relocalisation import doubts, shims
+from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, chance_matches
@@ -172,7 +172,7 @@ class Relocaliser:
             p = s.pending
             elsewhere, reach_m = max(p.elsewhere, doubt.elsewhere), p.reach_m + doubt.reach_m
             doubt = Doubt(doubt.reason, p.cov + doubt.cov, elsewhere, reach_m)
-        if len(self.filter.landmarks()) and not doubts.negligible(doubt, self._rate):
+        if self.filter.size() and not doubts.negligible(doubt, self._rate):
             s.pending = doubt
 
     # -- a view
@@ -193,9 +193,8 @@ class Relocaliser:
         if s.map_axis_rad is None:
             s.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
         noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
-        landmarks = self.filter.landmarks()
-        view = associate(crossings, noise, mount_xy_m, pose, landmarks, self._settings, s.map_axis_rad)
-        return replace(view, visible_m=self._visible_m)
+        near, axis = self.filter.landmarks_near, s.map_axis_rad
+        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, self._visible_m)
 
     def _weigh(self, view: Observations) -> bool:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
@@ -244,7 +243,7 @@ class Relocaliser:
             expected = pose
             if doubt.unmeasured:
                 pose = lattice.aligned(expected, view)
-                shims.jump(self.filter, Pose(pose), np.diag(JUMP_SIGMA**2))
+                self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = rival_poses(rivals, pose) - expected
             off[:, 2] = wrap_array(off[:, 2])
@@ -281,7 +280,7 @@ class Relocaliser:
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
         if winner is not None:
             s.looked, s.spots = Coverage(), 0
-            shims.jump(self.filter, Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
+            self.filter.jump(Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
@@ -292,7 +291,7 @@ class Relocaliser:
     def _surroundings(self, view: Observations, pose: Array, reach_m: float) -> Surroundings:
         s = self.state
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
-        near = shims.landmarks_near(self.filter, pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
+        near = self.filter.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
         around = Surroundings.of(near, s.coverage, s.chance, reach_m)
         if s.measured_m < MEASURE_AGAIN_M:
             return around
@@ -316,7 +315,6 @@ class Relocaliser:
     def learnt(self, view: Observations) -> None:
         """The filter has learnt from a view of a sure place: its ground is known better."""
         if self.sure and len(self._visible_m):
-            shims.count(self.filter, self._visible_m, view)
             pose = Pose(self.filter.estimate()[0])
             self.state.coverage.show(transform(pose, self._visible_m))
             self._index_around(pose)
@@ -324,7 +322,7 @@ class Relocaliser:
     def _index_around(self, pose: Array) -> None:
         """What the filter has learnt around the robot goes into the index."""
         index = self.state.index
-        near = shims.landmarks_near(self.filter, pose[None, :2], INDEXED_M)[1]
+        near = self.filter.landmarks_near(pose[None, :2], INDEXED_M)[1]
         index.sync(near)
         there = index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
         index.remove(np.setdiff1d(there, near.ids))
