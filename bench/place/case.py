@@ -11,12 +11,12 @@ import numpy as np
 
 from ceilvo.bench.place.ceiling.eye import SyntheticEye
 from ceilvo.bench.place.ceiling.worlds import LAMPS, TILES_M, World, WorldSpec, landmarks_of, make_world
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.kinds import KINDS
 from ceilvo.bench.place.faults.script import Kind, Site
-from ceilvo.bench.place.robot import Driver
-from ceilvo.bench.place.sights import CrossingSight, PictureSight
-from ceilvo.bench.place.tally import Tally, figures, times
+from ceilvo.bench.place.robot.drive import Drive
+from ceilvo.bench.place.robot.driver import Driver
+from ceilvo.bench.place.robot.sights import CrossingSight, PictureSight
+from ceilvo.bench.place.robot.tally import Tally, figures, times
 from ceilvo.config import Config
 from ceilvo.sim import world as simulated
 from ceilvo.sim.ceiling.spec import CeilingSpec

@@ -29,8 +29,9 @@ from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
 
 _FILES = (
-    *(f"place/{name}.py" for name in ("case", "drive", "robot", "sights", "studies", "tally")),
+    *(f"place/{name}.py" for name in ("case", "studies")),
     *(f"place/faults/{name}.py" for name in ("carried", "changes", "kinds", "pictures", "script", "signals")),
+    *(f"place/robot/{name}.py" for name in ("drive", "driver", "sights", "tally")),
     *(f"place/ceiling/{name}.py" for name in ("eye", "truth", "worlds")),
 )
 """Whose change makes earlier results void."""
@@ -62,7 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     laps = _command(commands, "laps", "drives without faults", None)
     laps.add_argument("--hours", type=float, default=10.0)
     _command(commands, "start", "start anywhere in a hall of 150 m x 100 m whose map is known", 200)
-    _command(commands, "renovated", "half of the runs: 30 %% of the ceiling is new, the other half: all of it", 40)
+    _command(
+        commands, "renovated", "30 per cent of the ceiling new over night in every other run, all of it in the rest", 40
+    )
     check = commands.add_parser("eye-check", help="the synthetic eye against rendered frames")
     check.add_argument("--seed", type=int, default=3)
     check.add_argument("--frames", type=int, default=500)

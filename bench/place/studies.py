@@ -12,10 +12,10 @@ from ceilvo import se2
 from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.changes import renovated
-from ceilvo.bench.place.sights import CrossingSight
-from ceilvo.bench.place.tally import Tally, figures, times
+from ceilvo.bench.place.robot.drive import Drive
+from ceilvo.bench.place.robot.sights import CrossingSight
+from ceilvo.bench.place.robot.tally import Tally, figures, times
 from ceilvo.types import Array, State
 
 LEG_S = 1800.0

@@ -27,7 +27,7 @@ def by_kind(results: Iterable[Result]) -> dict[str, list[Result]]:
 
 def table(results: Sequence[Result]) -> Table:
     """A row for each kind, and one for all."""
-    columns = ("fault", "cases", "TRACKING wrong s", "DEGRADED wrong s", "worst m", "worst deg", "wrong cases")
+    columns = ("fault", "cases", "TRACKING wrong s", "DEGRADED", "of it wheels", "worst m", "worst deg", "wrong cases")
     times = ("say s, median", "max", "found again", "s, median", "m, median", "TRACKING %", "ms", "p99")
     out = Table(*columns, *times)
     for kind, group in by_kind(results).items():
@@ -41,7 +41,7 @@ def _row(name: str, group: Sequence[Result]) -> list[str]:
     not_settled = len(group) - len(f)
     cases = f"{len(f)}" + (f" (+{not_settled} never TRACKING)" if not_settled else "")
     if not f:
-        return [name, cases, *["-"] * 13]
+        return [name, cases, *["-"] * 14]
     say = [x["say_s"] for x in f if x["say_s"] > 0.0 and not x["wrong_now"]]
     never = sum(x["wrong_now"] for x in f)
     found = [x for x in f if x["recovered_s"] is not None]
@@ -52,6 +52,7 @@ def _row(name: str, group: Sequence[Result]) -> list[str]:
         cases,
         f"{wrong_s(f, 'TRACKING'):.1f}",
         f"{wrong_s(f, 'DEGRADED'):.1f}",
+        f"{sum(sum(r['fault']['wrong_s'].values()) for r in group if r['settled'] and r['wheels']):.1f}",
         f"{_worst(f, 'worst_m'):.2f}",
         f"{np.degrees(_worst(f, 'worst_rad')):.1f}",
         f"{sum(bool(x['wrong_s']) for x in f)}",

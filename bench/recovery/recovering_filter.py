@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ceilvo.bench.recovery import view_score
+from ceilvo.bench.recovery.pose_hypotheses import PoseHypotheses
 from ceilvo.bench.recovery.tile_slips import (
     SLIP_CHANCE,
     SLIP_CHANCE_2_SIGMA,
@@ -18,7 +19,6 @@ from ceilvo.bench.recovery.tile_slips import (
     neighbours,
     periods,
 )
-from ceilvo.bench.recovery.pose_hypotheses import PoseHypotheses
 from ceilvo.daemon.slam.association import independent, usable
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.pose_filter import SURE, chi_square_bounds, normalised, systematic

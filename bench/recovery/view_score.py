@@ -9,8 +9,8 @@ import numpy as np
 from ceilvo.bench.recovery.pose_hypotheses import OUTLIER
 from ceilvo.daemon.slam.association import OUTLIER_DENSITY_PER_M2
 from ceilvo.daemon.slam.spatial_index import IndexedMap
-from ceilvo.se2 import rotation, transform, wrap
-from ceilvo.types import UNLABELLED, Array, Ints, Landmarks, Observations
+from ceilvo.se2 import rotation
+from ceilvo.types import UNLABELLED, Array, Ints, Observations
 
 CHANCE = 0.0228
 """What is less likely is no chance: one side beyond 2 sigma."""

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, turned_type
 from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
+from ceilvo.daemon.relocalisation.place_index.blocks import fine
+from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
 from ceilvo.types import Array, Ints, Landmarks, Observations
 
 REACH_M = 0.1
@@ -37,14 +39,19 @@ INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines, and both corners of a lamp move with it; chosen."""
 COMMON = 0.8
 """A type that a wrong place explains more often than this proves no place; chosen."""
-FEWEST_SAMPLES = 8
-"""Landmarks of a type, moved onto known ground, that it takes to measure how often chance explains it; chosen."""
+FEWEST_SAMPLES, ENOUGH = 8, 0.3
+"""Landmarks, moved onto known ground, that it takes to measure how often chance explains them, and the same as a part
+of all; chosen."""
 UNMEASURED = 0.5
-"""How often chance explains a feature of a type that is too rare to tell."""
+"""How often chance explains a feature where the map is too small to tell."""
 MOST_VISIBLE = 0.8
 """A landmark's own visibility is believed up to here: it was counted from other spots, where its lines looked better."""
 CLOSE = 15.0
 """Log-likelihood under the best pose from which landmarks that are not seen are no longer looked for; chosen."""
+MOST_RARE, MOST_COMMON = 40, 16
+"""Features of a view that are weighed at every place, for time: of types that tell places apart, and of others."""
+AT_ONCE = 256
+"""Poses weighed at once, so that their arrays stay in the cache; chosen."""
 _VISIBLE = np.uint16(1 << 15)
 _QUARTER = 0.5 * np.pi
 
@@ -110,20 +117,28 @@ class Surroundings:
         raster: the same to look into.
         coverage: which ground the map knows.
         chance: (9,) how often a wrong place explains a feature of each type.
+        reach_m: how far from the tracked pose all that a pose sees is in it.
     """
 
     landmarks: Landmarks
     raster: TypeRaster
     coverage: Coverage
     chance: Array
+    reach_m: float
 
     @staticmethod
-    def of(landmarks: Landmarks, coverage: Coverage, chance: Array) -> Surroundings:
-        return Surroundings(landmarks, TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type), coverage, chance)
+    def of(landmarks: Landmarks, coverage: Coverage, chance: Array, reach_m: float) -> Surroundings:
+        raster = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type)
+        return Surroundings(landmarks, raster, coverage, chance, reach_m)
 
 
 def chance_matches(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Array:
-    """(9,) how often a landmark of each type, moved by a shift, finds one of its type: at the most alike of (S, 2)."""
+    """(9,) how often a landmark of each type, moved by a shift, finds one of its type: by the most alike of (S, 2).
+
+    The shift is chosen by all types but the commonest together, for the best of many is good by chance where a type
+    has few landmarks; for the same reason such a type takes the rate of all.
+    """
+    kinds = np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES)
     if not len(shifts) or not len(landmarks):
         return np.full(CROSSING_TYPES, UNMEASURED)
     at = landmarks.xy_map_m + shifts[:, None]
@@ -131,19 +146,31 @@ def chance_matches(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage,
     found = raster.has(at, np.broadcast_to(landmarks.crossing_type, at.shape[:2])) & known
     of = np.eye(CROSSING_TYPES)[landmarks.crossing_type]
     tried, hits = known @ of, found @ of
-    rate = np.where(tried >= FEWEST_SAMPLES, (hits + 1.0) / (tried + 2.0), 0.0)
-    best = np.max(rate, axis=0)
-    return np.asarray(np.clip(np.where(best > 0.0, best, UNMEASURED), 0.02, 0.98))
+    common = int(np.argmax(kinds))
+    rare = np.arange(CROSSING_TYPES) != common
+    all_tried, all_hits = tried[:, rare].sum(axis=1), hits[:, rare].sum(axis=1)
+    rate = (all_hits + 1.0) / (all_tried + 2.0)
+    enough = all_tried >= max(FEWEST_SAMPLES, ENOUGH * float(kinds[rare].sum()))
+    out = np.full(CROSSING_TYPES, UNMEASURED)
+    if np.any(enough):
+        best = int(np.argmax(np.where(enough, rate, 0.0)))
+        out = (hits[best] + FEWEST_SAMPLES * rate[best]) / (tried[best] + FEWEST_SAMPLES)
+    out[common] = float(np.max((hits[:, common] + 1.0) / (tried[:, common] + 2.0)))
+    return np.asarray(np.clip(out, 0.02, 0.98))
 
 
 class ViewEvidence:
-    """One view, to be weighed at many poses."""
+    """One view, to be weighed at many poses.
 
-    def __init__(self, view: Observations, around: Surroundings) -> None:
-        self._view, self._around = view, around
-        q = around.chance
-        self._gain, self._loss = _tables(q)
-        self._types = np.array([turned_type(view.crossing_type, t) for t in range(4)])
+    Args:
+        worth: (K,) of each feature in those of a view from new ground: what was looked at before says less again.
+    """
+
+    def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
+        which = _telling(around.chance[view.crossing_type])
+        self._view, self._around, self._worth = view.of(which), around, worth[which]
+        self._gain, self._loss = _tables(around.chance)
+        self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, view.visible_m)
         self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
 
@@ -158,19 +185,34 @@ class ViewEvidence:
         out[near] = _mixed(score[near] + self._missed(poses[near]))
         return out
 
+    @property
+    def reach_m(self) -> float:
+        return self._around.reach_m
+
+    def log_ratio_in(self, grid: TypeGrid, poses: Array) -> Array:
+        """(M,) the same for poses (M, 3) anywhere on the map, without what is missing: at least what it would be."""
+        out = np.empty(len(poses))
+        for part in np.array_split(np.arange(len(poses)), len(poses) // AT_ONCE + 1):
+            at, types = _moved(poses[part], self._view.xy_base_m), self._types[self._turns(poses[part])]
+            bits = grid.bits(fine(at[..., 0]), fine(at[..., 1]))
+            out[part] = _mixed(self._scored(poses[part], (bits >> types.astype(np.uint16)) & np.uint16(1) > 0))
+        return out
+
     def _turns(self, poses: Array) -> Ints:
         return np.asarray(np.round((self._view.heading_rad - poses[:, 2]) / _QUARTER).astype(np.int64) % 4)
 
     def _features(self, poses: Array) -> Array:
         """(M, R) of what is seen, for each fraction of change."""
-        types = self._types[self._turns(poses)]
         at = _moved(poses, self._view.xy_base_m)
-        matched = self._around.raster.has(at, types)
-        views = self._around.coverage.views(at)
+        return self._scored(poses, self._around.raster.has(at, self._types[self._turns(poses)]))
+
+    def _scored(self, poses: Array, matched: NDArray[np.bool_]) -> Array:
+        types = self._types[self._turns(poses)]
+        views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
         step = views // _VIEWS_PER_STEP
         each = np.where(matched[..., None], self._gain[step, types], self._loss[step, types])
         each[(views < VIEWS) & ~matched] = 0.0
-        return np.asarray(np.sum(each, axis=1))
+        return np.asarray(np.einsum("mkr,k->mr", each, self._worth))
 
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
@@ -187,7 +229,7 @@ class ViewEvidence:
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
         missed = (bits & _VISIBLE > 0) & ((bits >> kind.astype(np.uint16)) & np.uint16(1) == 0)
-        return np.asarray(missed @ surprise)
+        return np.asarray(missed @ surprise) * float(np.mean(self._worth)) if len(self._worth) else out
 
 
 def _mixed(score: Array) -> Array:
@@ -195,6 +237,17 @@ def _mixed(score: Array) -> Array:
     score = INDEPENDENCE * score + np.log(CHANGED_CHANCE)
     top = np.max(score, axis=1)
     return np.asarray(top + np.log(np.sum(np.exp(score - top[:, None]), axis=1)))
+
+
+def _telling(chance: Array) -> NDArray[np.bool_]:
+    """(K,) features that are weighed: those that chance explains least, and a few that it does, spread over the view."""
+    out = np.zeros(len(chance), bool)
+    common = chance >= COMMON
+    rare = np.flatnonzero(~common)
+    out[rare[np.argsort(chance[rare], kind="stable")[:MOST_RARE]]] = True
+    usual = np.flatnonzero(common)
+    out[usual[:: max(len(usual) // MOST_COMMON, 1)]] = True
+    return out
 
 
 def _tables(chance: Array) -> tuple[Array, Array]:

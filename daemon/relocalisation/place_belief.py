@@ -99,10 +99,9 @@ class PlaceBelief:
         self.spot_m += moved_m
         self.spot_rad += turned_rad
 
-    def arrive(self) -> None:
-        """Before a view is weighed: is it from another spot than the last one?"""
-        if self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD:
-            self.leave_spot()
+    @property
+    def at_another_spot(self) -> bool:
+        return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
 
     def weigh(self, log_ratio: Array) -> None:
         """Take in a view: (P,) log-likelihood ratios of the places against ground that is not known."""

@@ -13,8 +13,9 @@ from ceilvo.daemon.relocalisation import doubts, shims
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, chance_matches
-from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
+from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.se2 import transform, wrap, wrap_array
@@ -23,20 +24,30 @@ from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 VIEW_PERIOD_S = 0.1
 """A standing robot whose place is in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
+SPOT_VIEWS = 5
+"""Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
 """Log-likelihood ratio of a view below which rivals of a place that was sure are weighed; 1 view in 100 (docs)."""
+FRESH_SPOTS = 12
+"""While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 WATCH_M = 2.0
 """How far those are looked for; chosen: three tiles, as a robot that jumps without a trace does not jump far."""
 HALF = 0.5
 """A view of which the map explains less teaches nothing."""
 FEWEST_KNOWN = 10
 """Features on known ground that it takes to say so; chosen."""
+INDEXED_M = 2.5
+"""What a view may change of the map lies so near the robot; most cameras see less."""
 CONVINCING = 0.85
 """While the place is in doubt a view corrects the pose where so much of it is explained; chosen."""
+MOST_FOUND = 4000
+"""Places that a view is found at; chosen for time."""
+PLACES_PER_M2 = 4.0 / 0.6**2
+"""Places of a map that a view may be from: four headings on every tile of 0.6 m."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 MEASURED_M = 6.0
@@ -56,7 +67,9 @@ class RelocaliserState:
         views: weighed since the last doubt.
         jumped: a frame of the gap that lasts had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
+        looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         coverage: ground that the map knows.
+        index: of the whole map, to find a place in it.
         chance: (9,) how often chance explains a feature of each type; measured_m: way since it was measured.
     """
 
@@ -66,7 +79,10 @@ class RelocaliserState:
     views: int = 0
     jumped: bool = False
     map_axis_rad: float | None = None
+    looked: Coverage = field(default_factory=Coverage)
+    spots: int = 0
     coverage: Coverage = field(default_factory=Coverage)
+    index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Array = field(default_factory=lambda: np.full(9, 0.5))
     measured_m: float = np.inf
 
@@ -126,8 +142,14 @@ class Relocaliser:
         """Begin on a map of an earlier run; the robot may have been moved since the pose was stored."""
         doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf)
         self.start_at(pose, cov, landmarks, doubt)
-        lattice = Lattice.of(landmarks, map_axis_rad)
         self.state.map_axis_rad = map_axis_rad
+        self.survey_map()
+
+    def survey_map(self) -> None:
+        """Index a map that came without, and find out which ground it knows."""
+        landmarks, axis_rad = self.filter.landmarks(), self.state.map_axis_rad or 0.0
+        lattice = Lattice.of(landmarks, axis_rad)
+        self.state.index = PlaceIndex.of(landmarks)
         self.state.coverage = Coverage.of(landmarks, 0.0 if lattice is None else float(np.max(lattice.tile_m)))
 
     def travelled(self, track: Track, crossings: int) -> None:
@@ -178,24 +200,44 @@ class Relocaliser:
     def _weigh(self, view: Observations) -> bool:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
         s = self.state
-        s.belief.arrive()
+        self._arrive()
+        if s.pending is None and s.belief.spot_views >= SPOT_VIEWS:
+            return False
         before = self.filter.estimate()[0]
         around = self._surroundings(view, before, WATCH_M if s.pending is None else s.pending.search_m)
-        evidence = ViewEvidence(view, around)
         if s.pending is not None:
             self._instantiate(s.pending, view, around)
+        evidence = ViewEvidence(view, around, self._worth(view))
         pose = self.filter.estimate()[0]
         if len(s.belief) == 1 and evidence.log_ratio(pose[None])[0] < SURPRISE:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around)
-        s.belief.weigh(evidence.log_ratio(rival_poses(s.belief.places, pose)))
+        if not self.sure and not s.belief.spot_views:
+            self._search(view, pose)
+        s.belief.weigh(self._log_ratio(evidence, pose))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
+
+    def _arrive(self) -> None:
+        """What is seen again from another spot is worth less: the same lamp twice is not two lamps."""
+        s = self.state
+        if not s.belief.at_another_spot:
+            return
+        s.belief.leave_spot()
+        s.looked.show(transform(Pose(self.filter.estimate()[0]), self._visible_m))
+        s.spots += 1
+        if self.sure and s.spots > FRESH_SPOTS:
+            s.looked, s.spots = Coverage(), 0
+
+    def _worth(self, view: Observations) -> Array:
+        at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+        return np.asarray(1.0 / (1.0 + self.state.looked.views(at)))
 
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
         s = self.state
         if doubt.unmeasured:
             s.belief.leave_spot()
+            s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
         lattice = Lattice.of(around.landmarks, s.map_axis_rad or 0.0)
         if lattice is not None:
@@ -212,10 +254,33 @@ class Relocaliser:
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0
 
+    def _search(self, view: Observations, pose: Array) -> None:
+        """List the places of the whole map that this view can be from, each with its part of what is not listed."""
+        s = self.state
+        found = s.index.candidates(view, most=MOST_FOUND)
+        s.belief.cut = not found.complete
+        if not len(found):
+            return
+        poses = s.index.refined(found.pose, view)
+        per_place = np.log(max(s.coverage.area_m2, 1.0) * PLACES_PER_M2)
+        odds = s.belief.unknown - s.belief.log_weight[0] - per_place
+        s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
+
+    def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
+        """(P,) of all places; those that are far off are looked up in the index, landmarks that are missing left out."""
+        poses = rival_poses(self.state.belief.places, pose)
+        far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
+        out = np.empty(len(poses))
+        out[~far] = evidence.log_ratio(poses[~far])
+        if np.any(far):
+            out[far] = evidence.log_ratio_in(self.state.index.grid, poses[far])
+        return out
+
     def _decided(self, pose: Array) -> bool:
         s = self.state
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
         if winner is not None:
+            s.looked, s.spots = Coverage(), 0
             shims.jump(self.filter, Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
@@ -228,11 +293,11 @@ class Relocaliser:
         s = self.state
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
         near = shims.landmarks_near(self.filter, pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
-        around = Surroundings.of(near, s.coverage, s.chance)
+        around = Surroundings.of(near, s.coverage, s.chance, reach_m)
         if s.measured_m < MEASURE_AGAIN_M:
             return around
         lattice = Lattice.of(near, s.map_axis_rad or 0.0)
-        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(WATCH_M)
+        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
         s.chance, s.measured_m = chance_matches(near, around.raster, s.coverage, shifts), 0.0
         return replace(around, chance=s.chance)
 
@@ -252,7 +317,17 @@ class Relocaliser:
         """The filter has learnt from a view of a sure place: its ground is known better."""
         if self.sure and len(self._visible_m):
             shims.count(self.filter, self._visible_m, view)
-            self.state.coverage.show(transform(Pose(self.filter.estimate()[0]), self._visible_m))
+            pose = Pose(self.filter.estimate()[0])
+            self.state.coverage.show(transform(pose, self._visible_m))
+            self._index_around(pose)
+
+    def _index_around(self, pose: Array) -> None:
+        """What the filter has learnt around the robot goes into the index."""
+        index = self.state.index
+        near = shims.landmarks_near(self.filter, pose[None, :2], INDEXED_M)[1]
+        index.sync(near)
+        there = index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
+        index.remove(np.setdiff1d(there, near.ids))
 
 
 def _off(pose: Array, expected: Array) -> Array:

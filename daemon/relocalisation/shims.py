@@ -1,6 +1,9 @@
 from __future__ import annotations
+
 import numpy as np
+
 from ceilvo.types import Landmarks
+
 
 def visible(cal, margin=0.08):
     w,h=cal.camera.width_px,cal.camera.height_px

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, carry, goes_on, halt, tiles_away
+from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.types import Pose
 
 
@@ -38,6 +38,30 @@ def pushed(d: Drive, site: Site) -> Iterator[None]:
     yield from halt(d)
     d.tally.effect()
     yield from carry(d, tiles_away(d, site, int(d.rng.integers(1, 3))), float(d.rng.uniform(1.5, 4.0)))
+    yield from goes_on(d)
+
+
+def towed(d: Drive, site: Site) -> Iterator[None]:
+    """In the dark on its own wheels, which turn and say so."""
+    yield from halt(d)
+    d.conditions.dark, d.conditions.lifted = True, False
+    ahead = np.array([float(d.rng.uniform(0.5, 1.5)), 0.0, float(d.rng.uniform(-1.0, 1.0))])
+    to = np.asarray(se2.compose(d.room_pose, ahead))
+    to[:2] = np.clip(to[:2], d.driver.low, d.driver.high)
+    yield from carry(d, to, 4.0)
+    d.conditions.dark, d.conditions.lifted = False, True
+    d.tally.effect()
+    yield from goes_on(d)
+
+
+def wheels_in_the_air(d: Drive, site: Site) -> Iterator[None]:
+    """Carried 1 or 2 tiles in the dark while its wheels drive on."""
+    yield from halt(d)
+    d.conditions.dark = True
+    d.conditions.slip = lambda true: np.array([0.3 * d.dt_s, 0.0, 0.1 * d.dt_s])
+    yield from carry(d, tiles_away(d, site, int(d.rng.integers(1, 3))), float(d.rng.uniform(1.0, 3.0)))
+    d.conditions.dark, d.conditions.slip = False, None
+    d.tally.effect()
     yield from goes_on(d)
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from ceilvo.bench.place.ceiling.truth import Features, Origin, features_of, joined, without
 from ceilvo.bench.place.ceiling.worlds import World, make_world
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, goes_on, halt, last
-from ceilvo.bench.place.sights import CrossingSight
+from ceilvo.bench.place.robot.drive import Drive
+from ceilvo.bench.place.robot.sights import CrossingSight
 
 SHARE = 0.3
 """Of a room that is renovated, issue's."""
-_OTHER = 500_000
+_OTHER = 10**9
 """Added to a world's seed for another ceiling; chosen: far from other worlds' seeds."""
 
 
@@ -31,6 +31,20 @@ def half_the_lamps(d: Drive, site: Site) -> Iterator[None]:
 
 
 def over_night(share: float) -> Script:
+    """A part of the ceiling is another one."""
+    return _switched_off(lambda world, d: renovated(world, share, d.rng))
+
+
+def rehung() -> Script:
+    """All lamps and vents hang elsewhere in the same grid."""
+    return _switched_off(lambda world, d: _other_lamps(world))
+
+
+def _other_lamps(world: World) -> Features:
+    return make_world(replace(world.spec, hung=world.spec.seed + _OTHER)).features
+
+
+def _switched_off(changed: Callable[[World, Drive], Features]) -> Script:
     """The robot is switched off, the ceiling is changed, and it is switched on where it stood."""
 
     def script(d: Drive, site: Site) -> Iterator[None]:
@@ -38,7 +52,7 @@ def over_night(share: float) -> Script:
         stored = d.stored()
         camera = d.camera
         assert isinstance(camera, CrossingSight)
-        camera.use(renovated(_world(site), share, d.rng))
+        camera.use(changed(_world(site), d))
         d.begin_anew()
         if stored is not None:
             d.load(*stored)
@@ -57,8 +71,7 @@ def other_floor(d: Drive, site: Site) -> Iterator[None]:
     yield from halt(d)
     d.conditions.dark = True
     yield from last(d, 5.0)
-    world = _world(site)
-    camera.use(make_world(replace(world.spec, hung=world.spec.seed + _OTHER)).features)
+    camera.use(_other_lamps(_world(site)))
     d.conditions.dark = False
     yield from goes_on(d)
     yield from last(d, 20.0)

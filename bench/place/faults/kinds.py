@@ -6,9 +6,9 @@ import numpy as np
 
 from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Origin
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults import carried, changes, pictures, signals
 from ceilvo.bench.place.faults.script import Kind, Site
+from ceilvo.bench.place.robot.drive import Drive
 
 
 def _scaled(d: Drive, site: Site) -> tuple[Sight, float]:
@@ -22,7 +22,7 @@ def _bumped(d: Drive, site: Site) -> tuple[Sight, float]:
 
 
 def _dirty(d: Drive, site: Site) -> tuple[Sight, float]:
-    return Sight(ghosts_m=d.rng.uniform(-1.0, 1.0, (8, 2))), 20.0
+    return Sight(ghosts_m=d.rng.uniform(-1.0, 1.0, (4, 2))), 20.0
 
 
 def _ramp(d: Drive, site: Site) -> tuple[Sight, float]:
@@ -44,6 +44,8 @@ KINDS: dict[str, Kind] = {
     "carried anywhere light": Kind(carried.anywhere(False)),
     "turned 90 deg": Kind(carried.turned_quarter),
     "spun in the dark": Kind(carried.spun_dark),
+    "towed in the dark": Kind(carried.towed),
+    "wheels in the air": Kind(carried.wheels_in_the_air, wheels=(True,)),
     "ring of 2": Kind(pictures.ring(2), pictures=True),
     "ring of 4": Kind(pictures.ring(4), pictures=True),
     "frozen with noise": Kind(pictures.frozen, pictures=True),
@@ -66,11 +68,12 @@ KINDS: dict[str, Kind] = {
     "silent while changing speed": Kind(signals.no_frames(True)),
     "gap while changing speed": Kind(signals.no_frames(False)),
     "half the frames": Kind(signals.dropped),
+    "frames a second apart": Kind(signals.seconds_apart),
     "stamps behind": Kind(signals.stamps_behind),
     "stamps jump": Kind(signals.stamps_jump),
     "wheels backwards": Kind(signals.wheels_say(signals.scaled(-1.0, 1.0)), wheels=(True,)),
     "wheels turn flipped": Kind(signals.wheels_say(signals.scaled(1.0, -1.0)), wheels=(True,)),
-    "wheels 6 % long": Kind(signals.wheels_say(signals.scaled(1.06, 1.0), dark_s=3.0), wheels=(True,)),
+    "wheels that count too much": Kind(signals.wheels_say(signals.scaled(1.06, 1.0), dark_s=3.0), wheels=(True,)),
     "wheels stuck": Kind(signals.wheels_say(signals.scaled(0.0, 0.0), dark_s=1.0), wheels=(True,)),
     "wheels late": Kind(signals.wheels_late, wheels=(True,)),
     "slip in yaw": Kind(signals.wheels_say(signals.turning(0.5), 2.0, 2.0), wheels=(True,)),
@@ -80,7 +83,8 @@ KINDS: dict[str, Kind] = {
     "pose a tile off": Kind(carried.pose_a_tile_off),
     "restart here": Kind(carried.restart(False)),
     "restart elsewhere": Kind(carried.restart(True)),
-    "30 % renovated": Kind(changes.over_night(changes.SHARE)),
+    "a third renovated": Kind(changes.over_night(changes.SHARE)),
+    "lamps rehung": Kind(changes.rehung()),
     "another building": Kind(changes.over_night(1.0)),
     "other floor": Kind(changes.other_floor),
 }

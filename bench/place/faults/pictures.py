@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ceilvo.bench.place.ceiling.eye import Sight
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, last
+from ceilvo.bench.place.robot.drive import Drive
 
 
 def ring(buffers: int) -> Script:

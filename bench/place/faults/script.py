@@ -13,7 +13,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.bench.place.ceiling.worlds import World
-from ceilvo.bench.place.drive import Drive
+from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.types import Array
 
 Script = Callable[[Drive, "Site"], Iterator[None]]

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ceilvo.bench.place.drive import Drive
 from ceilvo.bench.place.faults.script import Script, Site, halt, last
+from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.types import Array
 
 
@@ -64,6 +64,16 @@ def dropped(d: Drive, site: Site) -> Iterator[None]:
     d.tally.effect()
     for _ in range(round(20.0 / d.dt_s)):
         d.conditions.skipped = bool(d.rng.random() < 0.5)
+        yield
+    d.conditions.skipped = False
+
+
+def seconds_apart(d: Drive, site: Site) -> Iterator[None]:
+    """A computer that is too slow: one frame in .5 to 1 s, while the robot drives on."""
+    every = round(float(d.rng.uniform(0.5, 1.0)) / d.dt_s)
+    d.tally.effect()
+    for k in range(round(15.0 / d.dt_s)):
+        d.conditions.skipped = k % every != 0
         yield
     d.conditions.skipped = False
 

@@ -89,6 +89,13 @@ class PlaceIndex:
         """(L,) of the landmarks that are indexed, in no order."""
         return np.asarray(self.grid.blocks.ids[self.grid.blocks.live], np.int64)
 
+    def within(self, low_m: Array, high_m: Array) -> Ints:
+        """(N,) ids of the landmarks in a box between two corners (2,)."""
+        blocks = self.grid.blocks
+        slots = blocks.near(fine(0.5 * (low_m + high_m))[None], int(np.max(fine(high_m - low_m))) // 2)
+        inside = np.all((blocks.xy[slots] >= fine(low_m)) & (blocks.xy[slots] <= fine(high_m)), axis=1)
+        return np.asarray(blocks.ids[slots[inside]], np.int64)
+
     def sync(self, landmarks: Landmarks, moved_m: float = MOVED_M) -> None:
         """Bring the index up to date with these landmarks, a part of the map: new ones, moved ones, other types."""
         blocks = self.grid.blocks

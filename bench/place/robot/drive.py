@@ -10,9 +10,9 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.bench.place.ceiling.eye import Sight
-from ceilvo.bench.place.robot import Base, Driver, Slip, arc
-from ceilvo.bench.place.sights import Camera, Seen, estimated
-from ceilvo.bench.place.tally import Tally
+from ceilvo.bench.place.robot.driver import Base, Driver, Slip, arc
+from ceilvo.bench.place.robot.sights import Camera, Seen, estimated
+from ceilvo.bench.place.robot.tally import Tally
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
