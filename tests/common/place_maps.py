@@ -82,12 +82,14 @@ def nearest(landmarks: Landmarks, xy: Array, kind: Ints | None) -> Array:
 
 def explained(landmarks: Landmarks, poses: Array, view: Observations, reach_m: float) -> Ints:
     """(M,) features with a landmark of their type within reach, from poses (M, 3)."""
-    return np.array([_explained(landmarks, p, view, reach_m) for p in np.reshape(poses, (-1, 3))])
-
-
-def _explained(landmarks: Landmarks, pose: Array, view: Observations, reach_m: float) -> int:
-    xy, kind = at_heading(view, float(pose[2]))
-    return int(np.count_nonzero(nearest(landmarks, xy + pose[:2], kind) <= reach_m))
+    poses, out = np.reshape(poses, (-1, 3)), np.zeros(len(np.reshape(poses, (-1, 3))), np.int64)
+    for heading in np.unique(poses[:, 2]):
+        which = np.flatnonzero(poses[:, 2] == heading)
+        xy, kind = at_heading(view, float(heading))
+        for part in np.array_split(which, len(which) // 500 + 1):
+            apart = nearest(landmarks, xy + poses[part, None, :2], kind)
+            out[part] = np.count_nonzero(apart <= reach_m, axis=1)
+    return out
 
 
 def contradicted(landmarks: Landmarks, pose: Array, view: Observations, reach_m: float, ground_m: float) -> int:

@@ -11,7 +11,7 @@ from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_pro
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
 from ceilvo.daemon.relocalisation.place_index.refinement import refined
-from ceilvo.daemon.relocalisation.place_index.search import CONTRADICTED, Search
+from ceilvo.daemon.relocalisation.place_index.search import CONTRADICTED, Search, cost
 from ceilvo.daemon.relocalisation.place_index.type_grid import REACH_M, TypeGrid
 from ceilvo.types import Array, Ints, Landmarks, Observations
 
@@ -26,9 +26,10 @@ MOVED_M = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Places that a view can be from, the best first: what they explain less their cost.
+    """Places that a view can be from, the best first.
 
-    A place costs 4 for a feature that it contradicts and 1 for a landmark missed.
+    A place costs 4 for a feature that it contradicts and 1 for a landmark missed; the best has the highest score, 8 for
+    a feature that it explains less that cost.
 
     Attributes:
         pose: (M, 3) map_from_base, within a few centimetres; see PlaceIndex.refined.
@@ -37,7 +38,8 @@ class Candidates:
         missed: (M,) landmarks that should be seen and are not; 0 where the view does not say what is visible.
         seen: features that were looked at: all of the view, or the 64 with the fewest landmarks of their type.
         floor: every place that explains at least so many features was looked at; above `seen` where none was.
-        complete: every place within `margin` of the best is listed, except those that lie partly on unmapped ground and
+        limit: cost up to which places are listed, that of the best and the margin.
+        complete: every place that costs at most `limit` is listed, except those that lie partly on unmapped ground and
             explain less than `floor` features.
         false_alarm_probability: (M,) chance that somewhere on a map like this a wrong place explains as many features.
     """
@@ -48,11 +50,17 @@ class Candidates:
     missed: Ints
     seen: int
     floor: int
+    limit: float
     complete: bool
     false_alarm_probability: Array
 
     def __len__(self) -> int:
         return len(self.pose)
+
+    @property
+    def cost(self) -> Ints:
+        """(M,)."""
+        return cost(self.contradicted, self.missed)
 
 
 @dataclass(slots=True)
@@ -138,9 +146,15 @@ class PlaceIndex:
             missed=kept.missed,
             seen=len(search.order),
             floor=search.floor,
+            limit=search.limit,
             complete=whole and search.complete,
             false_alarm_probability=false_alarm_probability(search, kept.explained),
         )
+
+    def counts(self, poses: Array, view: Observations) -> tuple[Ints, Ints, Ints]:
+        """(M,) explained, contradicted and missed as in Candidates, at poses (M, 3) along the view's lines."""
+        counted = Search.of(self.grid, self.members, view, 0.0).counted(poses)
+        return counted.explained, counted.contradicted, counted.missed
 
     def refined(self, poses: Array, view: Observations) -> Array:
         """(M, 3) poses moved by the mean residual to the landmarks of the features' types within reach."""

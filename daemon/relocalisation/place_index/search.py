@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, Fine
+from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, Fine, fine
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
 from ceilvo.daemon.relocalisation.place_index.missing import missed
@@ -53,6 +53,9 @@ PREVIEW = 16
 MOST_FEATURES = 64
 """Of a view, those with the fewest landmarks, the surest first; a ceiling of 0.3 m tiles shows hundreds, and time must
 not depend on that."""
+EXPLAINED = 2 * CONTRADICTED
+"""What the best place is chosen by: a feature on unmapped ground makes it worse by so much, one that it contradicts by
+half as much again. Otherwise places at the map's rim would be best and make the limit too strict for all others."""
 FIRST = 32
 """Of a group the best places so far, for which is counted at once what they miss; chosen for time."""
 SAME_PLACE_M = 0.2
@@ -94,13 +97,13 @@ class Found:
 
     @property
     def cost(self) -> Ints:
-        """What speaks against each: two for a feature where no landmark is, one for a landmark that is not seen."""
-        return CONTRADICTED * self.contradicted + self.missed
+        """What speaks against each."""
+        return cost(self.contradicted, self.missed)
 
     @property
     def score(self) -> Ints:
         """What speaks for each, less what speaks against it."""
-        return CONTRADICTED * self.explained - self.cost
+        return EXPLAINED * self.explained - self.cost
 
 
 @dataclass(slots=True)
@@ -163,7 +166,7 @@ class Search:
     @property
     def lenient(self) -> bool:
         """Whether nothing was left out that is within reach of what is now the best."""
-        return self.strictest >= self._most_cost()
+        return self.strictest >= self.limit
 
     @property
     def floor(self) -> int:
@@ -177,8 +180,8 @@ class Search:
         if not len(self.best) or not self.lenient:
             return False
         most, lacking = self.floor - 1, len(self.order) - self.floor + 1
-        better = CONTRADICTED * (most - lacking) > self.best.score[0]
-        return bool(CONTRADICTED * lacking > self._most_cost() and not better)
+        better = EXPLAINED * most - CONTRADICTED * lacking > self.best.score[0]
+        return bool(CONTRADICTED * lacking > self.limit and not better)
 
     def _group(self, left: list[int]) -> bool:
         """Verify the poses of the next group, which is taken from `left`; False if they are too many."""
@@ -253,7 +256,7 @@ class Search:
     def _verified(self, f: Found) -> Found:
         """Poses with what they explain and contradict, without those that are found hopeless on the way."""
         order, done = self.order.tolist(), 0
-        self.strictest = min(self.strictest, self._most_cost())
+        self.strictest = min(self.strictest, self.limit)
         while done < len(order) and len(f):
             ks = order[done : done + max(LOOK_EVERY, AT_ONCE // len(f))]
             there, ground = self.there(ks, f)
@@ -266,11 +269,13 @@ class Search:
     def _hopeful(self, f: Found, left: int) -> NDArray[np.bool_]:
         """Which can be within reach of the best, or be the best, if all features that are left are explained."""
         if not len(self.best):
-            return f.cost <= self._most_cost()
-        within = (f.cost <= self._most_cost()) & (f.explained + left >= EXPLAINED_FRACTION * self.best.explained[0])
-        return np.asarray(within | (f.score + CONTRADICTED * left >= self.best.score[0]))
+            return f.cost <= self.limit
+        within = (f.cost <= self.limit) & (f.explained + left >= EXPLAINED_FRACTION * self.best.explained[0])
+        return np.asarray(within | (f.score + EXPLAINED * left >= self.best.score[0]))
 
-    def _most_cost(self) -> float:
+    @property
+    def limit(self) -> float:
+        """Cost of places that are listed, at most."""
         if not len(self.best):
             return CONTRADICTED * CONTRADICTED_FRACTION * len(self.order)
         return float(self.best.cost[0] + self.margin)
@@ -296,9 +301,25 @@ class Search:
         f = f.of(np.lexsort((f.turn, f.y, f.x, -f.score)))
         return f.of(_first_of_places(f))
 
+    def counted(self, poses: Array) -> Found:
+        """Poses (M, 3), at the nearest of the view's headings, with their counts and in their order."""
+        turn = np.round((self.views.heading_rad[0] - poses[:, 2]) / (0.5 * np.pi)).astype(np.int64) % TURNS
+        order = np.argsort(turn, kind="stable")
+        f = Found.at(*fine(poses[order, :2]).T.copy(), turn[order])
+        there, ground = self.there(self.order.tolist(), f)
+        f.explained = np.count_nonzero(there, axis=0)
+        f.contradicted = np.count_nonzero(ground & ~there, axis=0)
+        self._count_missed(f)
+        return f.of(np.argsort(order))
+
     def poses(self, f: Found) -> Array:
         """(M, 3) map_from_base."""
         return np.column_stack([FINE_M * f.x, FINE_M * f.y, self.views.heading_rad[f.turn]])
+
+
+def cost(contradicted: Ints, missed: Ints) -> Ints:
+    """Of features where no landmark is and landmarks that are not seen."""
+    return CONTRADICTED * contradicted + missed
 
 
 def _first_of_places(f: Found) -> Ints:
