@@ -16,9 +16,11 @@ from ceilvo.config import Config
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry, VisualOdometryState
+from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
-from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter
+from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
 from ceilvo.daemon.vision.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.line_finder import LineFinderState
@@ -78,7 +80,7 @@ class Pipeline:
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.schedule.travelled(track.moved_m, track.turned_rad)
-        self.relocaliser.travelled(track)  # a blind path is a doubt
+        self.relocaliser.travelled(track, 0 if crossings is None else len(crossings))
         if track.final is not None:
             self.filter.predict(track.final)
         view = None
@@ -88,16 +90,13 @@ class Pipeline:
         return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view)
 
     def _update(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
-        """Weigh what is seen against the map, when it is news or the pose is in doubt."""
-        due = self.schedule.due(stamp_ns, self.relocaliser.view_period_s)
-        if not due and self.relocaliser.hypothesis is None:
+        """Weigh what is seen against the map, when it is news."""
+        if not self.schedule.due(stamp_ns, self.relocaliser.view_period_s):
             return None
-        view = self.relocaliser.see(crossings)
-        admitted = self.relocaliser.admit(view)
+        view, admitted = self.relocaliser.look(crossings)
         if admitted is not None:
             self.filter.update(admitted)
-        if due:
-            self.relocaliser.weigh(view)
+            self.relocaliser.learnt(admitted)
         return view
 
     def _estimate(
@@ -105,7 +104,6 @@ class Pipeline:
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
         pose, cov = track.carry(Pose(pose), cov)
-        hypothesis = self.relocaliser.hypothesis
         evidence = Evidence(
             stamp_ns=stamp_ns,
             motion_ok=motion.ok,
@@ -118,8 +116,8 @@ class Pipeline:
             nis_dof=health.nis_dof if view is not None else 0,
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
-            relocalising=health.mode_weight < SURE or (hypothesis is not None and not hypothesis.usable),
-            unconfirmed="" if hypothesis is None else hypothesis.reason,
+            relocalising=not self.relocaliser.sure,
+            unconfirmed=self.relocaliser.doubt,
         )
         verdict = self.states.step(evidence)
         self.seq += 1
@@ -170,16 +168,18 @@ class Pipeline:
         cfg = self.config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
         known = self.filter.landmarks() if keep_map else None
+        doubt = Doubt("the pose was reset", np.diag(START_SIGMA**2), doubts.RESET_WRONG, np.inf)
         self.odometry.state = VisualOdometryState()
         self.vision.state = LineFinderState()
         self.dead_reckoning.restart()
-        self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known)
+        self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known, doubt)
         self.schedule.restart()
         self.states.reset("started")
 
     def set_pose(self, pose: Pose, cov: Array, reason: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
-        self.relocaliser.start_at(pose, cov, self.filter.landmarks())
+        doubt = Doubt(reason, cov, doubts.GIVEN_WRONG, np.inf)
+        self.relocaliser.start_at(pose, cov, self.filter.landmarks(), doubt)
         self._begin(reason)
 
     def load_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Pose, cov: Array) -> None:

@@ -184,6 +184,9 @@ class States:
     nis_lost: float = key(
         12.0, "mean NIS per degree of freedom above this for nis_frames updates is LOST", low=1.0, high=1000.0
     )
+    false_place_rate: float = key(
+        1e-4, "chance at most that a place which is called good is a wrong one", low=1e-9, high=0.1
+    )
     nis_frames: int = key(10, "updates that must agree before NIS changes the state", low=1, high=1000)
 
 

@@ -31,6 +31,7 @@ class Track:
     final: Motion | None
     gap: Motion | None
     blind_m: float
+    blind_s: float
     blind_cov: Array
     moved_m: float
     turned_rad: float
@@ -60,6 +61,7 @@ class DeadReckoningState:
     twist: Twist = field(default_factory=lambda: Twist(np.zeros(3)))
     gap: Motion | None = None
     blind_m: float = 0.0
+    blind_s: float = 0.0
 
 
 class DeadReckoning:
@@ -88,18 +90,21 @@ class DeadReckoning:
         if not motion.ok:
             cov = blind_cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
             s.blind_m += moved_m
+            s.blind_s += dt_s
         turned_rad = abs(float(motion.prev_from_curr[2]))
         if not (motion.ok or motion.restarted):
             s.gap = replace(motion, prev_from_curr=moved, cov=cov)
-            return Track(None, s.gap, s.blind_m, blind_cov, moved_m, turned_rad)
+            return Track(None, s.gap, s.blind_m, s.blind_s, blind_cov, moved_m, turned_rad)
         final = replace(motion, prev_from_curr=moved, cov=cov + self._process_cov)
-        blind_m = s.blind_m
+        blind_m, blind_s = s.blind_m, s.blind_s
+        if blind_s > 0.0 and motion.ok:
+            blind_s += dt_s
         self.settle()
-        return Track(final, None, blind_m, blind_cov, moved_m, turned_rad)
+        return Track(final, None, blind_m, blind_s, blind_cov, moved_m, turned_rad)
 
     def settle(self) -> None:
         """Whatever is predicted in a gap no longer matters: the pose is another."""
-        self.state.gap, self.state.blind_m = None, 0.0
+        self.state.gap, self.state.blind_m, self.state.blind_s = None, 0.0, 0.0
 
     def restart(self) -> None:
         """A new odom frame; time goes on."""

@@ -29,6 +29,9 @@ class PoseFilter(Protocol):
         the pose is not known at all: the filter searches where the map explains what is seen.
         """
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        """Continue from a pose (3,) with covariance (3, 3) that owes nothing to the map; the map stays."""
+
     def predict(self, motion: Motion) -> None:
         """Move by the motion since the last call."""
 
@@ -79,6 +82,10 @@ COUNTERS = (
 observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
 the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling; landmarks
 dropped because they are no longer there; features not learnt and newborn landmarks forgotten as the map is full."""
+
+
+TINY = 1e-300
+"""In place of a chance of zero, whose logarithm there is not."""
 
 
 def checked_motion(motion: Motion) -> Motion:

@@ -156,6 +156,9 @@ class FastSlam:
             s.mean, s.cov = mean_and_cov(s.poses, s.weights)
         return s.mean.copy(), s.cov.copy(), s.health
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        self.reset(pose, cov, self.landmarks(), known=self.state.known is not None)
+
     def size(self) -> int:
         return len(self.state.maps) if self.state.known is None else len(self.state.known)
 

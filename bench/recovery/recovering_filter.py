@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation import view_score
-from ceilvo.daemon.relocalisation.lattice import (
+from ceilvo.bench.recovery import view_score
+from ceilvo.bench.recovery.pose_hypotheses import PoseHypotheses
+from ceilvo.bench.recovery.tile_slips import (
     SLIP_CHANCE,
     SLIP_CHANCE_2_SIGMA,
     SLIP_CHANCE_3_SIGMA,
@@ -18,7 +19,6 @@ from ceilvo.daemon.relocalisation.lattice import (
     neighbours,
     periods,
 )
-from ceilvo.daemon.relocalisation.pose_hypotheses import PoseHypotheses
 from ceilvo.daemon.slam.association import independent, usable
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.pose_filter import SURE, chi_square_bounds, normalised, systematic
@@ -94,6 +94,10 @@ class RecoveringFilter:
         self._memory = RecoveringState(self._tracker.state)
         if not np.all(np.isfinite(cov)):
             self._begin_search()
+
+    def jump(self, pose: Array, cov: Array) -> None:
+        self._tracker.jump(pose, cov)
+        self._memory = RecoveringState(self._tracker.state)
 
     def predict(self, motion: Motion) -> None:
         self._tracker.predict(motion)
