@@ -28,7 +28,7 @@ _T = TypeVar("_T")
 MAP_VERSION, STATE_VERSION = 2, 1
 """docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected."""
 MAX_MAP_BYTES = 256 * 2**20
-"""Largest map file that is read; the most that filter.max_landmarks allows take 205 MiB."""
+"""Largest map file that is read; the most that filter.max_landmarks allows take 183 MiB."""
 MAX_STATE_BYTES = 64 * 2**10
 """Largest state file that is read; one has less than 1 kB."""
 MAX_COORDINATE_M = 1e6

@@ -218,9 +218,10 @@ class JointFilter:
     def _be_born(self, obs: Observations, which: Ints) -> None:
         state, j, cfg = self._state, self._state.joint, self.settings
         which = upkeep.fresh(j, obs, which, cfg.association_gate_m)
-        over = len(j) + len(which) - cfg.max_landmarks
+        over = min(len(j) + len(which) - cfg.max_landmarks, len(which))
         if over > 0:
-            j.forget(np.sort(np.argsort(j.sightings, kind="stable")[:over]))
+            which = which[: len(which) - over + upkeep.make_room(j, over, state.now)]
+            state.counters["map_full"] += over
         if len(which):
             j.give_birth(obs.xy_base_m[which], obs.var_m2[which], obs.crossing_type[which], state.now)
             state.counters["births"] += len(which)

@@ -98,6 +98,15 @@ def settle(j: JointMap, now: int, birth_sightings: int) -> None:
     j.forget(newborn[now - j.seen_at[newborn] > EXPIRES_UPDATES])
 
 
+def make_room(j: JointMap, most: int, now: int) -> int:
+    """Forget the least certain newborn landmarks that are not in view, so many at most; returns how many there were."""
+    newborn = np.arange(j.size, len(j))
+    newborn = newborn[j.seen_at[newborn] < now]
+    gone = newborn[np.lexsort((j.seen_at[newborn], j.sightings[newborn]))][:most]
+    j.forget(gone)
+    return len(gone)
+
+
 def fresh(j: JointMap, obs: Observations, which: Ints, gate_m: float) -> Ints:
     """Those of the features `which` that are far enough from all landmarks of their type to be others."""
     xy, kind = transform(j.pose, obs.xy_base_m[which]), obs.crossing_type[which]

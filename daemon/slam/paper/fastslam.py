@@ -113,7 +113,6 @@ class FastSlam:
             np.repeat(packed(landmarks.cov_m2)[:, :, None], n, axis=2),
             landmarks.crossing_type,
             landmarks.sightings,
-            self._settings.max_landmarks,
             landmarks.ids,
         )
         state.maps.refresh(state.weights, labels)
@@ -296,6 +295,9 @@ class FastSlam:
     def _give_birth(self, obs: Observations, which_obs: NDArray[np.intp], which: NDArray[np.intp], pose: Array) -> None:
         """Each particle places the feature from its own pose, corrected by what the earlier sightings averaged to."""
         candidates, n = self.state.candidates, len(self.state.weights)
+        room = max(self._settings.max_landmarks - self.size(), 0)
+        self.state.counters["map_full"] = self.counters()["map_full"] + max(len(which) - room, 0)
+        which_obs, which = which_obs[:room], which[:room]
         seen, _ = self._in_map(obs, which_obs)
         correction = candidates.xy[which] - transform(pose, obs.xy_base_m[which_obs])
         labels = self.state.maps.add(
@@ -303,7 +305,6 @@ class FastSlam:
             np.repeat(candidates.cov[which][:, :, None], n, axis=2),
             candidates.crossing_type[which],
             candidates.count[which],
-            self._settings.max_landmarks,
         )
         self.state.counters["births"] += len(labels)
         self.state.maps.refresh(self.state.weights, labels)

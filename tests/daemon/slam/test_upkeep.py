@@ -148,3 +148,56 @@ def test_a_landmark_that_is_there_is_dropped_no_more_often_than_stated(chance: f
     allowed = upkeep.GONE_RATE * n * views
     print(f"visibility {chance}: {dropped} of {n} landmarks in {views} views, at most {allowed:.0f} expected")
     assert dropped <= allowed
+
+
+def filled(most: int, known: Landmarks | None = None) -> PoseFilter:
+    f = make_filter(replace(Filter(), max_landmarks=most, feature_independence=1.0), np.random.default_rng(SEED))
+    f.reset(np.zeros(3), np.diag([1e-8, 1e-8, 1e-8]), known)
+    return f
+
+
+def look_at(f: PoseFilter, xy: Array) -> None:
+    label = np.full(len(xy), NO_LANDMARK)
+    labels, near = f.landmarks_near(xy, 0.1)
+    for i, p in enumerate(xy):
+        off = np.hypot(*(near.xy_map_m - p).T)
+        label[i] = labels[np.argmin(off)] if np.min(off, initial=np.inf) < 0.1 else NO_LANDMARK
+    f.update(Observations(xy, np.full((len(xy), 2), 1e-6), np.zeros(len(xy), np.int64), label, 0.0, 1e-6))
+
+
+def test_a_full_map_keeps_what_it_has_and_says_that_it_learns_nothing() -> None:
+    f, points = filled(20), GRID[:30]
+    for _ in range(4):
+        look_at(f, points[:20])
+    assert (f.size(), f.counters()["map_full"]) == (20, 0)
+    before = f.landmarks().ids.tolist()
+    for _ in range(4):
+        look_at(f, points)
+    assert f.landmarks().ids.tolist() == before
+    assert f.counters()["map_full"] == 40
+
+
+def test_a_loaded_map_is_never_cut() -> None:
+    f = filled(20, map_of(GRID))
+    for _ in range(4):
+        look_at(f, np.concatenate([GRID[:5], [[9.0, 9.0]]]))
+    assert f.landmarks().ids.tolist() == list(range(len(GRID)))
+    assert f.counters()["map_full"] == 4
+
+
+def test_newborn_landmarks_give_way_to_what_is_in_view() -> None:
+    """Of those that are not, the ones seen less often first."""
+    f = filled(12)
+    for _ in range(4):
+        look_at(f, GRID[:5])
+    confirmed = f.landmarks().ids.tolist()
+    look_at(f, GRID[10:14])
+    look_at(f, GRID[12:16])
+    for _ in range(4):
+        look_at(f, GRID[12:20])
+    at = f.landmarks().xy_map_m
+    assert set(confirmed) <= set(f.landmarks().ids.tolist())
+    assert f.size() == 12
+    for p in GRID[12:16]:
+        assert np.min(np.hypot(*(at - p).T)) < 1e-2, "seen twice before the map was full"
+    assert f.counters()["map_full"] > 0
