@@ -266,7 +266,7 @@ class Relocaliser:
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
     def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
-        """(P,) of all places; those that are far off are looked up in the index, landmarks that are missing left out."""
+        """(P,) of all places; those far off are looked up in the index, and nothing is missing there."""
         poses = rival_poses(self.state.belief.places, pose)
         far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
         out = np.empty(len(poses))
@@ -304,9 +304,10 @@ class Relocaliser:
         """What of a view may teach the filter; None for nothing of it."""
         matched = view.label >= 0
         if self.sure:
-            pose = self.filter.estimate()[0]
-            known = self.state.coverage.knows(transform(Pose(pose), view.xy_base_m))
-            strange = np.count_nonzero(known) >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * np.count_nonzero(known)
+            at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+            known = self.state.coverage.knows(at)
+            count = int(np.count_nonzero(known))
+            strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
             return None if strange else view
         if np.count_nonzero(matched) >= CONVINCING * len(view):
             return view.of(matched)

@@ -13,7 +13,7 @@ def test_ground_is_known_once_enough_views_have_shown_it() -> None:
     points = np.array([[100.0, -50.0], [100.7, -49.3], [101.5, -50.0], [99.2, -50.6]])
     for k in range(VIEWS):
         assert not np.any(coverage.knows(points)), k
-        coverage.show(SQUARE + [100.0, -50.0])
+        coverage.show(SQUARE + np.array([100.0, -50.0]))
     assert coverage.knows(points).tolist() == [True, True, False, True]
     assert coverage.views(points).tolist() == [VIEWS, VIEWS, 0, VIEWS]
     assert abs(coverage.area_m2 - 4.0) < 1.5
@@ -24,7 +24,7 @@ def test_blocks_are_kept_apart_however_far_they_are() -> None:
     coverage = Coverage()
     for x in (-3000.0, 7.9, 4000.0, -8.1):
         for _ in range(300):
-            coverage.show(SQUARE + [x, x])
+            coverage.show(SQUARE + np.array([x, x]))
     at = np.array([[-3000.0, -3000.0], [7.9, 7.9], [4000.0, 4000.0], [-8.1, -8.1], [50.0, 50.0]])
     assert coverage.views(at).tolist() == [255, 255, 255, 255, 0]
     assert np.all(np.diff(coverage.block) > 0)
@@ -43,7 +43,14 @@ def test_of_a_map_that_came_without_the_ground_between_landmarks_is_known_and_no
     rng = np.random.default_rng(3)
     inside = rng.uniform([0.5, 0.5], [6.1, 3.7], (500, 2))
     assert np.all(coverage.knows(inside))
-    around = np.concatenate([inside + [7.2, 0.0], inside - [7.2, 0.0], inside + [0.0, 4.8], inside - [0.0, 4.8]])
+    around = np.concatenate(
+        [
+            inside + np.array([7.2, 0.0]),
+            inside - np.array([7.2, 0.0]),
+            inside + np.array([0.0, 4.8]),
+            inside - np.array([0.0, 4.8]),
+        ]
+    )
     outside = np.any((around < -0.3) | (around > [6.9, 4.5]), axis=1)
     assert not np.any(coverage.knows(around[outside]))
     hole = Coverage.of(tiles((3.0, 2.4)), 0.6)

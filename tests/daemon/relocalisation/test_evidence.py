@@ -62,16 +62,18 @@ def test_the_true_pose_is_likelier_than_any_whole_tile_or_quarter_turn_off(seed:
     found = ratio(landmarks, view, poses)
     assert found[0] > 3.0
     assert np.all(found[1:] < found[0] - 9.0)
-    assert np.all(ratio(landmarks, view, np.array([HERE + [0, 0, q * 0.5 * np.pi] for q in (1, 2, 3)])) < -5.0)
+    assert np.all(
+        ratio(landmarks, view, np.array([HERE + np.array([0, 0, q * 0.5 * np.pi]) for q in (1, 2, 3)])) < -5.0
+    )
 
 
 def test_a_bare_grid_says_nothing_and_ground_that_is_not_mapped_says_nothing() -> None:
     landmarks = ceiling(1)
     bare = landmarks.of(landmarks.crossing_type == 4)
     view = view_from(bare, HERE)
-    found = ratio(bare, view, np.array([HERE, HERE + [0.6, 0.0, 0.0], HERE + [-1.2, 0.6, 0.0]]))
+    found = ratio(bare, view, np.array([HERE, HERE + np.array([0.6, 0.0, 0.0]), HERE + np.array([-1.2, 0.6, 0.0])]))
     assert np.ptp(found) < 0.3 and np.all(np.abs(found) < 1.0)
-    off = ratio(landmarks, view_from(landmarks, HERE), np.array([HERE + [60.0, 0.0, 0.0]]))
+    off = ratio(landmarks, view_from(landmarks, HERE), np.array([HERE + np.array([60.0, 0.0, 0.0])]))
     assert abs(off[0]) < 0.2
 
 
@@ -93,7 +95,15 @@ def test_a_third_of_a_ceiling_may_change_and_it_is_still_this_place() -> None:
     lamps = np.flatnonzero((landmarks.crossing_type != 4) & (rng.random(len(landmarks)) < 0.3))
     moved[lamps] += 0.3
     view = view_from(Landmarks(landmarks.ids, moved, landmarks.cov_m2, landmarks.crossing_type, landmarks.ids), HERE)
-    poses = np.array([HERE, HERE + [0.6, 0, 0], HERE + [0, -0.6, 0], HERE + [-0.6, 0.6, 0], HERE + [60, 0, 0]])
+    poses = np.array(
+        [
+            HERE,
+            HERE + np.array([0.6, 0, 0]),
+            HERE + np.array([0, -0.6, 0]),
+            HERE + np.array([-0.6, 0.6, 0]),
+            HERE + np.array([60, 0, 0]),
+        ]
+    )
     found = ratio(landmarks, view, poses)
     assert np.all(found[0] > found[1:4] + 3.0)
 
@@ -114,7 +124,14 @@ def test_far_places_are_weighed_as_near_ones_but_for_what_is_missing(turns: int)
     landmarks = ceiling(6)
     view = replace(view_from(landmarks, HERE, turns), visible_m=np.empty((0, 2)))
     evidence = ViewEvidence(view, around(landmarks), np.ones(len(view)))
-    poses = np.array([HERE, HERE + [0.6, 0.0, 0.0], HERE + [0.0, 0.0, 0.5 * np.pi], HERE + [0.0, 1.2, 0.0]])
+    poses = np.array(
+        [
+            HERE,
+            HERE + np.array([0.6, 0.0, 0.0]),
+            HERE + np.array([0.0, 0.0, 0.5 * np.pi]),
+            HERE + np.array([0.0, 1.2, 0.0]),
+        ]
+    )
     near, far = evidence.log_ratio(poses), evidence.log_ratio_in(PlaceIndex.of(landmarks).grid, poses)
     assert np.allclose(near, far, atol=2.5)
     assert np.argmax(far) == 0
@@ -123,6 +140,6 @@ def test_far_places_are_weighed_as_near_ones_but_for_what_is_missing(turns: int)
 def test_what_was_looked_at_before_is_worth_less() -> None:
     landmarks = ceiling(7)
     view = view_from(landmarks, HERE)
-    poses = np.array([HERE, HERE + [0.6, 0.0, 0.0]])
+    poses = np.array([HERE, HERE + np.array([0.6, 0.0, 0.0])])
     fresh, stale = (ViewEvidence(view, around(landmarks), np.full(len(view), w)).log_ratio(poses) for w in (1.0, 0.1))
     assert fresh[0] - fresh[1] > 5.0 * (stale[0] - stale[1])

@@ -92,16 +92,16 @@ def test_places_that_lost_are_dropped_and_a_move_that_left_no_trace_is_found_in_
     belief.leave_spot()
     assert len(belief) == 1
     belief.add(RIVALS, np.full(3, LEAST))
-    belief.weigh(np.array([-15.0, 0.0, -15.0, -15.0]))
+    belief.weigh(np.array([-15.0, 6.0, -15.0, -15.0]))
     assert belief.doubt() > 1e-4
     for _ in range(2):
-        spot(belief, [-15.0, 0.0, -15.0, -15.0])
+        spot(belief, [-15.0, 6.0, -15.0, -15.0])
     assert belief.winner(1e-4) == 1
 
 
 def test_the_same_place_is_listed_once_and_the_tracked_one_never() -> None:
     belief = doubted(-5.0)
-    belief.add(RIVALS + [0.04, -0.04, 0.0], np.full(3, -5.0))
+    belief.add(RIVALS + np.array([0.04, -0.04, 0.0]), np.full(3, -5.0))
     assert len(belief) == 4
     assert np.allclose(belief.log_weight[1:], -5.0 + np.log(2.0))
     belief.add(np.array([[0.05, 0.05, 0.0]]), np.zeros(1))
