@@ -6,13 +6,15 @@ run, a replay and a test do the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.integrity.cross_checks.checks import CrossChecks, CrossChecksState
+from ceilvo.daemon.integrity.cross_checks.suspicion import Severity, Suspicions
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry, VisualOdometryState
@@ -41,6 +43,7 @@ class PipelineState:
     relocaliser: RelocaliserState
     filter: Any
     states: StateMachineState
+    checks: CrossChecksState = field(default_factory=CrossChecksState)
 
 
 class Pipeline:
@@ -56,12 +59,14 @@ class Pipeline:
         self.schedule = UpdateSchedule(settings)
         self.relocaliser = Relocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
+        self.checks = CrossChecks(config)
         self.seq = 0
         self.reset()
 
     def step(self, frame: Frame, wheels: WheelMotion | None = None, on_stage_done: OnStageDone = ignore) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
-        expected = self.odometry.expected(self.dead_reckoning.elapsed_s(frame.stamp_ns), wheels)
+        elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
+        expected = self.odometry.expected(elapsed_s, self.checks.usable_wheels(wheels, elapsed_s))
         crossings = self.vision(frame, expected, on_stage_done)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done)
 
@@ -74,18 +79,25 @@ class Pipeline:
         missing: str = NO_LINES,
     ) -> Estimate:
         """step() from what was seen in a frame; without crossings, why they are missing."""
-        motion = self.odometry.step(crossings, self.dead_reckoning.elapsed_s(stamp_ns), wheels, missing)
+        elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)
+        usable = self.checks.admit(crossings, wheels, elapsed_s)
+        motion = self.odometry.step(usable.crossings, elapsed_s, usable.wheels, usable.missing or missing)
+        suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s)
+        crossings = usable.crossings
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.schedule.travelled(track.moved_m, track.turned_rad)
         self.relocaliser.travelled(track)  # a blind path is a doubt
+        doubt = suspicions.gravest(Severity.IN_DOUBT)
+        if doubt is not None:
+            self.relocaliser.doubt(doubt.jump_m)
         if track.final is not None:
             self.filter.predict(track.final)
         view = None
         if crossings is not None and len(crossings) and track.gap is None:
             view = self._update(stamp_ns, crossings)
         on_stage_done("filter")
-        return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view)
+        return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view, suspicions)
 
     def _update(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
         """Weigh what is seen against the map, when it is news or the pose is in doubt."""
@@ -101,10 +113,17 @@ class Pipeline:
         return view
 
     def _estimate(
-        self, stamp_ns: int, motion: Motion, track: Track, crossings: int, view: Observations | None
+        self,
+        stamp_ns: int,
+        motion: Motion,
+        track: Track,
+        crossings: int,
+        view: Observations | None,
+        suspicions: Suspicions,
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
-        pose, cov = track.carry(Pose(pose), cov)
+        pose, cov = self.checks.ahead(*track.carry(Pose(pose), cov))
+        degraded = suspicions.gravest(Severity.DEGRADED)
         hypothesis = self.relocaliser.hypothesis
         evidence = Evidence(
             stamp_ns=stamp_ns,
@@ -120,6 +139,7 @@ class Pipeline:
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             relocalising=health.mode_weight < SURE or (hypothesis is not None and not hypothesis.usable),
             unconfirmed="" if hypothesis is None else hypothesis.reason,
+            suspected="" if degraded is None else degraded.reason,
         )
         verdict = self.states.step(evidence)
         self.seq += 1
@@ -157,6 +177,7 @@ class Pipeline:
             self.relocaliser.state,
             self.filter.state,
             self.states.state,
+            self.checks.state,
         )
 
     @state.setter
@@ -164,6 +185,7 @@ class Pipeline:
         self.seq, self.vision.state, self.odometry.state = state.seq, state.vision, state.odometry
         self.dead_reckoning.state, self.schedule.state = state.dead_reckoning, state.schedule
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
+        self.checks.state = state.checks
 
     def reset(self, keep_map: bool = False) -> None:
         """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without."""
@@ -176,6 +198,7 @@ class Pipeline:
         self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known)
         self.schedule.restart()
         self.states.reset("started")
+        self.checks.restart()
 
     def set_pose(self, pose: Pose, cov: Array, reason: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""

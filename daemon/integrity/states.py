@@ -39,6 +39,7 @@ class Evidence:
         landmarks_matched: observations that a landmark explained; needed to confirm a relocalisation.
         relocalising: the filter is searching, so the pose is one hypothesis among several.
         unconfirmed: why landmarks have yet to confirm the pose, "" when they need not.
+        suspected: what picture, wheels and stamps say against each other, "" for nothing.
     """
 
     stamp_ns: int
@@ -54,6 +55,7 @@ class Evidence:
     landmarks_matched: int = 0
     relocalising: bool = False
     unconfirmed: str = ""
+    suspected: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +167,7 @@ class StateMachine:
         self._set_above("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
         text = f"{e.unconfirmed}, not confirmed by landmarks yet"
         self._set("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
+        self._set("suspected", bool(e.suspected), not e.suspected, e.suspected)
         self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
@@ -213,7 +216,7 @@ class StateMachine:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
-        cause = self._first_cause("nis", "unconfirmed", "sigma", "heading", "inliers")
+        cause = self._first_cause("nis", "unconfirmed", "suspected", "sigma", "heading", "inliers")
         if cause:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"

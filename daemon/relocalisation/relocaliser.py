@@ -117,6 +117,12 @@ class Relocaliser:
             self._end_search()
             self.state.hypothesis = PoseHypothesis(Source.DEAD_RECKONED if usable else Source.BLIND, reach_m, blind_m)
 
+    def doubt(self, reach_m: float) -> None:
+        """The robot may have got elsewhere, at most so far: landmarks must confirm the pose."""
+        if self.state.hypothesis is None and len(self.filter.landmarks()) >= FEWEST_LANDMARKS:
+            self._end_search()
+            self.state.hypothesis = PoseHypothesis(Source.BLIND, reach_m + REACH_M)
+
     def _end_search(self) -> None:
         """One search at a time: the filter's own waits for labels that a hypothesis gives and takes."""
         pose, cov, health = self.filter.estimate()
