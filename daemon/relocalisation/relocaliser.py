@@ -75,7 +75,7 @@ class RelocaliserState:
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         coverage: ground that the map knows.
         index: of the whole map, to find a place in it.
-        chance: (9,) how often chance explains a feature of each type; measured_m: way since it was measured.
+        chance: (2, 9) how often chance explains a feature of each type; measured_m: way since it was measured.
         schedule: when a view is news.
     """
 
@@ -89,7 +89,7 @@ class RelocaliserState:
     spots: int = 0
     coverage: Coverage = field(default_factory=Coverage)
     index: PlaceIndex = field(default_factory=PlaceIndex)
-    chance: Array = field(default_factory=lambda: np.full(9, 0.5))
+    chance: Array = field(default_factory=lambda: np.full((2, 9), 0.5))
     measured_m: float = np.inf
     schedule: ScheduleState = field(default_factory=ScheduleState)
 
@@ -267,7 +267,7 @@ class Relocaliser:
             s.belief.leave_spot()
             s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
-        lattice = Lattice.of(around.landmarks, s.map_axis_rad or 0.0)
+        lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
         if lattice is not None:
             expected = pose
             if doubt.unmeasured:
@@ -276,8 +276,10 @@ class Relocaliser:
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = rival_poses(rivals, pose) - expected
             off[:, 2] = wrap_array(off[:, 2])
-            s.belief.add(rivals, doubt.log_odds(off, _off(pose, expected)))
-        s.belief.doubt_unknown(doubt.unknown)
+            here = _off(pose, expected)
+            s.belief.add(rivals, doubt.log_odds(off, here))
+            unknown -= doubt.alignment(here, lattice.tile_m) if doubt.unmeasured else 0.0
+        s.belief.doubt_unknown(unknown)
         s.pending = None
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0

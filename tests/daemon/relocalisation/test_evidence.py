@@ -43,8 +43,8 @@ def view_from(landmarks: Landmarks, pose: Array, turns: int = 0) -> Observations
 
 
 def around(landmarks: Landmarks, chance: Array | None = None) -> Surroundings:
-    chance = np.full(9, 0.2) if chance is None else chance
-    chance[4] = 0.98
+    chance = np.full((2, 9), 0.2) if chance is None else chance
+    chance[:, 4] = 0.98
     return Surroundings.of(landmarks, Coverage.of(landmarks, 0.6), chance, 3.0)
 
 
@@ -115,8 +115,8 @@ def test_chance_is_measured_on_the_map_itself() -> None:
         rows = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type)
         shifts = np.array([(0.6 * i, 0.6 * j) for i in range(-6, 7) for j in range(-6, 7) if (i, j) != (0, 0)])
         chance = chance_matches(landmarks, rows, coverage, shifts)
-        assert chance[4] > 0.9
-        assert np.all((chance[[0, 2, 6, 8]] >= low) & (chance[[0, 2, 6, 8]] <= high)), (raster, chance)
+        assert np.all(chance[:, 4] > 0.9)
+        assert np.all((chance[1, [0, 2, 6, 8]] >= low) & (chance[1, [0, 2, 6, 8]] <= high)), (raster, chance)
 
 
 @pytest.mark.parametrize("turns", range(4))
