@@ -180,6 +180,7 @@ class Relocaliser:
             s.jumped |= crossings >= FEWEST_KNOWN
         if track.final is None:
             return
+        self.filter.predict(track.final)
         jumped, s.jumped = s.jumped, False
         if track.blind_s > 0.0:
             self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped))

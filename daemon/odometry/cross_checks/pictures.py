@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.integrity.cross_checks.suspicion import Kind, Severity, Suspicion
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
 from ceilvo.types import Array, Crossings, Ints, Motion
 
 RING = 8
@@ -24,7 +24,7 @@ _BLACK, _GLARE = 2, 253
 _QUIET = 0.5
 """Of a standing camera's difference, below which two pictures are one. 20 standing pictures had 0.93 to 1.1 of their
 mean, at noise 0.3 to 3 times the simulator's; one picture with its last bit random 0.29, at 1 times; measured with
-tests/daemon/integrity/cross_checks/test_pictures.py's scenes."""
+tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
 _EQUAL_GREY = 0.02
 """Grey levels of difference that are none: one sample in 50 by one level; without noise known, only these count."""
 _EQUAL_SIGMAS = 0.01
