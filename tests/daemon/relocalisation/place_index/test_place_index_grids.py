@@ -69,32 +69,30 @@ def hall_with_lamps(lamps):
     return place_maps.tiles(110, 110, TILE_M, np.array(lamps))
 
 
-def with_lamp(view, known, at_m, lamp, rng):
-    """A view with the corners of a lamp (2,) of the map, seen at (2,) from the robot; it is at heading 0."""
-    corner = known.xy_map_m[known.crossing_type != place_maps.JOINT][4 * lamp : 4 * lamp + 4]
-    kind = known.crossing_type[known.crossing_type != place_maps.JOINT][4 * lamp : 4 * lamp + 4]
-    xy = np.concatenate([corner - np.mean(corner, axis=0) + at_m, view.xy_base_m])
-    return replace(
-        view,
-        xy_base_m=xy + 0.003 * rng.standard_normal(xy.shape),
-        var_m2=np.full(xy.shape, 1e-5),
-        crossing_type=np.concatenate([kind, view.crossing_type]),
-        label=np.full(len(xy), -1),
-    )
+def with_features(view, xy, kind):
+    """A view with more features (N, 2) in base, of types (N,)."""
+    xy = np.concatenate([view.xy_base_m, xy])
+    kind = np.concatenate([view.crossing_type, kind])
+    return replace(view, xy_base_m=xy, var_m2=np.full(xy.shape, 1e-5), crossing_type=kind, label=np.full(len(xy), -1))
 
 
 def test_a_new_lamp_on_a_bare_grid_does_not_make_the_rim_of_the_map_the_only_place():
     """What the lamp explains is listed, but all bare places, among them the right one, would be better."""
     rng = np.random.default_rng(18)
-    known = hall_with_lamps([[0, 0]])
+    joints = hall_with_lamps(np.zeros((0, 2), np.int64))
+    lamp, kind = np.array([[0.1, 0.1], [0.4, 0.2], [0.2, 0.5], [0.5, 0.4]]), np.full(4, 1)
+    xy = np.concatenate([joints.xy_map_m, lamp])
+    known = place_maps.map_of(xy, np.concatenate([joints.crossing_type, kind]))
     pose = np.array([TILE_M * 50.5, TILE_M * 50.5, 0.0])
-    bare = place_maps.view_of(known, pose, rng, half_m=(2.2, 2.2))
-    view = with_lamp(bare, known, np.array([-1.2, -1.2]), 0, rng)
-    beyond = replace(view, xy_base_m=-view.xy_base_m)
-    for seen in (view, beyond):
-        found = PlaceIndex.of(known).candidates(replace(seen, visible_m=np.empty((0, 2))))
-        assert not place_maps.listed(found.pose, pose)
-        assert not found.complete
+    bare = place_maps.view_of(known, pose, rng, half_m=(1.5, 1.5))
+    view = replace(with_features(bare, lamp + 0.9, kind), visible_m=np.empty((0, 2)))
+    index = PlaceIndex.of(known)
+    found = index.candidates(view)
+    rim = np.array([-0.9, -0.9, 0.0])
+    assert place_maps.listed(found.pose, rim)
+    assert index.counts(pose[None], view)[0][0] > 1.5 * found.explained[0]
+    assert not place_maps.listed(found.pose, pose)
+    assert not found.complete
 
 
 def test_a_place_that_explains_all_is_found_beside_one_that_contradicts_nothing():
@@ -102,11 +100,8 @@ def test_a_place_that_explains_all_is_found_beside_one_that_contradicts_nothing(
     rng = np.random.default_rng(19)
     known = hall_with_lamps([[0, 0], [50, 50], [70, 30]])
     pose = np.array([TILE_M * 50.5 - 1.2, TILE_M * 50.5 - 1.2, 0.0])
-    view = place_maps.view_of(known, pose, rng, half_m=(2.2, 2.2))
-    false = rng.uniform(-2.0, 0.5, (5, 2))
-    kind = np.append(view.crossing_type, np.full(5, 1))
-    xy = np.concatenate([view.xy_base_m, false])
-    view = replace(view, xy_base_m=xy, var_m2=np.full(xy.shape, 1e-5), crossing_type=kind, label=np.full(len(xy), -1))
+    view = place_maps.view_of(known, pose, rng, half_m=(1.5, 1.5))
+    view = with_features(view, rng.uniform(-1.4, 0.5, (5, 2)), np.full(5, 1))
     index = PlaceIndex.of(known)
     rim = np.array([TILE_M * 0.5 - 1.2, TILE_M * 0.5 - 1.2, 0.0])
     assert np.all(index.counts(rim[None], view)[1] < index.counts(pose[None], view)[1])
