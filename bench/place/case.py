@@ -72,13 +72,17 @@ def run_case(case: Case) -> dict[str, Any]:
     pictures = kind.pictures and bool(rng.random() < 0.5)
     drive, site, about = _with_pictures(rng, wheels) if pictures else _with_crossings(case, kind, rng, wheels)
     about |= {"kind": case.kind, "wheels": wheels, "seed": case.seed, "number": case.number}
-    settled = drive.settle(SETTLE_S)
-    about |= {"settled": settled, "before": figures(drive.tally)}
-    if settled:
-        drive.step_ms.clear()
-        _fault(drive, kind.script(drive, site))
-        about |= {"fault": figures(drive.tally), "step_ms": times(drive.step_ms)}
-    return about
+    about |= {"settled": False, "failed": None}
+    try:
+        settled = drive.settle(SETTLE_S)
+        about |= {"settled": settled, "before": figures(drive.tally)}
+        if settled:
+            drive.step_ms.clear()
+            _fault(drive, kind.script(drive, site))
+    except MemoryError as e:
+        about["failed"] = f"out of memory: {e}"
+    key = "fault" if about["settled"] else "before"
+    return about | {key: figures(drive.tally), "step_ms": times(drive.step_ms)}
 
 
 def _with_crossings(

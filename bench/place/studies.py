@@ -82,13 +82,17 @@ def _start(run: Run) -> dict[str, Any]:
     tally = drive.tally = Tally()
     tally.over()
     kept_s, found_m = 0.0, None
-    while kept_s < _RIGHT_S and tally.metres < _START_MOST_M:
-        estimate = drive.tick()
+    failed = None
+    while kept_s < _RIGHT_S and tally.metres < _START_MOST_M and failed is None:
+        try:
+            estimate = drive.tick()
+        except MemoryError as e:
+            failed, estimate = f"out of memory: {e}", None
         tracking = estimate is not None and estimate.state is State.TRACKING
         if tracking and kept_s == 0.0:
             found_m = tally.metres
         kept_s = kept_s + drive.dt_s if tracking else 0.0
-    out = {"landmarks": len(landmarks), "wheels": bool(run.number % 2), "run": figures(tally)}
+    out = {"failed": failed, "landmarks": len(landmarks), "wheels": bool(run.number % 2), "run": figures(tally)}
     right = kept_s >= _RIGHT_S and not tally.wrong_s.get("TRACKING")
     return out | {"right": right, "found_m": found_m if kept_s >= _RIGHT_S else None, "step_ms": times(drive.step_ms)}
 

@@ -53,7 +53,19 @@ def laps_bars(results: Sequence[Result]) -> list[Bar]:
 
 
 def start(results: Sequence[Result]) -> Table:
-    out = Table("wheels", "starts", "right", "wrong", "still searching", "m, median", "m, 90 %", "wrong s", "ms", "p99")
+    out = Table(
+        "wheels",
+        "starts",
+        "right",
+        "wrong",
+        "out of memory",
+        "still searching",
+        "m, median",
+        "m, 90 %",
+        "wrong s",
+        "ms",
+        "p99",
+    )
     for wheels in (True, False):
         group = [r for r in results if r["wheels"] is wheels]
         found = [r["found_m"] for r in group if r["found_m"] is not None]
@@ -64,7 +76,8 @@ def start(results: Sequence[Result]) -> Table:
             f"{len(group)}",
             f"{sum(r['right'] for r in group)}",
             f"{sum(_was_wrong(r) for r in group)}",
-            f"{sum(r['found_m'] is None for r in group)}",
+            f"{sum(bool(r['failed']) for r in group)}",
+            f"{sum(r['found_m'] is None and not r['failed'] for r in group)}",
             median(found),
             f"{np.quantile(found, 0.9):.1f}" if found else "-",
             f"{wrong_s((r['run'] for r in group), 'TRACKING'):.1f}",

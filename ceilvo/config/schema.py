@@ -120,6 +120,12 @@ class Odometry:
         0.5, "acceleration assumed while vision is out: covariance grows with it", low=0.01, high=10.0
     )
     coast_turn_radps2: float = key(0.5, "angular acceleration assumed while vision is out", low=0.01, high=20.0)
+    max_delay_s: float = key(
+        0.2,
+        "pictures later than the wheels by more are an error; shorter delays are found while driving and taken out",
+        low=0.05,
+        high=0.5,
+    )
 
 
 @dataclass(frozen=True)
@@ -161,7 +167,12 @@ class Filter:
     update_period_s: float = key(1.0, "or after this much time", low=0.0, high=60.0)
     association_gate_m: float = key(0.20, "largest distance of a feature from its landmark", low=0.01, high=1.0)
     birth_sightings: int = key(3, "sightings that confirm a landmark", low=1, high=20)
-    max_landmarks: int = key(2000, "landmarks kept", low=10, high=100000)
+    max_landmarks: int = key(
+        200_000,
+        "landmarks in the map; in a full one nothing new is learnt, and the log says so",
+        low=10,
+        high=2_000_000,
+    )
     initial_pose_x_m: float = key(0.0, "pose in map at start", low=-1e5, high=1e5)
     initial_pose_y_m: float = key(0.0, "pose in map at start", low=-1e5, high=1e5)
     initial_pose_theta_deg: float = key(0.0, "pose in map at start", low=-360.0, high=360.0)

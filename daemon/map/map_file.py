@@ -6,9 +6,10 @@ running.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -25,9 +26,9 @@ Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
 MAP_VERSION, STATE_VERSION = 2, 1
-"""docs/files.md; a map of version 1 has not counted how often a landmark should have been seen."""
-MAX_MAP_BYTES = 64 * 2**20
-"""Largest map file that is read; chosen: far beyond filter.max_landmarks."""
+"""docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected."""
+MAX_MAP_BYTES = 256 * 2**20
+"""Largest map file that is read; the most that filter.max_landmarks allows take 183 MiB."""
 MAX_STATE_BYTES = 64 * 2**10
 """Largest state file that is read; one has less than 1 kB."""
 MAX_COORDINATE_M = 1e6
@@ -36,7 +37,16 @@ _MAX_INT = 2**62
 """Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 _MAP_FORMAT, _STATE_FORMAT = "ceilvo-map", "ceilvo-state"
 _VERSIONS = {_MAP_FORMAT: MAP_VERSION, _STATE_FORMAT: STATE_VERSION}
-_COLUMNS = {"id", "xy_map_m", "cov_xx_xy_yy_m2", "kind", "sightings"}
+_COLUMNS = {
+    "id": ("<i8", 1),
+    "xy_map_m": ("<f8", 2),
+    "cov_xx_xy_yy_m2": ("<f8", 3),
+    "kind": ("<i8", 1),
+    "sightings": ("<i8", 1),
+    "expected": ("<i8", 1),
+}
+"""Of a map: type of the numbers and how many a landmark has."""
+_NOT_IN_1 = {"expected"}
 _REMEDY = {
     _MAP_FORMAT: "move it away to let the daemon build a new map, or restore a backup",
     _STATE_FORMAT: "remove it to start from the configured initial pose",
@@ -74,17 +84,17 @@ def save_map(path: Path, landmarks: Landmarks, map_axis_rad: float) -> None:
     Raises:
         FileFormatError: the values are not a valid map, or the folder cannot be written; the old file is untouched.
     """
-    cov = np.asarray(landmarks.cov_m2).reshape(-1, 2, 2)
+    table = {
+        "id": landmarks.ids,
+        "xy_map_m": landmarks.xy_map_m,
+        "cov_xx_xy_yy_m2": np.asarray(landmarks.cov_m2).reshape(-1, 4)[:, [0, 1, 3]],
+        "kind": landmarks.crossing_type,
+        "sightings": landmarks.sightings,
+        "expected": landmarks.expected,
+    }
     content = {
         "map_axis_rad": float(map_axis_rad),
-        "landmarks": {
-            "id": landmarks.ids.tolist(),
-            "xy_map_m": landmarks.xy_map_m.tolist(),
-            "cov_xx_xy_yy_m2": np.column_stack([cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]]).tolist(),
-            "kind": landmarks.crossing_type.tolist(),
-            "sightings": landmarks.sightings.tolist(),
-            "expected": landmarks.expected.tolist(),
-        },
+        "landmarks": {k: _as_text(column, _COLUMNS[k][0]) for k, column in table.items()},
     }
     _save(path, _MAP_FORMAT, content, _read_map, MAX_MAP_BYTES)
 
@@ -185,10 +195,12 @@ def _digest(content: Any) -> str:
 def _read_map(content: Any, version: int) -> StoredMap:
     _keys(content, {"map_axis_rad", "landmarks"}, "content")
     table = content["landmarks"]
-    _keys(table, _COLUMNS if version == 1 else _COLUMNS | {"expected"}, "landmarks")
+    _keys(table, _COLUMNS.keys() - (_NOT_IN_1 if version == 1 else set()), "landmarks")
+    if version > 1:
+        table = {k: _from_text(table[k], f"landmarks.{k}", *_COLUMNS[k]) for k in _COLUMNS}
     ids = _ints(table["id"], "landmarks.id", 0, _MAX_INT)
     n = len(ids)
-    if len(set(ids.tolist())) != n:
+    if len(np.unique(ids)) != n:
         raise _Damage("landmarks.id has duplicates")
     packed = _floats(table["cov_xx_xy_yy_m2"], "landmarks.cov_xx_xy_yy_m2", (n, 3), MAX_COORDINATE_M**2)
     cov = packed[:, [0, 1, 1, 2]].reshape(n, 2, 2)
@@ -223,7 +235,7 @@ def _read_state(content: Any, version: int) -> StoredState:
     return StoredState(Pose(values), cov, State[name], int(stamp[0]))
 
 
-def _keys(value: Any, expected: set[str], where: str) -> None:
+def _keys(value: Any, expected: Set[str], where: str) -> None:
     if not isinstance(value, dict):
         raise _Damage(f"{where} is {_shown(value)}, expected a mapping")
     missing, unknown = sorted(expected - value.keys()), sorted(value.keys() - expected)
@@ -233,8 +245,32 @@ def _keys(value: Any, expected: set[str], where: str) -> None:
         )
 
 
+def _as_text(column: NDArray[Any], dtype: str) -> str:
+    """Eight bytes a number: decimals take nine times as long, and no other thread runs meanwhile."""
+    return base64.b64encode(np.asarray(column, dtype).tobytes()).decode("ascii")
+
+
+def _from_text(value: Any, where: str, dtype: str, width: int) -> NDArray[Any]:
+    """(N,), or (N, width) where a landmark has several numbers."""
+    if not isinstance(value, str):
+        raise _Damage(f"{where} is {_shown(value)}, expected numbers of 8 bytes in base64")
+    try:
+        data = base64.b64decode(value, validate=True)
+    except ValueError as e:
+        raise _Damage(f"{where} is not base64: {e}") from e
+    if len(data) % (8 * width):
+        raise _Damage(f"{where} has {len(data)} bytes, expected a multiple of {8 * width}")
+    numbers = np.frombuffer(data, dtype).astype(np.dtype(dtype).newbyteorder("="))
+    return numbers if width == 1 else numbers.reshape(-1, width)
+
+
 def _ints(value: Any, where: str, low: int, high: int, n: int | None = None) -> NDArray[np.int64]:
-    if not isinstance(value, list) or any(type(v) is not int or not low <= v <= high for v in value):
+    """Of a list, or of an array that has been read already."""
+    if isinstance(value, np.ndarray):
+        good = bool(np.all((value >= low) & (value <= high)))
+    else:
+        good = isinstance(value, list) and all(type(v) is int and low <= v <= high for v in value)
+    if not good:
         raise _Damage(f"{where} is not a list of whole numbers from {low} to {high}")
     if n is not None and len(value) != n:
         raise _Damage(f"{where} has {len(value)} values, expected {n}")
@@ -245,7 +281,7 @@ def _ints(value: Any, where: str, low: int, high: int, n: int | None = None) -> 
 
 def _floats(value: Any, where: str, shape: tuple[int, ...], limit: float) -> Array:
     """An array of that shape, finite and within the limit; numbers only, so that no text or bool slips in."""
-    if not _has_shape(value, shape):
+    if not (value.shape == shape if isinstance(value, np.ndarray) else _has_shape(value, shape)):
         raise _Damage(f"{where} is not an array of numbers of shape {shape}")
     try:
         out = np.array(value, np.float64).reshape(shape)

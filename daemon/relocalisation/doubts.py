@@ -73,7 +73,7 @@ class Doubt:
         moved = np.log(max((1.0 - OFF_MAP) * self.elsewhere, TINY) / (len(off) + 1))
         stayed = np.log1p(-self.elsewhere)
         there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
-        return np.maximum(there - near, LEAST)
+        return np.asarray(np.maximum(there - near, LEAST))
 
     @property
     def unknown(self) -> float:

@@ -1,8 +1,8 @@
 """What a view says of poses: how much likelier it is there than at a wrong place of the same ceiling.
 
 Three things are counted: features that a landmark of their type explains, features where the map knows that there are
-none, and landmarks that should be seen and are not. What a wrong place explains by chance is measured on the map itself:
-how often a landmark, moved by whole tiles, finds one of its type. So a joint between tiles says next to nothing and a
+none, and landmarks that should be seen and are not. What a wrong place explains by chance is measured on the map: how
+often a landmark, moved by whole tiles, finds one of its type. So a joint between tiles says next to nothing and a
 lamp says much, unless lamps hang in a pattern, in which case they say little too.
 """
 
@@ -45,7 +45,7 @@ of all; chosen."""
 UNMEASURED = 0.5
 """How often chance explains a feature where the map is too small to tell."""
 MOST_VISIBLE = 0.8
-"""A landmark's own visibility is believed up to here: it was counted from other spots, where its lines looked better."""
+"""A landmark's own visibility is believed up to here: it was counted from other spots."""
 CLOSE = 15.0
 """Log-likelihood under the best pose from which landmarks that are not seen are no longer looked for; chosen."""
 MOST_RARE, MOST_COMMON = 40, 16
@@ -105,7 +105,7 @@ class TypeRaster:
 
     def has(self, xy_m: Array, crossing_type: Ints) -> NDArray[np.bool_]:
         """(...,) whether there is a point of the type (...,) within reach."""
-        return (self.at(xy_m) >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0
+        return np.asarray((self.at(xy_m) >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,8 +220,7 @@ class ViewEvidence:
         out = np.zeros((len(poses), len(CHANGED)))
         if not len(self._view.visible_m) or not len(landmarks):
             return out
-        from ceilvo.daemon.relocalisation import shims
-        hit = np.minimum(shims.visibility(landmarks), MOST_VISIBLE)[:, None] * (1.0 - CHANGED)
+        hit = np.minimum(landmarks.visibility, MOST_VISIBLE)[:, None] * (1.0 - CHANGED)
         surprise = np.minimum(np.log((1.0 - hit) / (1.0 - self._around.chance[landmarks.crossing_type][:, None])), 0.0)
         kind = self._seen_as[self._turns(poses)][:, landmarks.crossing_type]
         off = landmarks.xy_map_m - poses[:, None, :2]
@@ -240,7 +239,7 @@ def _mixed(score: Array) -> Array:
 
 
 def _telling(chance: Array) -> NDArray[np.bool_]:
-    """(K,) features that are weighed: those that chance explains least, and a few that it does, spread over the view."""
+    """(K,) features that are weighed: those that chance explains least, and a few others."""
     out = np.zeros(len(chance), bool)
     common = chance >= COMMON
     rare = np.flatnonzero(~common)

@@ -9,7 +9,7 @@ import numpy as np
 from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
-from ceilvo.daemon.relocalisation import doubts, shims
+from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, chance_matches
@@ -18,16 +18,21 @@ from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
+from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
 from ceilvo.se2 import transform, wrap, wrap_array
 from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 
 VIEW_PERIOD_S = 0.1
 """A standing robot whose place is in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
+AMBIGUOUS = "ambiguous"
+"""Begins the reason while several places of the map are likely."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
+ALIKE = 0.05
+"""Share of the belief from which a place is named among those that look alike; chosen."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
@@ -71,6 +76,7 @@ class RelocaliserState:
         coverage: ground that the map knows.
         index: of the whole map, to find a place in it.
         chance: (9,) how often chance explains a feature of each type; measured_m: way since it was measured.
+        schedule: when a view is news.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -85,6 +91,7 @@ class RelocaliserState:
     index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Array = field(default_factory=lambda: np.full(9, 0.5))
     measured_m: float = np.inf
+    schedule: ScheduleState = field(default_factory=ScheduleState)
 
 
 class Relocaliser:
@@ -96,7 +103,17 @@ class Relocaliser:
         self._settings = config.filter
         self._rate = config.states.false_place_rate
         self._visible_m = visible_polygon(calibration, MARGIN_PX, config.features.max_view_deg)
+        self._schedule = UpdateSchedule(config.filter)
         self.state = RelocaliserState()
+
+    @property
+    def state(self) -> RelocaliserState:
+        self._state.schedule = self._schedule.state
+        return self._state
+
+    @state.setter
+    def state(self, state: RelocaliserState) -> None:
+        self._state, self._schedule.state = state, state.schedule
 
     # -- what it says
 
@@ -113,13 +130,13 @@ class Relocaliser:
         if self.sure:
             return ""
         why = s.pending.reason if s.pending is not None else s.reason
-        alike = s.belief.alike(0.05)
+        alike = s.belief.alike(ALIKE)
         if s.pending is None and alike > 1:
-            return f"ambiguous since {why}: {alike} places of the map look like this one"
-        return why
+            return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
+        return f"to be confirmed by landmarks: {why}"
 
     @property
-    def view_period_s(self) -> float:
+    def _view_period_s(self) -> float:
         """How long after a view the next one is news to a robot that stands."""
         period_s = self._settings.update_period_s
         return period_s if self.sure else min(VIEW_PERIOD_S, period_s)
@@ -131,6 +148,7 @@ class Relocaliser:
         known = landmarks if landmarks is not None and len(landmarks) else None
         s = self.state
         self.filter.reset(pose, cov, known)
+        self._schedule.restart()
         s.belief, s.views, s.jumped, s.measured_m = PlaceBelief(), 0, False, np.inf
         if known is None:
             self.state = RelocaliserState()
@@ -156,6 +174,7 @@ class Relocaliser:
         """The robot went on; a gap in what vision measured of its way is a doubt."""
         s = self.state
         s.belief.moved(track.moved_m, track.turned_rad)
+        self._schedule.travelled(track.moved_m, track.turned_rad)
         s.measured_m += track.moved_m
         if track.gap is not None:
             s.jumped |= crossings >= FEWEST_KNOWN
@@ -165,6 +184,10 @@ class Relocaliser:
         if track.blind_s > 0.0:
             self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped))
 
+    def suspect(self, reason: str, reach_m: float) -> None:
+        """Something says that the robot may have got elsewhere, at most so far."""
+        self._raise(Doubt(reason, elsewhere=doubts.JUMPED, reach_m=reach_m))
+
     def _raise(self, doubt: Doubt) -> None:
         """Doubts of one gap after another: the largest of each."""
         s = self.state
@@ -172,20 +195,26 @@ class Relocaliser:
             p = s.pending
             elsewhere, reach_m = max(p.elsewhere, doubt.elsewhere), p.reach_m + doubt.reach_m
             doubt = Doubt(doubt.reason, p.cov + doubt.cov, elsewhere, reach_m)
-        if len(self.filter.landmarks()) and not doubts.negligible(doubt, self._rate):
+        if self.filter.size() and not doubts.negligible(doubt, self._rate):
             s.pending = doubt
 
     # -- a view
 
-    def look(self, crossings: Crossings) -> tuple[Observations, Observations | None]:
-        """A view as observations of the map, and what of it may teach the filter; None for nothing of it.
+    def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
+        """Weigh what is seen, teach the filter what may be learnt from it; the view, None when it is no news.
 
-        It is weighed first; where it shows that the robot is elsewhere, the filter is put there.
+        Where a view shows that the robot is elsewhere, the filter is put there.
         """
+        if not self._schedule.due(stamp_ns, self._view_period_s):
+            return None
         view = self._observed(crossings)
         if self._weigh(view):
             view = self._observed(crossings)
-        return view, self._admitted(view)
+        admitted = self._admitted(view)
+        if admitted is not None:
+            self.filter.update(admitted)
+            self._learnt()
+        return view
 
     def _observed(self, crossings: Crossings) -> Observations:
         s = self.state
@@ -193,9 +222,8 @@ class Relocaliser:
         if s.map_axis_rad is None:
             s.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
         noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
-        landmarks = self.filter.landmarks()
-        view = associate(crossings, noise, mount_xy_m, pose, landmarks, self._settings, s.map_axis_rad)
-        return replace(view, visible_m=self._visible_m)
+        near, axis = self.filter.landmarks_near, s.map_axis_rad
+        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, self._visible_m)
 
     def _weigh(self, view: Observations) -> bool:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
@@ -244,7 +272,7 @@ class Relocaliser:
             expected = pose
             if doubt.unmeasured:
                 pose = lattice.aligned(expected, view)
-                shims.jump(self.filter, Pose(pose), np.diag(JUMP_SIGMA**2))
+                self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = rival_poses(rivals, pose) - expected
             off[:, 2] = wrap_array(off[:, 2])
@@ -267,7 +295,7 @@ class Relocaliser:
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
     def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
-        """(P,) of all places; those that are far off are looked up in the index, landmarks that are missing left out."""
+        """(P,) of all places; those far off are looked up in the index, and nothing is missing there."""
         poses = rival_poses(self.state.belief.places, pose)
         far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
         out = np.empty(len(poses))
@@ -281,7 +309,7 @@ class Relocaliser:
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
         if winner is not None:
             s.looked, s.spots = Coverage(), 0
-            shims.jump(self.filter, Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
+            self.filter.jump(Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
@@ -292,7 +320,7 @@ class Relocaliser:
     def _surroundings(self, view: Observations, pose: Array, reach_m: float) -> Surroundings:
         s = self.state
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
-        near = shims.landmarks_near(self.filter, pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
+        near = self.filter.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
         around = Surroundings.of(near, s.coverage, s.chance, reach_m)
         if s.measured_m < MEASURE_AGAIN_M:
             return around
@@ -305,18 +333,18 @@ class Relocaliser:
         """What of a view may teach the filter; None for nothing of it."""
         matched = view.label >= 0
         if self.sure:
-            pose = self.filter.estimate()[0]
-            known = self.state.coverage.knows(transform(Pose(pose), view.xy_base_m))
-            strange = np.count_nonzero(known) >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * np.count_nonzero(known)
+            at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+            known = self.state.coverage.knows(at)
+            count = int(np.count_nonzero(known))
+            strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
             return None if strange else view
         if np.count_nonzero(matched) >= CONVINCING * len(view):
             return view.of(matched)
         return None
 
-    def learnt(self, view: Observations) -> None:
+    def _learnt(self) -> None:
         """The filter has learnt from a view of a sure place: its ground is known better."""
         if self.sure and len(self._visible_m):
-            shims.count(self.filter, self._visible_m, view)
             pose = Pose(self.filter.estimate()[0])
             self.state.coverage.show(transform(pose, self._visible_m))
             self._index_around(pose)
@@ -324,7 +352,7 @@ class Relocaliser:
     def _index_around(self, pose: Array) -> None:
         """What the filter has learnt around the robot goes into the index."""
         index = self.state.index
-        near = shims.landmarks_near(self.filter, pose[None, :2], INDEXED_M)[1]
+        near = self.filter.landmarks_near(pose[None, :2], INDEXED_M)[1]
         index.sync(near)
         there = index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
         index.remove(np.setdiff1d(there, near.ids))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -14,6 +15,8 @@ from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.se2 import transform, wrap
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Ints, Landmarks, Observations, frozen
 
+Near = Callable[[Array, float], tuple[Ints, Landmarks]]
+"""Labels and landmarks within a reach of the box around points (M, 2), see PoseFilter.landmarks_near."""
 SIGMA_FLOOR_M = 1e-4
 """No curve is trusted below this."""
 VAR_FLOOR = 1e-12
@@ -60,7 +63,7 @@ def associate(
     curves: NoiseCurves,
     mount_xy_m: Array,
     pose: Array,
-    landmarks: Landmarks,
+    near: Near,
     settings: Filter,
     map_axis_rad: float,
     visible_m: Array | None = None,
@@ -72,7 +75,7 @@ def associate(
         curves: noise of commissioning; the crossings' own covariance is added to it.
         mount_xy_m: (2,) camera in base, where r is counted from.
         pose: (3,) predicted map_from_base.
-        landmarks: the map as estimated.
+        near: of the map, see PoseFilter.landmarks_near.
         settings: association_gate_m is used.
         map_axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
         visible_m: (V, 2) as in Observations; None: not known.
@@ -87,7 +90,7 @@ def associate(
         xy_base_m=crossings.xy_base_m,
         var_m2=frozen(variance),
         crossing_type=kind,
-        label=_associate(seen_at, kind, pose[:2], landmarks, settings.association_gate_m),
+        label=_associate(seen_at, kind, near, settings.association_gate_m),
         heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
         heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
         common_var_m2=0.5 * float(np.trace(crossings.common_cov_m2)),
@@ -95,14 +98,11 @@ def associate(
     )
 
 
-def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmarks, gate_m: float) -> Ints:
+def _associate(xy_map_m: Array, kind: Ints, near: Near, gate_m: float) -> Ints:
+    labels, there = near(xy_map_m, gate_m)
+    seen, which = mutual_nearest(xy_map_m, kind, there.xy_map_m, there.crossing_type, gate_m)
     label = np.full(len(kind), NO_LANDMARK, np.int64)
-    if not len(kind) or not len(landmarks):
-        return label
-    reach = np.max(np.hypot(*(xy_map_m - centre_m).T)) + gate_m
-    near = np.flatnonzero(np.hypot(*(landmarks.xy_map_m - centre_m).T) <= reach)
-    seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.crossing_type[near], gate_m)
-    label[seen] = near[which]
+    label[seen] = labels[which]
     return label
 
 

@@ -208,7 +208,15 @@ def case_result(
     tally = told([(10.0, State.TRACKING, RIGHT, DRIVES)], Tally())
     f = figures(tally) | {"wrong_s": {"TRACKING": wrong} if wrong else {}, "say_s": say}
     f |= {"recovered_s": recovered, "recovered_m": metres}
-    about = {"kind": kind, "settled": True, "before": figures(Tally()), "fault": f, "number": 0, "seed": 0}
+    about = {
+        "kind": kind,
+        "settled": True,
+        "failed": None,
+        "before": figures(Tally()),
+        "fault": f,
+        "number": 0,
+        "seed": 0,
+    }
     about |= {"size": "5", "tile_m": 0.6, "lamps": "raster", "wheels": True, "map": "known", "eye": "", "rate_hz": 10.0}
     return about | {"step_ms": {"median": 1.0, "p99": 2.0}}
 
@@ -216,15 +224,15 @@ def case_result(
 def test_bars_are_the_issues() -> None:
     good = [case_result("snatched", 0.0, 0.5, 20.0, 9.0) for _ in range(19)]
     bars = tables.fault_bars([*good, case_result("snatched", 0.0, 0.9, 16.0, 11.0)])
-    assert [b.verdict for b in bars] == ["PASS"] * 5
+    assert [b.verdict for b in bars] == ["PASS"] * 7
     bars = tables.fault_bars([*good, case_result("snatched", 0.1, 1.2, None, None), case_result("ramp", 0.0, 0, 1, 1)])
-    assert [b.verdict for b in bars] == ["MISS", "PASS", "MISS", "PASS", "MISS"]
+    assert [b.verdict for b in bars] == ["MISS", "PASS", "PASS", "PASS", "MISS", "PASS", "MISS"]
     assert any("snatched" in line for line in tables.worst_cases([case_result("snatched", 2.0, 1.2, None, None)], 3))
 
 
 def test_a_start_that_was_wrong_counts_as_no_start() -> None:
     step = {"median": 10.0, "p99": 20.0}
-    right = {"right": True, "found_m": 2.0, "wheels": True, "run": figures(Tally()), "step_ms": step}
+    right = {"right": True, "failed": None, "found_m": 2.0, "wheels": True, "run": figures(Tally()), "step_ms": step}
     wrong = right | {"run": figures(Tally()) | {"wrong_s": {"TRACKING": 1.0}}}
     assert [b.verdict for b in study_tables.start_bars([right, right])] == ["PASS"] * 3
     assert [b.verdict for b in study_tables.start_bars([wrong, wrong])] == ["MISS", "MISS", "PASS"]
@@ -237,6 +245,17 @@ def test_cases_are_of_every_kind_in_turn() -> None:
     todo = cases(("ramp", "faint"), 5, 7, ("5",))
     assert [c.kind for c in todo] == ["ramp", "faint", "ramp", "faint", "ramp"]
     assert len({c.number for c in todo}) == 5
+
+
+def test_a_daemon_that_runs_out_of_memory_is_a_failed_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    def tick(self: Drive) -> None:
+        raise MemoryError("5 GiB")
+
+    monkeypatch.setattr(case_module, "_LEARN_S", 0.0)
+    monkeypatch.setattr(Drive, "tick", tick)
+    result = run_case(Case("faint", 3, 4, ("5",)))
+    assert not result["settled"] and "5 GiB" in result["failed"]
+    assert "MISS" in [b.verdict for b in tables.fault_bars([result])]
 
 
 def test_a_case_runs_through_the_daemon_and_is_the_same_every_time(monkeypatch: pytest.MonkeyPatch) -> None:

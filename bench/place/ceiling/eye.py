@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.bench.place.ceiling.truth import PX_M, Features, Origin
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import crossing_type_of, quarter_turns, turned_type
-from ceilvo.daemon.vision.crossings import to_ceiling
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Crossings, Ints, LineKind
 

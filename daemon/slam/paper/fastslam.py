@@ -32,7 +32,7 @@ from ceilvo.daemon.slam.pose_filter import (
     spread,
     systematic,
 )
-from ceilvo.daemon.slam.spatial_index import IndexedMap, packed
+from ceilvo.daemon.slam.spatial_index import IndexedMap, landmarks_near, packed
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import rotation, transform, wrap_array
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
@@ -113,7 +113,6 @@ class FastSlam:
             np.repeat(packed(landmarks.cov_m2)[:, :, None], n, axis=2),
             landmarks.crossing_type,
             landmarks.sightings,
-            self._settings.max_landmarks,
             landmarks.ids,
         )
         state.maps.refresh(state.weights, labels)
@@ -132,7 +131,7 @@ class FastSlam:
 
     def update(self, obs: Observations) -> None:
         """Weights by eq. 18 (the motion being the proposal, they grow by the likelihood), then map, then resampling."""
-        obs = self._labelled(usable(obs, self._size()))
+        obs = self._labelled(usable(obs, self.size()))
         self.state.counters["updates"] += 1
         matched = np.flatnonzero(obs.label >= 0)
         likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
@@ -157,6 +156,12 @@ class FastSlam:
             s.mean, s.cov = mean_and_cov(s.poses, s.weights)
         return s.mean.copy(), s.cov.copy(), s.health
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        self.reset(pose, cov, self.landmarks(), known=self.state.known is not None)
+
+    def size(self) -> int:
+        return len(self.state.maps) if self.state.known is None else len(self.state.known)
+
     def landmarks(self) -> Landmarks:
         if self.state.known is not None:
             return self.state.known.landmarks
@@ -168,10 +173,11 @@ class FastSlam:
         return self.state.poses.copy(), self.state.weights.copy()
 
     def counters(self) -> Mapping[str, int]:
-        return dict(self.state.counters)
+        return dict.fromkeys(COUNTERS, 0) | self.state.counters
 
-    def _size(self) -> int:
-        return len(self.state.maps) if self.state.known is None else len(self.state.known)
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        known = self.state.known
+        return landmarks_near(self.landmarks(), xy_m, reach_m) if known is None else known.landmarks_near(xy_m, reach_m)
 
     def _labelled(self, obs: Observations) -> Observations:
         """Features whose landmark is left to the filter go to the nearest of their kind at the mean pose."""
@@ -180,13 +186,12 @@ class FastSlam:
             return obs
         pose, _ = mean_and_cov(self.state.poses, self.state.weights)
         xy, gate = transform(pose, obs.xy_base_m[free]), self._settings.association_gate_m
-        m = self.landmarks()
-        near = np.arange(len(m)) if self.state.known is None else self.state.known.near(xy, gate)
-        seen, which = mutual_nearest(xy, obs.crossing_type[free], m.xy_map_m[near], m.crossing_type[near], gate)
+        near, m = self.landmarks_near(xy, gate)
+        seen, which = mutual_nearest(xy, obs.crossing_type[free], m.xy_map_m, m.crossing_type, gate)
         label = obs.label.copy()
         label[free] = NO_LANDMARK
         label[free[seen]] = near[which]
-        return usable(replace(obs, label=label), self._size())
+        return usable(replace(obs, label=label), self.size())
 
     def _weigh_and_map(
         self, obs: Observations, matched: NDArray[np.intp]
@@ -290,6 +295,9 @@ class FastSlam:
     def _give_birth(self, obs: Observations, which_obs: NDArray[np.intp], which: NDArray[np.intp], pose: Array) -> None:
         """Each particle places the feature from its own pose, corrected by what the earlier sightings averaged to."""
         candidates, n = self.state.candidates, len(self.state.weights)
+        room = max(self._settings.max_landmarks - self.size(), 0)
+        self.state.counters["map_full"] = self.counters()["map_full"] + max(len(which) - room, 0)
+        which_obs, which = which_obs[:room], which[:room]
         seen, _ = self._in_map(obs, which_obs)
         correction = candidates.xy[which] - transform(pose, obs.xy_base_m[which_obs])
         labels = self.state.maps.add(
@@ -297,7 +305,6 @@ class FastSlam:
             np.repeat(candidates.cov[which][:, :, None], n, axis=2),
             candidates.crossing_type[which],
             candidates.count[which],
-            self._settings.max_landmarks,
         )
         self.state.counters["births"] += len(labels)
         self.state.maps.refresh(self.state.weights, labels)

@@ -69,27 +69,17 @@ class ParticleMaps:
         self.mean[labels], self.cov[labels] = mean, cov
         self.row[labels] = np.arange(self.row.shape[1], dtype=np.int32)
 
-    def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, limit: int, ids: Ints | None = None) -> Ints:
-        """Append landmarks (M, 2, N), (M, 3, N) and return their labels (M,).
-
-        Beyond `limit` each takes the place of the one seen least.
-        """
-        labels = np.empty(len(kind), np.int64)
-        for i in range(len(kind)):
-            label = labels[i] = self._free_slot(limit)
-            self.ids[label] = self.next_id if ids is None else ids[i]
-            self.next_id = max(self.next_id, int(self.ids[label]) + 1)
-            self.crossing_type[label], self.sightings[label] = kind[i], sightings[i]
-            self.scatter(labels[i : i + 1], mean[i], cov[i])
+    def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, ids: Ints | None = None) -> Ints:
+        """Append landmarks (M, 2, N), (M, 3, N) and return their labels (M,)."""
+        labels = self.size + np.arange(len(kind))
+        self.size += len(kind)
+        if self.size > len(self.ids):
+            self._grow(max(_CHUNK, self.size // 2, len(kind)))
+        self.ids[labels] = self.next_id + np.arange(len(kind)) if ids is None else ids
+        self.next_id = max(self.next_id, int(np.max(self.ids[labels], initial=-1)) + 1)
+        self.crossing_type[labels], self.sightings[labels] = kind, sightings
+        self.scatter(labels, mean, cov)
         return labels
-
-    def _free_slot(self, limit: int) -> int:
-        if self.size >= limit:
-            return int(np.argmin(self.sightings[: self.size]))
-        if self.size == len(self.ids):
-            self._grow(max(_CHUNK, self.size // 2))
-        self.size += 1
-        return self.size - 1
 
     def _grow(self, more: int) -> None:
         n = self.row.shape[1]

@@ -36,7 +36,7 @@ TURNED = replace(GOOD, heading_sigma_rad=0.2)
 STALE = replace(GOOD, nis=5.0)
 WRONG = replace(GOOD, nis=40.0)
 GONE = replace(GOOD, position_sigma_m=0.8)
-SEARCH = replace(GOOD, relocalising=True)
+SEARCH = replace(GOOD, in_doubt="stored pose")
 UNSEEN = replace(GOOD, landmarks_matched=0, nis_dof=0)
 
 
@@ -102,7 +102,7 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
     "landmarks agree again, for good": ([WRONG] * 10 + [GOOD] * 15, ["INIT", "LOST", "DEGRADED", "TRACKING"], "5 good"),
     "searching": ([WRONG] * 10 + [SEARCH], ["INIT", "LOST", "RELOCALISING"], "searching"),
     "the search forgets old innovations": (
-        [WRONG] * 10 + [SEARCH] + [replace(WRONG, relocalising=True)] * 50 + [GOOD] * 5,
+        [WRONG] * 10 + [SEARCH] + [replace(WRONG, in_doubt="stored pose")] * 50 + [GOOD] * 5,
         ["INIT", "LOST", "RELOCALISING", "TRACKING"],
         "5 good",
     ),
@@ -201,7 +201,7 @@ def test_a_search_after_a_reset_says_why() -> None:
     machine.reset("stored pose")
     verdict = machine.step(SEARCH)
     assert (verdict.state, verdict.changed) == (State.RELOCALISING, True)
-    assert verdict.reason == "stored pose: a hypothesis until landmarks confirm it"
+    assert verdict.reason == "stored pose"
 
 
 def test_quality_is_half_at_each_threshold_alone() -> None:
@@ -245,7 +245,7 @@ anything: st.SearchStrategy[Evidence] = st.builds(
     nis_dof=st.sampled_from([0, 2, 40]),
     ess_ratio=st.floats(0, 1),
     landmarks_matched=st.integers(0, 20),
-    relocalising=st.sampled_from([False, False, False, True]),
+    in_doubt=st.sampled_from(["", "", "", "moved"]),
 )
 configs: st.SearchStrategy[States] = st.builds(
     States,
