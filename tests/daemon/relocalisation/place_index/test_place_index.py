@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M
+from ceilvo.daemon.relocalisation.place_index.found import CONTRADICTED, EXPLAINED
 from ceilvo.daemon.relocalisation.place_index.place_index import MARGIN, PlaceIndex
-from ceilvo.daemon.relocalisation.place_index.search import CONTRADICTED, EXPLAINED, EXPLAINED_FRACTION, Search
+from ceilvo.daemon.relocalisation.place_index.search import EXPLAINED_FRACTION, Search
 from ceilvo.daemon.relocalisation.place_index.type_grid import GROUND_M, HALF_DIAGONAL_M, REACH_M
 from ceilvo.se2 import wrap_array
 from ceilvo.types import Observations
