@@ -83,7 +83,7 @@ class Doubt:
 
         A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle.
         """
-        var = np.diagonal(self.cov) + [_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]
+        var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
         period = np.array([*tile_m, 0.5 * np.pi])
         fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
         return float(np.clip(np.sum(fits[period > 0.0]), -MOST_ALIGNED, MOST_ALIGNED))
