@@ -108,6 +108,7 @@ class Crossings:
         psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines.
         common_cov_m2: (2, 2) the part of cov_base_m2 that all crossings of a frame share: an error of the tilt
             shifts them together.
+        sample_gray: (S,) grey levels at fixed places of the picture, to tell whether it is an old one; (0,) = none.
     """
 
     uv_px: Array
@@ -119,6 +120,7 @@ class Crossings:
     tilt_rad: Array
     tilt_sigma_rad: Array
     common_cov_m2: Array
+    sample_gray: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
 
     def __len__(self) -> int:
         return len(self.crossing_type)

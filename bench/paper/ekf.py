@@ -89,6 +89,9 @@ class EkfNearestNeighbour:
         xy = self._x[3:].reshape(-1, 2)[show]
         return Landmarks(show.astype(np.int64), xy, cov, self._kind[show], self._sightings[show])
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        self.reset(pose, cov, self.landmarks())
+
     def size(self) -> int:
         return len(self.landmarks())
 

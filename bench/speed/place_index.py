@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from ceilvo.config import Config
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.place_index.search import cost
 from ceilvo.daemon.slam.association import associate
+from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 from ceilvo.se2 import compose, wrap_array
@@ -95,8 +97,9 @@ class Hall:
             return pose, None
         turned = pose + np.array([0.0, 0.0, 0.5 * np.pi * self._rng.integers(4)])
         noise, mount, none = self._calibration.noise, self._calibration.mount_xy_m, self.landmarks.of(np.arange(0))
+        nothing = partial(landmarks_near, none)
         axis = self.world.features.axis_rad
-        view = associate(crossings, noise, mount, turned, none, Config().filter, axis)
+        view = associate(crossings, noise, mount, turned, nothing, Config().filter, axis)
         return pose, replace(view, visible_m=self._visible_m)
 
 

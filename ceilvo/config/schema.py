@@ -120,6 +120,12 @@ class Odometry:
         0.5, "acceleration assumed while vision is out: covariance grows with it", low=0.01, high=10.0
     )
     coast_turn_radps2: float = key(0.5, "angular acceleration assumed while vision is out", low=0.01, high=20.0)
+    max_delay_s: float = key(
+        0.2,
+        "pictures later than the wheels by more are an error; shorter delays are found while driving and taken out",
+        low=0.05,
+        high=0.5,
+    )
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from ceilvo.types import Array
 
 LIFT_S = 0.2
 """Nobody lifts a robot and puts it half a tile further in less: 0.15 m there and to rest at 15 m/s^2; chosen."""
-LIFTED = 0.02
-"""Chance that a robot which saw nothing for longer was lifted meanwhile; chosen: it happens, but seldom."""
+LIFTED, CARRY_S = 0.02, 2.0
+"""Chance that a robot which saw nothing for so long was lifted meanwhile; chosen: it happens, but seldom. In less time
+fewer places are near enough, as its square."""
 JUMPED = 0.5
 """The same where it did see, but no motion of a robot explains what: chosen, it is as likely as a fault of vision."""
 CARRY_MPS = 2.0
@@ -32,6 +33,8 @@ _SIGMA_2_RAD2 = 0.05**2
 """Added to the variance of a heading that rivals are judged by, rad^2."""
 _SIGMA_2_M2 = 0.05**2
 """The same of a position, m^2."""
+MOST_ALIGNED = 6.0
+"""Log-likelihood ratio at most of tiles that lie as expected; chosen: a robot is put down along the tiles, too."""
 _NEIGHBOURS = 8
 """Tiles around one."""
 
@@ -73,7 +76,17 @@ class Doubt:
         moved = np.log(max((1.0 - OFF_MAP) * self.elsewhere, TINY) / (len(off) + 1))
         stayed = np.log1p(-self.elsewhere)
         there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
-        return np.maximum(there - near, LEAST)
+        return np.asarray(np.maximum(there - near, LEAST))
+
+    def alignment(self, here: Array, tile_m: Array) -> float:
+        """Log-likelihood ratio of tiles that lie as the pose says, off by `here` (3,), against tiles that lie anyhow.
+
+        A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle.
+        """
+        var = np.diagonal(self.cov) + [_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]
+        period = np.array([*tile_m, 0.5 * np.pi])
+        fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
+        return float(np.clip(np.sum(fits[period > 0.0]), -MOST_ALIGNED, MOST_ALIGNED))
 
     @property
     def unknown(self) -> float:
@@ -84,7 +97,8 @@ class Doubt:
 
 def of_gap(blind_cov: Array, blind_s: float, jumped: bool) -> Doubt:
     """After a stretch without motions from vision, blind_s long; jumped: pictures there were, but they did not fit."""
-    elsewhere = JUMPED if jumped else LIFTED if blind_s > LIFT_S else 0.0
+    lifted = LIFTED * min(1.0, (blind_s / CARRY_S) ** 2) if blind_s > LIFT_S else 0.0
+    elsewhere = JUMPED if jumped else lifted
     why = "the picture jumped" if jumped else f"{blind_s:.1f} s without vision"
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
 

@@ -1,8 +1,8 @@
 """What a view says of poses: how much likelier it is there than at a wrong place of the same ceiling.
 
 Three things are counted: features that a landmark of their type explains, features where the map knows that there are
-none, and landmarks that should be seen and are not. What a wrong place explains by chance is measured on the map itself:
-how often a landmark, moved by whole tiles, finds one of its type. So a joint between tiles says next to nothing and a
+none, and landmarks that should be seen and are not. What a wrong place explains by chance is measured on the map: how
+often a landmark, moved by whole tiles, finds one of its type. So a joint between tiles says next to nothing and a
 lamp says much, unless lamps hang in a pattern, in which case they say little too.
 """
 
@@ -39,13 +39,15 @@ INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines, and both corners of a lamp move with it; chosen."""
 COMMON = 0.8
 """A type that a wrong place explains more often than this proves no place; chosen."""
+ALIKE = 0.1
+"""Of wrong places, how many are as like this one as any: lamps hang in a pattern, and go on so; chosen."""
 FEWEST_SAMPLES, ENOUGH = 8, 0.3
 """Landmarks, moved onto known ground, that it takes to measure how often chance explains them, and the same as a part
 of all; chosen."""
 UNMEASURED = 0.5
 """How often chance explains a feature where the map is too small to tell."""
 MOST_VISIBLE = 0.8
-"""A landmark's own visibility is believed up to here: it was counted from other spots, where its lines looked better."""
+"""A landmark's own visibility is believed up to here: it was counted from other spots."""
 CLOSE = 15.0
 """Log-likelihood under the best pose from which landmarks that are not seen are no longer looked for; chosen."""
 MOST_RARE, MOST_COMMON = 40, 16
@@ -105,7 +107,7 @@ class TypeRaster:
 
     def has(self, xy_m: Array, crossing_type: Ints) -> NDArray[np.bool_]:
         """(...,) whether there is a point of the type (...,) within reach."""
-        return (self.at(xy_m) >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0
+        return np.asarray((self.at(xy_m) >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +118,7 @@ class Surroundings:
         landmarks: of the map, all that can be seen from the poses.
         raster: the same to look into.
         coverage: which ground the map knows.
-        chance: (9,) how often a wrong place explains a feature of each type.
+        chance: (2, 9) how often a wrong place explains a feature of each type: any, and the most alike.
         reach_m: how far from the tracked pose all that a pose sees is in it.
     """
 
@@ -133,14 +135,15 @@ class Surroundings:
 
 
 def chance_matches(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Array:
-    """(9,) how often a landmark of each type, moved by a shift, finds one of its type: by the most alike of (S, 2).
+    """(2, 9) how often a landmark of each type, moved by a shift, finds one of its type: of all shifts (S, 2), and of
+    the one that is most alike.
 
-    The shift is chosen by all types but the commonest together, for the best of many is good by chance where a type
+    That shift is chosen by all types but the commonest together, for the best of many is good by chance where a type
     has few landmarks; for the same reason such a type takes the rate of all.
     """
     kinds = np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES)
     if not len(shifts) or not len(landmarks):
-        return np.full(CROSSING_TYPES, UNMEASURED)
+        return np.full((2, CROSSING_TYPES), UNMEASURED)
     at = landmarks.xy_map_m + shifts[:, None]
     known = coverage.knows(at)
     found = raster.has(at, np.broadcast_to(landmarks.crossing_type, at.shape[:2])) & known
@@ -151,11 +154,13 @@ def chance_matches(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage,
     all_tried, all_hits = tried[:, rare].sum(axis=1), hits[:, rare].sum(axis=1)
     rate = (all_hits + 1.0) / (all_tried + 2.0)
     enough = all_tried >= max(FEWEST_SAMPLES, ENOUGH * float(kinds[rare].sum()))
-    out = np.full(CROSSING_TYPES, UNMEASURED)
+    out = np.full((2, CROSSING_TYPES), UNMEASURED)
     if np.any(enough):
         best = int(np.argmax(np.where(enough, rate, 0.0)))
-        out = (hits[best] + FEWEST_SAMPLES * rate[best]) / (tried[best] + FEWEST_SAMPLES)
-    out[common] = float(np.max((hits[:, common] + 1.0) / (tried[:, common] + 2.0)))
+        pooled = float(np.sum(all_hits[enough]) / np.sum(all_tried[enough]))
+        out[0] = (hits[enough].sum(axis=0) + FEWEST_SAMPLES * pooled) / (tried[enough].sum(axis=0) + FEWEST_SAMPLES)
+        out[1] = np.maximum((hits[best] + FEWEST_SAMPLES * rate[best]) / (tried[best] + FEWEST_SAMPLES), out[0])
+    out[:, common] = float(np.max((hits[:, common] + 1.0) / (tried[:, common] + 2.0)))
     return np.asarray(np.clip(out, 0.02, 0.98))
 
 
@@ -167,7 +172,7 @@ class ViewEvidence:
     """
 
     def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
-        which = _telling(around.chance[view.crossing_type])
+        which = _telling(around.chance[0, view.crossing_type])
         self._view, self._around, self._worth = view.of(which), around, worth[which]
         self._gain, self._loss = _tables(around.chance)
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
@@ -180,7 +185,7 @@ class ViewEvidence:
         What is missing is looked for only where what is there leaves a chance; it can only count against a pose.
         """
         score = self._features(poses)
-        out = _mixed(score)
+        out: Array = _mixed(score)
         near = np.flatnonzero(out > np.max(out, initial=-np.inf) - CLOSE)
         out[near] = _mixed(score[near] + self._missed(poses[near]))
         return out
@@ -217,29 +222,30 @@ class ViewEvidence:
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
         landmarks = self._around.landmarks
-        out = np.zeros((len(poses), len(CHANGED)))
+        out = np.zeros((len(poses), 2 * len(CHANGED)))
         if not len(self._view.visible_m) or not len(landmarks):
             return out
         hit = np.minimum(landmarks.visibility, MOST_VISIBLE)[:, None] * (1.0 - CHANGED)
-        surprise = np.minimum(np.log((1.0 - hit) / (1.0 - self._around.chance[landmarks.crossing_type][:, None])), 0.0)
+        by_chance = self._around.chance[:, landmarks.crossing_type]
+        surprise = [np.minimum(np.log((1.0 - hit) / (1.0 - q[:, None])), 0.0) for q in by_chance]
         kind = self._seen_as[self._turns(poses)][:, landmarks.crossing_type]
         off = landmarks.xy_map_m - poses[:, None, :2]
         c, s = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
         missed = (bits & _VISIBLE > 0) & ((bits >> kind.astype(np.uint16)) & np.uint16(1) == 0)
-        return np.asarray(missed @ surprise) * float(np.mean(self._worth)) if len(self._worth) else out
+        return np.asarray(missed @ np.concatenate(surprise, axis=1)) * float(np.mean(self._worth)) if len(self._worth) else out
 
 
 def _mixed(score: Array) -> Array:
-    """(M,) over all fractions of change, of scores (M, R)."""
-    score = INDEPENDENCE * score + np.log(CHANGED_CHANCE)
-    top = np.max(score, axis=1)
-    return np.asarray(top + np.log(np.sum(np.exp(score - top[:, None]), axis=1)))
+    """(M,) over all fractions of change and both kinds of wrong places, of scores (M, 2 R)."""
+    kinds = (INDEPENDENCE * score).reshape(-1, 2, len(CHANGED)) + np.log(CHANGED_CHANCE)
+    any_, alike = np.logaddexp.reduce(kinds, axis=2).T
+    return np.asarray(-np.logaddexp(np.log(1.0 - ALIKE) - any_, np.log(ALIKE) - alike))
 
 
 def _telling(chance: Array) -> NDArray[np.bool_]:
-    """(K,) features that are weighed: those that chance explains least, and a few that it does, spread over the view."""
+    """(K,) features that are weighed: those that chance explains least, and a few others."""
     out = np.zeros(len(chance), bool)
     common = chance >= COMMON
     rare = np.flatnonzero(~common)
@@ -250,14 +256,16 @@ def _telling(chance: Array) -> NDArray[np.bool_]:
 
 
 def _tables(chance: Array) -> tuple[Array, Array]:
-    """(V, 9, R) log-likelihood ratios of a feature with and without a landmark, by steps of views, type and change."""
+    """(V, 9, 2 R) log-likelihood ratios of a feature with and without a landmark, by steps of views and type; against
+    any wrong place and against one like it, for every fraction of change."""
     views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
     rare = 1.0 / (UNMAPPED_FIRST + views / UNMAPPED_VIEWS)
-    unmapped = np.where(chance < COMMON, rare[:, None], UNMAPPED_COMMON)[..., None]
+    unmapped = np.where(chance[0] < COMMON, rare[:, None], UNMAPPED_COMMON)[..., None]
     unmapped = unmapped + (1.0 - unmapped) * CHANGED
-    gain = np.log((1.0 - unmapped) / chance[:, None])
-    gain = np.where(chance[:, None] < COMMON, gain, np.minimum(gain, 0.0))
-    return gain, np.minimum(np.log(unmapped / (1.0 - chance[:, None])), 0.0)
+    gains = [np.log((1.0 - unmapped) / q[:, None]) for q in chance]
+    gains = [np.where(q[:, None] < COMMON, g, np.minimum(g, 0.0)) for q, g in zip(chance, gains, strict=True)]
+    losses = [np.minimum(np.log(unmapped / (1.0 - q[:, None])), 0.0) for q in chance]
+    return np.concatenate(gains, axis=2), np.concatenate(losses, axis=2)
 
 
 def _moved(poses: Array, xy: Array) -> Array:

@@ -160,7 +160,8 @@ class PlaceBelief:
     def jump(self, winner: int, tracked: Array) -> Array:
         """The winner becomes the tracked place; returns its pose (3,) for the tracked pose (3,)."""
         self._settle()
-        there, back = rival_poses(self.places[winner : winner + 1], tracked)[0], inverse(self.places[winner])
+        there: Array = rival_poses(self.places[winner : winner + 1], tracked)[0]
+        back = inverse(self.places[winner])
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
         self.places = np.asarray(compose(self.places[order], np.broadcast_to(back, self.places.shape)))
         self.places[0], self.log_weight = 0.0, self.log_weight[order]

@@ -18,16 +18,21 @@ from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
+from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
 from ceilvo.se2 import transform, wrap, wrap_array
 from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 
 VIEW_PERIOD_S = 0.1
 """A standing robot whose place is in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
+AMBIGUOUS = "ambiguous"
+"""Begins the reason while several places of the map are likely."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
+ALIKE = 0.05
+"""Share of the belief from which a place is named among those that look alike; chosen."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
@@ -70,7 +75,8 @@ class RelocaliserState:
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         coverage: ground that the map knows.
         index: of the whole map, to find a place in it.
-        chance: (9,) how often chance explains a feature of each type; measured_m: way since it was measured.
+        chance: (2, 9) how often chance explains a feature of each type; measured_m: way since it was measured.
+        schedule: when a view is news.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -83,8 +89,9 @@ class RelocaliserState:
     spots: int = 0
     coverage: Coverage = field(default_factory=Coverage)
     index: PlaceIndex = field(default_factory=PlaceIndex)
-    chance: Array = field(default_factory=lambda: np.full(9, 0.5))
+    chance: Array = field(default_factory=lambda: np.full((2, 9), 0.5))
     measured_m: float = np.inf
+    schedule: ScheduleState = field(default_factory=ScheduleState)
 
 
 class Relocaliser:
@@ -96,7 +103,17 @@ class Relocaliser:
         self._settings = config.filter
         self._rate = config.states.false_place_rate
         self._visible_m = visible_polygon(calibration, MARGIN_PX, config.features.max_view_deg)
+        self._schedule = UpdateSchedule(config.filter)
         self.state = RelocaliserState()
+
+    @property
+    def state(self) -> RelocaliserState:
+        self._state.schedule = self._schedule.state
+        return self._state
+
+    @state.setter
+    def state(self, state: RelocaliserState) -> None:
+        self._state, self._schedule.state = state, state.schedule
 
     # -- what it says
 
@@ -113,13 +130,13 @@ class Relocaliser:
         if self.sure:
             return ""
         why = s.pending.reason if s.pending is not None else s.reason
-        alike = s.belief.alike(0.05)
+        alike = s.belief.alike(ALIKE)
         if s.pending is None and alike > 1:
-            return f"ambiguous since {why}: {alike} places of the map look like this one"
-        return why
+            return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
+        return f"to be confirmed by landmarks: {why}"
 
     @property
-    def view_period_s(self) -> float:
+    def _view_period_s(self) -> float:
         """How long after a view the next one is news to a robot that stands."""
         period_s = self._settings.update_period_s
         return period_s if self.sure else min(VIEW_PERIOD_S, period_s)
@@ -131,6 +148,7 @@ class Relocaliser:
         known = landmarks if landmarks is not None and len(landmarks) else None
         s = self.state
         self.filter.reset(pose, cov, known)
+        self._schedule.restart()
         s.belief, s.views, s.jumped, s.measured_m = PlaceBelief(), 0, False, np.inf
         if known is None:
             self.state = RelocaliserState()
@@ -156,6 +174,7 @@ class Relocaliser:
         """The robot went on; a gap in what vision measured of its way is a doubt."""
         s = self.state
         s.belief.moved(track.moved_m, track.turned_rad)
+        self._schedule.travelled(track.moved_m, track.turned_rad)
         s.measured_m += track.moved_m
         if track.gap is not None:
             s.jumped |= crossings >= FEWEST_KNOWN
@@ -164,6 +183,10 @@ class Relocaliser:
         jumped, s.jumped = s.jumped, False
         if track.blind_s > 0.0:
             self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped))
+
+    def suspect(self, reason: str, reach_m: float) -> None:
+        """Something says that the robot may have got elsewhere, at most so far."""
+        self._raise(Doubt(reason, elsewhere=doubts.JUMPED, reach_m=reach_m))
 
     def _raise(self, doubt: Doubt) -> None:
         """Doubts of one gap after another: the largest of each."""
@@ -177,15 +200,21 @@ class Relocaliser:
 
     # -- a view
 
-    def look(self, crossings: Crossings) -> tuple[Observations, Observations | None]:
-        """A view as observations of the map, and what of it may teach the filter; None for nothing of it.
+    def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
+        """Weigh what is seen, teach the filter what may be learnt from it; the view, None when it is no news.
 
-        It is weighed first; where it shows that the robot is elsewhere, the filter is put there.
+        Where a view shows that the robot is elsewhere, the filter is put there.
         """
+        if not self._schedule.due(stamp_ns, self._view_period_s):
+            return None
         view = self._observed(crossings)
         if self._weigh(view):
             view = self._observed(crossings)
-        return view, self._admitted(view)
+        admitted = self._admitted(view)
+        if admitted is not None:
+            self.filter.update(admitted)
+            self._learnt()
+        return view
 
     def _observed(self, crossings: Crossings) -> Observations:
         s = self.state
@@ -238,7 +267,7 @@ class Relocaliser:
             s.belief.leave_spot()
             s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
-        lattice = Lattice.of(around.landmarks, s.map_axis_rad or 0.0)
+        lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
         if lattice is not None:
             expected = pose
             if doubt.unmeasured:
@@ -247,8 +276,10 @@ class Relocaliser:
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = rival_poses(rivals, pose) - expected
             off[:, 2] = wrap_array(off[:, 2])
-            s.belief.add(rivals, doubt.log_odds(off, _off(pose, expected)))
-        s.belief.doubt_unknown(doubt.unknown)
+            here = _off(pose, expected)
+            s.belief.add(rivals, doubt.log_odds(off, here))
+            unknown -= doubt.alignment(here, lattice.tile_m) if doubt.unmeasured else 0.0
+        s.belief.doubt_unknown(unknown)
         s.pending = None
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0
@@ -266,7 +297,7 @@ class Relocaliser:
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
     def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
-        """(P,) of all places; those that are far off are looked up in the index, landmarks that are missing left out."""
+        """(P,) of all places; those far off are looked up in the index, and nothing is missing there."""
         poses = rival_poses(self.state.belief.places, pose)
         far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
         out = np.empty(len(poses))
@@ -304,15 +335,16 @@ class Relocaliser:
         """What of a view may teach the filter; None for nothing of it."""
         matched = view.label >= 0
         if self.sure:
-            pose = self.filter.estimate()[0]
-            known = self.state.coverage.knows(transform(Pose(pose), view.xy_base_m))
-            strange = np.count_nonzero(known) >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * np.count_nonzero(known)
+            at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+            known = self.state.coverage.knows(at)
+            count = int(np.count_nonzero(known))
+            strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
             return None if strange else view
         if np.count_nonzero(matched) >= CONVINCING * len(view):
             return view.of(matched)
         return None
 
-    def learnt(self, view: Observations) -> None:
+    def _learnt(self) -> None:
         """The filter has learnt from a view of a sure place: its ground is known better."""
         if self.sure and len(self._visible_m):
             pose = Pose(self.filter.estimate()[0])

@@ -78,8 +78,9 @@ def _from_v2(state: Any) -> Any:
     """A hypothesis becomes a place in doubt; what was counted for it is lost."""
     old, filter_ = state["relocaliser"], state["filter"]
     reason = "" if old["hypothesis"] is None else "a hypothesis in an older recording"
-    relocaliser = {"map_axis_rad": old["map_axis_rad"], "reason": reason}
-    return {**state, "relocaliser": relocaliser, "filter": filter_.get("tracker", filter_)}
+    relocaliser = {"map_axis_rad": old["map_axis_rad"], "reason": reason, "schedule": state["schedule"]}
+    kept = {name: value for name, value in state.items() if name != "schedule"}
+    return {**kept, "relocaliser": relocaliser, "filter": filter_.get("tracker", filter_)}
 
 
 def value_json(value: object) -> bytes:

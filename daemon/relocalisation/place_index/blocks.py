@@ -205,7 +205,7 @@ class LandmarkBlocks:
 
     def own_bit(self, slots: Slots) -> NDArray[np.uint16]:
         """(N,) with the bit of each landmark's type."""
-        return np.left_shift(np.uint16(1), self.crossing_type.take(slots).astype(np.uint16))
+        return np.asarray(np.left_shift(np.uint16(1), self.crossing_type.take(slots).astype(np.uint16)), np.uint16)
 
     def near(self, xy: Fine, reach: int) -> Slots:
         """Slots, in order, of all landmarks within reach, along both axes, of any of the points (Q, 2)."""

@@ -305,7 +305,8 @@ class Search:
         """Poses (M, 3), at the nearest of the view's headings, with their counts and in their order."""
         turn = np.round((self.views.heading_rad[0] - poses[:, 2]) / (0.5 * np.pi)).astype(np.int64) % TURNS
         order = np.argsort(turn, kind="stable")
-        f = Found.at(*fine(poses[order, :2]).T.copy(), turn[order])
+        x, y = fine(poses[order, :2]).T.copy()
+        f = Found.at(x, y, turn[order])
         there, ground = self.there(self.order.tolist(), f)
         f.explained = np.count_nonzero(there, axis=0)
         f.contradicted = np.count_nonzero(ground & ~there, axis=0)

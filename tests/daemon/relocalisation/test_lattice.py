@@ -57,10 +57,10 @@ def test_two_edges_of_every_joint_are_no_period_and_a_few_points_are_none() -> N
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    st.floats(-0.29, 0.29), st.floats(-0.29, 0.29), st.floats(-0.2, 0.2), st.integers(0, 3), st.floats(-0.7, 0.7)
-)
-def test_a_pose_that_is_off_by_a_part_of_a_tile_is_aligned(x: float, y: float, turn: float, q: int, axis: float) -> None:
+@given(st.floats(-0.29, 0.29), st.floats(-0.29, 0.29), st.floats(-0.2, 0.2), st.integers(0, 3), st.floats(-0.7, 0.7))
+def test_a_pose_that_is_off_by_a_part_of_a_tile_is_aligned(
+    x: float, y: float, turn: float, q: int, axis: float
+) -> None:
     """Whatever quarter turn the view was named by: the aligned pose sees every feature on a landmark."""
     landmarks = grid(axis)
     true = np.array([5.0, 0.5, axis + 0.1])
@@ -78,7 +78,7 @@ def test_a_pose_that_is_off_by_a_part_of_a_tile_is_aligned(x: float, y: float, t
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3), st.integers(0, 3), st.floats(-9, 9))
-def test_a_rival_goes_the_way_of_the_robot_in_its_own_place(x: float, y: float, theta: float, q: int, off: float) -> None:
+def test_a_rival_goes_the_robots_way_in_its_own_place(x: float, y: float, theta: float, q: int, off: float) -> None:
     tracked = np.array([x, y, theta])
     rival = np.array([[x + off, y - 1.0, wrap(theta + 0.5 * np.pi * q)]])
     g = rival_from_tracked(rival, tracked)
