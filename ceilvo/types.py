@@ -195,8 +195,8 @@ class Observations:
     def __len__(self) -> int:
         return len(self.label)
 
-    def of(self, which: NDArray[np.bool_]) -> Observations:
-        """The features `which` (K,), with the same heading."""
+    def of(self, which: NDArray[np.bool_] | Ints) -> Observations:
+        """The features `which`, a mask (K,) or indices, with the same heading."""
         return replace(
             self,
             xy_base_m=self.xy_base_m[which],

@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.slam import upkeep
-from ceilvo.daemon.slam.association import VAR_FLOOR, independent, usable
+from ceilvo.daemon.slam.association import (
+    MOST_FEATURES,
+    VAR_FLOOR,
+    independent,
+    near_landmarks,
+    spread_out,
+    usable,
+)
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.daemon.slam.pose_filter import COUNTERS, checked_motion
-from ceilvo.daemon.slam.spatial_index import IndexedMap
+from ceilvo.daemon.slam.spatial_index import IndexedMap, unpacked
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import rotation, transform
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
@@ -185,25 +192,54 @@ class JointFilter:
         state.counters["updates"] += 1
         obs = self._associated(obs)
         matched = np.flatnonzero(obs.label >= 0)
-        found = self._rule.absorb(state, self._view(obs, matched), self._rows(obs.label[matched]))
+        used = self._used(obs, matched)
+        found = self._rule.absorb(state, self._view(obs, used), self._rows(obs.label[used]))
         state.nis, state.nis_dof, state.trimmed_nis = found.nis, found.nis_dof, found.trimmed_nis
-        self._count(len(matched), int(np.count_nonzero(found.inliers)))
+        believed = np.concatenate([used[found.inliers], self._also_there(obs, np.setdiff1d(matched, used))])
+        self._count(len(matched), len(believed))
         if state.known is None:
-            labels = obs.label[matched]
-            state.joint.seen_at[labels] = state.now
-            self._keep_up(obs, labels[found.inliers], 2 * np.count_nonzero(found.inliers) >= len(matched))
+            state.joint.seen_at[obs.label[matched]] = state.now
+            self._keep_up(obs, obs.label[believed], len(matched))
             upkeep.settle(state.joint, state.now, self.settings.birth_sightings)
             self._be_born(obs, np.flatnonzero(obs.label == NO_LANDMARK))
             state.joint.bound()
         self._summary = None
 
-    def _keep_up(self, obs: Observations, seen: Ints, fits: bool) -> None:
+    def _used(self, obs: Observations, matched: Ints) -> Ints:
+        """A bounded number of the matched features, spread over the view.
+
+        Landmarks in the window come first: the others would come in as if they knew nothing of the pose's error, and
+        the filter would take its own drift for evidence.
+        """
+        if len(matched) <= MOST_FEATURES:
+            return matched
+        held = np.zeros(len(matched), bool)
+        if self._state.known is None:
+            held = self._state.joint.slot[obs.label[matched]] >= 0
+        first, rest = matched[held], matched[~held]
+        first = first[spread_out(obs.xy_base_m[first], MOST_FEATURES, self._state.now)]
+        rest = rest[spread_out(obs.xy_base_m[rest], MOST_FEATURES - len(first), self._state.now)]
+        return np.sort(np.concatenate([first, rest]))
+
+    def _also_there(self, obs: Observations, which: Ints) -> Ints:
+        """Features that the update was not made with and that are where their landmarks are."""
+        j, labels = self._state.joint, obs.label[which]
+        known = self._state.known
+        at, cov = (
+            (j.xy(labels), j.packed(labels))
+            if known is None
+            else (known.landmarks.xy_map_m[labels], known.packed[labels])
+        )
+        chi2 = near_landmarks(obs.of(which), j.pose, j.pose_cov, at, unpacked(cov))
+        return which[chi2 <= self.settings.gate_chi2]
+
+    def _keep_up(self, obs: Observations, seen: Ints, matched: int) -> None:
         """Count what was seen and what should have been; drop what is gone, or one that is there twice.
 
-        A view that does not fit says something of the pose, not of what is missing.
+        A view most of whose features were refused says something of the pose, not of what is missing.
         """
         state, j = self._state, self._state.joint
-        missed = upkeep.count(j, seen, obs.visible_m if fits else obs.visible_m[:0])
+        missed = upkeep.count(j, seen, obs.visible_m if 2 * len(seen) >= matched else obs.visible_m[:0])
         gone = np.empty(0, np.int64)
         if state.weighed_at is None or np.hypot(*(j.pose - state.weighed_at)[:2]) > upkeep.APART_M:
             gone, state.weighed_at = upkeep.gone(j, seen, missed), j.pose.copy()
@@ -211,12 +247,13 @@ class JointFilter:
             state.counters["faded"] += len(gone)
             j.forget(gone)
             return
-        pair = upkeep.duplicates(j, seen, state.now, self.settings.association_gate_m)
+        pair = upkeep.duplicates(j, seen[:MOST_FEATURES], state.now, self.settings.association_gate_m)
         if pair is not None:
             state.counters["merges"] += int(j.merge(*pair, self.settings.gate_chi2))
 
     def _be_born(self, obs: Observations, which: Ints) -> None:
         state, j, cfg = self._state, self._state.joint, self.settings
+        which = which[spread_out(obs.xy_base_m[which], MOST_FEATURES, state.now)]
         which = upkeep.fresh(j, obs, which, cfg.association_gate_m)
         over = min(len(j) + len(which) - cfg.max_landmarks, len(which))
         if over > 0:

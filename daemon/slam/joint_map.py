@@ -274,9 +274,12 @@ class JointMap:
         self.index.add(labels, self.table_xy[labels])
 
     def bound(self, window: int = WINDOW) -> None:
-        """Let the landmarks that were seen least recently leave the window; an eighth at a time, for moving costs."""
+        """Let the landmarks that were seen least recently leave the window; an eighth at a time, for moving costs.
+
+        Of those that were seen at once the ones seen least often.
+        """
         if len(self.label_of) > window:
-            order = np.argsort(self.seen_at[self.label_of], kind="stable")
+            order = np.lexsort((self.sightings[self.label_of], self.seen_at[self.label_of]))
             self._narrow(self.label_of[order[: len(order) - window + window // 8]])
 
     def near(self, low_m: Array, high_m: Array) -> Ints:

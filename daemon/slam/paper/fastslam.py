@@ -17,11 +17,12 @@ from ceilvo.daemon.slam.association import (
     NIS_CAP,
     OUTLIER_DENSITY_PER_M2,
     VAR_FLOOR,
+    bounded,
     independent,
     usable,
 )
 from ceilvo.daemon.slam.paper import curve_fit
-from ceilvo.daemon.slam.paper.particle_maps import Candidates, ParticleMaps, fused
+from ceilvo.daemon.slam.paper.particle_maps import Candidates, ParticleMaps, fused, turned
 from ceilvo.daemon.slam.pose_filter import (
     COUNTERS,
     checked_motion,
@@ -34,7 +35,7 @@ from ceilvo.daemon.slam.pose_filter import (
 )
 from ceilvo.daemon.slam.spatial_index import IndexedMap, landmarks_near, packed
 from ceilvo.errors import CeilvoError
-from ceilvo.se2 import rotation, transform, wrap_array
+from ceilvo.se2 import transform, wrap_array
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
 Redraw = Callable[[Array, Array, int, np.random.Generator], tuple[Array, float] | None]
@@ -131,7 +132,7 @@ class FastSlam:
 
     def update(self, obs: Observations) -> None:
         """Weights by eq. 18 (the motion being the proposal, they grow by the likelihood), then map, then resampling."""
-        obs = self._labelled(usable(obs, self.size()))
+        obs = bounded(self._labelled(usable(obs, self.size())), self.state.counters["updates"])
         self.state.counters["updates"] += 1
         matched = np.flatnonzero(obs.label >= 0)
         likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
@@ -271,7 +272,7 @@ class FastSlam:
         xy, kind = transform(pose, obs.xy_base_m[unknown]), obs.crossing_type[unknown]
         new = self._not_mapped(xy, kind)
         xy, kind, unknown = xy[new], kind[new], unknown[new]
-        cov = _turned(obs.var_m2[unknown], float(pose[2]))
+        cov = turned(obs.var_m2[unknown], float(pose[2]))
         gate = self._settings.association_gate_m
         seen, which = mutual_nearest(xy, kind, self.state.candidates.xy, self.state.candidates.crossing_type, gate)
         off = mahalanobis(xy[seen] - self.state.candidates.xy[which], cov[seen] + self.state.candidates.cov[which])
@@ -345,9 +346,3 @@ def mahalanobis(innovation: Array, cov: Array) -> Array:
     x, y = innovation[:, 0], innovation[:, 1]
     xx, xy, yy = cov[:, 0], cov[:, 1], cov[:, 2]
     return np.asarray((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy), np.float64)
-
-
-def _turned(var: Array, theta: float) -> Array:
-    """(M, 3) packed covariances in map from (M, 2) variances in base."""
-    r = rotation(theta)
-    return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])

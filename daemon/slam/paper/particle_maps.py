@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.slam.spatial_index import unpacked
+from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
@@ -184,3 +185,9 @@ def fused(mean: Array, cov: Array, innovation: Array, innovation_cov: Array) -> 
     new_mean = mean + np.stack([kxx * nx + kxy * ny, kyx * nx + kyy * ny], axis=1)
     new_cov = cov - np.stack([kxx * pxx + kxy * pxy, kxx * pxy + kxy * pyy, kyx * pxy + kyy * pyy], axis=1)
     return new_mean, new_cov
+
+
+def turned(var: Array, theta: float) -> Array:
+    """(M, 3) packed covariances in map from (M, 2) variances in base."""
+    r = rotation(theta)
+    return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])

@@ -194,7 +194,8 @@ def test_a_full_map_learns_nothing_and_says_so():
 def test_maps_grow_beyond_a_chunk_and_follow_their_particles():
     f = make(replace(INDEPENDENT, birth_sightings=1, particles=20), cov=np.diag([1e-2, 1e-2, 1e-2]))
     g = np.stack(np.meshgrid(np.arange(15.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
-    f.update(observations(g, np.full(180, -1)))
+    for part in np.split(g, 3):
+        f.update(observations(part, np.full(60, -1)))
     before, _ = f.state.maps.gather(np.arange(180))
     ancestors = np.random.default_rng(SEED).integers(0, 20, 20)
     f.state.maps.resample(ancestors)
