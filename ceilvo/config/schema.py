@@ -107,7 +107,7 @@ class Odometry:
     )
     max_turn_radps: float = key(3.5, "faster turning is a failure", low=0.05, high=20.0)
     max_turn_accel_radps2: float = key(
-        10.0,
+        40.0,
         "a turn that the last twist contradicts by more than this angular acceleration is a failure",
         low=0.1,
         high=1000.0,
@@ -117,9 +117,12 @@ class Odometry:
     )
     noise_theta_rad: float = key(0.000005, "standard deviation added to every step in heading", low=0.0, high=0.1)
     coast_accel_mps2: float = key(
-        0.5, "acceleration assumed while vision is out: covariance grows with it", low=0.01, high=10.0
+        0.8,
+        "standard deviation of a slow robot's acceleration while vision is out: covariance grows with it",
+        low=0.01,
+        high=10.0,
     )
-    coast_turn_radps2: float = key(0.5, "angular acceleration assumed while vision is out", low=0.01, high=20.0)
+    coast_turn_radps2: float = key(1.0, "the same of its angular acceleration", low=0.01, high=20.0)
     max_delay_s: float = key(
         0.2,
         "pictures later than the wheels by more are an error; shorter delays are found while driving and taken out",

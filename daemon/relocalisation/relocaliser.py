@@ -64,7 +64,7 @@ class RelocaliserState:
         pending: what may have happened since the last view that could be weighed.
         reason: why the place is in doubt, "" while it is not.
         views: weighed since the last doubt.
-        jumped: a frame of the gap that lasts had crossings, and no motion explained them.
+        gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         survey: of the map, to find a place on it.
@@ -75,6 +75,7 @@ class RelocaliserState:
     pending: Doubt | None = None
     reason: str = ""
     views: int = 0
+    gapped: bool = False
     jumped: bool = False
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
@@ -138,7 +139,8 @@ class Relocaliser:
         s = self.state
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
-        s.belief, s.views, s.jumped, s.survey.measured_m = PlaceBelief(), 0, False, np.inf
+        s.belief, s.views, s.gapped, s.jumped = PlaceBelief(), 0, False, False
+        s.survey.measured_m = np.inf
         if known is None:
             self.state = RelocaliserState()
             return
@@ -163,13 +165,14 @@ class Relocaliser:
         self._schedule.travelled(track.moved_m, track.turned_rad)
         s.survey.measured_m += track.moved_m
         if track.gap is not None:
-            s.jumped |= crossings >= FEWEST_KNOWN
+            s.gapped, s.jumped = True, s.jumped or crossings >= FEWEST_KNOWN
         if track.final is None:
             return
         self.filter.predict(track.final)
-        jumped, s.jumped = s.jumped, False
-        if track.blind_s > 0.0:
-            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped))
+        gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
+        s.gapped = s.jumped = False
+        if gapped or track.final.doubt > 0.0:
+            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped, track.final.doubt))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far."""
