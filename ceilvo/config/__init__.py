@@ -1,6 +1,7 @@
 """Configuration: the schema's sections, by their names; reading and checking are in the modules beside it."""
 
 from ceilvo.config.schema import (
+    BOUND_SIGMAS,
     Base,
     CalibrationFile,
     Camera,
@@ -16,6 +17,7 @@ from ceilvo.config.schema import (
 )
 
 __all__ = [
+    "BOUND_SIGMAS",
     "Base",
     "CalibrationFile",
     "Camera",

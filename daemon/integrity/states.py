@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from ceilvo.config import States
+from ceilvo.config import BOUND_SIGMAS, States
 from ceilvo.types import State
 
 LEAVE_RATIO = 0.8
@@ -163,6 +163,9 @@ class StateMachine:
         heading_deg = math.degrees(e.heading_sigma_rad)
         self._set_above("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
         self._set_above("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
+        far_m, far_deg = BOUND_SIGMAS * e.position_sigma_m, BOUND_SIGMAS * heading_deg
+        self._set_above("far", far_m, cfg.degraded_within_m, "position only within {:.2f} m, not {:g} m")
+        self._set_above("turned", far_deg, cfg.degraded_within_deg, "heading only within {:.1f} deg, not {:g} deg")
         text = f"{e.unconfirmed}, not confirmed by landmarks yet"
         self._set("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
         self._update_nis(e)
@@ -207,8 +210,11 @@ class StateMachine:
         if state in (State.INIT, State.RELOCALISING):
             enough &= state is State.INIT or s.confirmed
             return (State.TRACKING, "good", self._good_reason()) if enough else (state, "", "")
+        far = self._first_cause("far", "turned")
         if not e.motion_ok:
-            return self._without_vision(e)
+            return self._without_vision(e, bool(far))
+        if far:
+            return State.DEAD_RECKONING, far, s.conditions[far]
         if state is State.DEAD_RECKONING and s.vision_frames < cfg.tracking_frames:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
@@ -222,11 +228,11 @@ class StateMachine:
         why = self.state.reason if self.state.cause == "reset" else "searching"
         return f"{why}: a hypothesis until landmarks confirm it"
 
-    def _without_vision(self, e: Evidence) -> tuple[State, str, str]:
+    def _without_vision(self, e: Evidence, far: bool) -> tuple[State, str, str]:
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
         why = e.failure or "no motion"
-        if out_s > self._cfg.dead_reckoning_s or self.state.current is State.DEAD_RECKONING:
-            kept = self.state.current is State.DEAD_RECKONING
+        kept = self.state.current is State.DEAD_RECKONING
+        if far or kept or out_s > self._cfg.dead_reckoning_s:
             return State.DEAD_RECKONING, "" if kept else "blind", f"no vision for {out_s:.2f} s: {why}"
         return State.DEGRADED, "missed", f"no motion from this frame: {why}"
 
