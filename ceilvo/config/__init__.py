@@ -1,7 +1,6 @@
 """Configuration: the schema's sections, by their names; reading and checking are in the modules beside it."""
 
 from ceilvo.config.schema import (
-    BOUND_SIGMAS,
     Base,
     CalibrationFile,
     Camera,
@@ -17,7 +16,6 @@ from ceilvo.config.schema import (
 )
 
 __all__ = [
-    "BOUND_SIGMAS",
     "Base",
     "CalibrationFile",
     "Camera",

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ceilvo.calibration import Calibration
-from ceilvo.config import BOUND_SIGMAS, Base, Camera, Config, Recorder, Zenoh
+from ceilvo.config import Base, Camera, Config, Recorder, Zenoh
 from ceilvo.config.serial_budget import wire_budget
 from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer, segment_problem
 from ceilvo.errors import ConfigError
@@ -128,14 +128,6 @@ def _states(config: Config) -> Iterator[Conflict]:
             f"found {s.lost_sigma_m:g}, expected more than states.degraded_sigma_m {s.degraded_sigma_m:g}; "
             "a pose must degrade before it is lost",
         )
-    for within, sigma in (("degraded_within_m", "degraded_sigma_m"), ("degraded_within_deg", "degraded_heading_deg")):
-        have, least = getattr(s, within), BOUND_SIGMAS * getattr(s, sigma)
-        if have <= least:
-            yield Conflict(
-                (f"states.{within}", f"states.{sigma}"),
-                f"found {have:g}, expected more than {BOUND_SIGMAS:g} times states.{sigma}, {least:g}; "
-                "a pose must degrade before it is worse than a degraded one may be",
-            )
     if s.nis_lost <= s.nis_high:
         yield Conflict(
             ("states.nis_lost", "states.nis_high"),

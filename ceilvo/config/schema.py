@@ -170,10 +170,6 @@ class Filter:
     initial_pose_theta_deg: float = key(0.0, "pose in map at start", low=-360.0, high=360.0)
 
 
-BOUND_SIGMAS = 3.0
-"""What DEGRADED promises of a pose holds for so many standard deviations: 99.7 % of one axis."""
-
-
 @dataclass(frozen=True)
 class States:
     dead_reckoning_s: float = key(0.15, "without vision for longer is DEAD_RECKONING", low=0.0, high=10.0)

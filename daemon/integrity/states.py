@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from ceilvo.config import BOUND_SIGMAS, States
+from ceilvo.config import States
 from ceilvo.types import State
 
 LEAVE_RATIO = 0.8
@@ -20,6 +20,8 @@ _ESS_WEIGHT = 0.2
 """By this at most; chosen: sigma and NIS matter more."""
 _NIS_CAP = 2.0
 """Times nis_lost, what one update counts in the mean NIS at most; chosen: the mean comes back from a wild one."""
+BOUND_SIGMAS = 3.0
+"""What DEGRADED promises of a pose holds for so many standard deviations: 99.7 % of one axis."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
 """States in which the pose must not be used; their quality is 0."""
 

@@ -63,14 +63,6 @@ CONFLICTS = [
         ["states.lost_sigma_m=0.05"],
         "c.yaml: states.lost_sigma_m: found 0.05, expected more than states.degraded_sigma_m 0.05",
     ),
-    (
-        ["states.degraded_sigma_m=0.1"],
-        "c.yaml: states.degraded_within_m: found 0.3, expected more than 3 times states.degraded_sigma_m, 0.3",
-    ),
-    (
-        ["states.degraded_within_deg=2"],
-        "c.yaml: states.degraded_within_deg: found 2, expected more than 3 times states.degraded_heading_deg, 3",
-    ),
     (["states.nis_lost=3"], "c.yaml: states.nis_lost: found 3, expected more than states.nis_high 3"),
     (["base.port="], "c.yaml: base.port: found nothing, expected a serial device"),
     (["base.timeout_s=0.005"], "c.yaml: base.timeout_s: found 0.005, expected at least"),

@@ -106,8 +106,6 @@ CONFLICT_KEYS = (
     ": camera.reopen_min_s: ",
     ": calibration.file: ",
     ": states.lost_sigma_m: ",
-    ": states.degraded_within_m: ",
-    ": states.degraded_within_deg: ",
     ": states.nis_lost: ",
     ": base.port: ",
     ": base.timeout_s: ",
