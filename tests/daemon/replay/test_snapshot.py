@@ -184,7 +184,7 @@ def test_a_value_keeps_its_bits() -> None:
     assert again.prev_from_curr.tobytes() == odd.prev_from_curr.tobytes()
     assert again.cov.flags.f_contiguous and np.array_equal(again.cov, odd.cov)
     rest = [f.name for f in fields(Motion) if f.name not in ("prev_from_curr", "cov")]
-    assert [getattr(again, name) for name in rest] == [getattr(odd, name) for name in rest]
+    assert all(np.array_equal(getattr(again, name), getattr(odd, name)) for name in rest)
     assert read_value(value_json(None), Motion) is None
     with pytest.raises(SnapshotError):
         read_value(value_json(odd), Crossings)
