@@ -204,7 +204,7 @@ class StateMachine:
         """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
         cfg, s = self._cfg, self.state
         state = s.current
-        if e.in_doubt:
+        if e.in_doubt and not self._blind(e):
             return State.RELOCALISING, "ambiguous" if AMBIGUOUS in e.in_doubt else "in doubt", e.in_doubt
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:
@@ -226,6 +226,12 @@ class StateMachine:
         if cause:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
+
+    def _blind(self, e: Evidence) -> bool:
+        """Whether vision went out while the place was sure; whether it still is, is asked when vision is back."""
+        out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
+        sure = self.state.current in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
+        return sure and not e.motion_ok and out_s > self._cfg.dead_reckoning_s
 
     def _without_vision(self, e: Evidence, far: bool) -> tuple[State, str, str]:
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9

@@ -146,7 +146,7 @@ def test_recordings_of_0_1_still_replay(file: Path, tmp_path: Path, capsys: pyte
     assert len(made) == len(then) >= 7
     both = [(a, b) for a, b in zip(made, then, strict=True) if a["state"] == b["state"] == "TRACKING"]
     for a, b in both:
-        assert np.hypot(a["x_m"] - b["x_m"], a["y_m"] - b["y_m"]) < 0.01
+        assert np.hypot(*(np.array(a["pose_map_from_base"]) - b["pose_map_from_base"])[:2]) < 0.01
 
 
 @pytest.mark.parametrize("file", FLIGHTS, ids=lambda f: f.stem)
