@@ -139,6 +139,14 @@ class Motion:
         failure: None, or why there is no motion (prev_from_curr is then a prediction).
         restarted: odometry goes on from this frame without having tied it to the last good one, so what was
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
+        prior_cov: (3, 3) of prev_from_curr before anything was seen in this frame: what prediction alone knew.
+        by_wheels: the prediction is the wheels'.
+        alternatives: (A, 3) other displacements prev_from_curr that this view fits too: whole tiles or quarter turns
+            off. Those are left out that are less likely than the rate of error that odometry may have.
+        log_ratio: (A,) logarithm of how much likelier the view is at each of them than at prev_from_curr; what the
+            prediction thinks of them is not in it.
+        doubt: probability that the displacement is another, such as one too long for the views to be compared; 0 where
+            nothing gave reason to look.
     """
 
     prev_from_curr: Displacement
@@ -147,6 +155,11 @@ class Motion:
     rms_m: float
     failure: str | None = None
     restarted: bool = False
+    prior_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    by_wheels: bool = False
+    alternatives: Array = field(default_factory=lambda: np.empty((0, 3)))
+    log_ratio: Array = field(default_factory=lambda: np.empty(0))
+    doubt: float = 0.0
 
     @property
     def ok(self) -> bool:

@@ -13,9 +13,9 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.integrity.cross_checks.checks import CrossChecks, CrossChecksState
-from ceilvo.daemon.integrity.cross_checks.suspicion import Severity, Suspicions
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
+from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
+from ceilvo.daemon.odometry.cross_checks.suspicion import Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry, VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
@@ -89,8 +89,6 @@ class Pipeline:
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)
-        if track.final is not None:
-            self.filter.predict(track.final)
         view = None
         if crossings is not None and len(crossings) and track.gap is None:
             view = self.relocaliser.look(stamp_ns, crossings)
@@ -107,7 +105,9 @@ class Pipeline:
         suspicions: Suspicions,
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
+        landmarks = self.filter.size()
         pose, cov = self.checks.ahead(*track.carry(Pose(pose), cov))
+        path = self.dead_reckoning.state
         degraded = suspicions.gravest(Severity.DEGRADED)
         evidence = Evidence(
             stamp_ns=stamp_ns,
@@ -131,15 +131,15 @@ class Pipeline:
             stamp_ns=stamp_ns,
             pose=pose,
             cov=cov,
-            odom=self.dead_reckoning.state.odom,
-            twist=self.dead_reckoning.state.twist,
+            odom=path.odom,
+            twist=path.twist,
             state=verdict.state,
             quality=verdict.quality,
             reason=verdict.reason,
             motion=motion,
             health=health,
             crossings=crossings,
-            landmarks=self.filter.size(),
+            landmarks=landmarks,
         )
 
     # -- what the outside may ask or say

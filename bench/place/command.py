@@ -62,10 +62,16 @@ def _parser() -> argparse.ArgumentParser:
         parser.add_argument("--rooms", default=",".join(SIZES), help="comma-separated, of " + ", ".join(SIZES))
     laps = _command(commands, "laps", "drives without faults", None)
     laps.add_argument("--hours", type=float, default=10.0)
-    _command(commands, "start", "start anywhere in a hall of 150 m x 100 m whose map is known", 200)
+    start = _command(commands, "start", "start anywhere in a hall whose map is known", 200)
+    start.add_argument("--room", default=SIZES[-1], choices=SIZES, help="the bars are for 150: 150 m x 100 m")
     _command(
         commands, "renovated", "30 per cent of the ceiling new over night in every other run, all of it in the rest", 40
     )
+    one = commands.add_parser("case", help="one case of faults again, with all that the daemon said")
+    one.add_argument("kind", choices=KINDS, metavar="KIND")
+    one.add_argument("--seed", type=int, default=0, help=_TUNING)
+    one.add_argument("--number", type=int, required=True, help="as told with the worst cases of faults")
+    one.add_argument("--rooms", default=",".join(SIZES), help="as they were given to faults")
     check = commands.add_parser("eye-check", help="the synthetic eye against rendered frames")
     check.add_argument("--seed", type=int, default=3)
     check.add_argument("--frames", type=int, default=500)
@@ -142,13 +148,19 @@ def _laps(a: argparse.Namespace) -> None:
 
 
 def _start(a: argparse.Namespace) -> None:
-    results = _studied(a, [Run("start", a.seed, i) for i in range(a.count)])
+    results = _studied(a, [Run("start", a.seed, i, size=a.room) for i in range(a.count)])
     _told(a, study_tables.start(results), study_tables.start_bars(results), results, ())
 
 
 def _renovated(a: argparse.Namespace) -> None:
     results = _studied(a, [Run("renovated", a.seed, i, (SHARE, 1.0)[i % 2]) for i in range(a.count)])
     _told(a, study_tables.renovated(results), study_tables.renovated_bars(results), results, ())
+
+
+def _case(a: argparse.Namespace) -> None:
+    result = run_case(Case(a.kind, a.seed, a.number, _chosen(a.rooms, SIZES, "--rooms")))
+    reasons = result.get("fault", result["before"]).pop("reasons")
+    print(json.dumps(result, indent=1), *reasons, sep="\n")
 
 
 def _eye_check(a: argparse.Namespace) -> None:
@@ -172,5 +184,6 @@ _WORK: dict[str, Callable[[argparse.Namespace], None]] = {
     "laps": _laps,
     "start": _start,
     "renovated": _renovated,
+    "case": _case,
     "eye-check": _eye_check,
 }

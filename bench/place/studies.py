@@ -36,13 +36,20 @@ _SEEN_M = 1.2
 
 @dataclass(frozen=True)
 class Run:
-    """One run of a study by the seed of the bench and its number; share: of the ceiling that is renovated."""
+    """One run of a study by the seed of the bench and its number.
+
+    Attributes:
+        share: of the ceiling that is renovated.
+        seconds: of a leg of laps.
+        size: of the hall of a start.
+    """
 
     study: str
     seed: int
     number: int
     share: float = 0.0
     seconds: float = LEG_S
+    size: str = "150"
 
 
 def run_study(run: Run) -> dict[str, Any]:
@@ -72,9 +79,9 @@ def _laps(run: Run) -> dict[str, Any]:
 
 
 def _start(run: Run) -> dict[str, Any]:
-    """Anywhere in a hall of 150 m x 100 m whose map is known, with a stored pose that is anywhere else."""
+    """Anywhere in a hall whose map is known, with a stored pose that is anywhere else."""
     hall = run.number // STARTS_A_HALL
-    world = make_world(WorldSpec("150", 0.6, "raster", 1000 * run.seed + hall))
+    world = make_world(WorldSpec(run.size, 0.6, "raster", 1000 * run.seed + hall))
     rng = np.random.default_rng([run.seed, run.number, 2])
     drive = drive_in(world, rng, bool(run.number % 2), 10.0, False, 0.5)
     elsewhere = np.asarray(se2.compose(world.map_from_ceiling, drive.driver.start()))

@@ -83,7 +83,7 @@ class Doubt:
 
         A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle.
         """
-        var = np.diagonal(self.cov) + [_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]
+        var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
         period = np.array([*tile_m, 0.5 * np.pi])
         fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
         return float(np.clip(np.sum(fits[period > 0.0]), -MOST_ALIGNED, MOST_ALIGNED))
@@ -95,10 +95,17 @@ class Doubt:
         return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
 
 
-def of_gap(blind_cov: Array, blind_s: float, jumped: bool) -> Doubt:
-    """After a stretch without motions from vision, blind_s long; jumped: pictures there were, but they did not fit."""
+def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float) -> Doubt:
+    """After a stretch without motions from vision.
+
+    Args:
+        blind_cov: (3, 3) of what prediction alone knew of it.
+        blind_s: how long it was.
+        jumped: pictures there were, but they did not fit.
+        other: probability that the motion which ended it is another one that fits as well.
+    """
     lifted = LIFTED * min(1.0, (blind_s / CARRY_S) ** 2) if blind_s > LIFT_S else 0.0
-    elsewhere = JUMPED if jumped else lifted
+    elsewhere = max(JUMPED if jumped else lifted, min(other, JUMPED))
     why = "the picture jumped" if jumped else f"{blind_s:.1f} s without vision"
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
 

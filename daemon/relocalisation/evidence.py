@@ -234,7 +234,11 @@ class ViewEvidence:
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
         missed = (bits & _VISIBLE > 0) & ((bits >> kind.astype(np.uint16)) & np.uint16(1) == 0)
-        return np.asarray(missed @ np.concatenate(surprise, axis=1)) * float(np.mean(self._worth)) if len(self._worth) else out
+        return (
+            np.asarray(missed @ np.concatenate(surprise, axis=1)) * float(np.mean(self._worth))
+            if len(self._worth)
+            else out
+        )
 
 
 def _mixed(score: Array) -> Array:

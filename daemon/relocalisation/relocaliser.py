@@ -12,10 +12,10 @@ from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
-from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, chance_matches
+from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.map_survey import MapSurvey
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
-from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
@@ -45,20 +45,14 @@ HALF = 0.5
 """A view of which the map explains less teaches nothing."""
 FEWEST_KNOWN = 10
 """Features on known ground that it takes to say so; chosen."""
-INDEXED_M = 2.5
-"""What a view may change of the map lies so near the robot; most cameras see less."""
 CONVINCING = 0.85
 """While the place is in doubt a view corrects the pose where so much of it is explained; chosen."""
-MOST_FOUND = 4000
+MOST_FOUND = 16_384
 """Places that a view is found at; chosen for time."""
 PLACES_PER_M2 = 4.0 / 0.6**2
 """Places of a map that a view may be from: four headings on every tile of 0.6 m."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
-MEASURED_M = 6.0
-"""How often chance explains a feature is measured on the map so far around the robot; chosen."""
-MEASURE_AGAIN_M = 1.0
-"""And again after so much of the way."""
 
 
 @dataclass(slots=True)
@@ -70,12 +64,10 @@ class RelocaliserState:
         pending: what may have happened since the last view that could be weighed.
         reason: why the place is in doubt, "" while it is not.
         views: weighed since the last doubt.
-        jumped: a frame of the gap that lasts had crossings, and no motion explained them.
+        gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
-        coverage: ground that the map knows.
-        index: of the whole map, to find a place in it.
-        chance: (2, 9) how often chance explains a feature of each type; measured_m: way since it was measured.
+        survey: of the map, to find a place on it.
         schedule: when a view is news.
     """
 
@@ -83,14 +75,12 @@ class RelocaliserState:
     pending: Doubt | None = None
     reason: str = ""
     views: int = 0
+    gapped: bool = False
     jumped: bool = False
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
-    coverage: Coverage = field(default_factory=Coverage)
-    index: PlaceIndex = field(default_factory=PlaceIndex)
-    chance: Array = field(default_factory=lambda: np.full((2, 9), 0.5))
-    measured_m: float = np.inf
+    survey: MapSurvey = field(default_factory=MapSurvey)
     schedule: ScheduleState = field(default_factory=ScheduleState)
 
 
@@ -149,7 +139,8 @@ class Relocaliser:
         s = self.state
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
-        s.belief, s.views, s.jumped, s.measured_m = PlaceBelief(), 0, False, np.inf
+        s.belief, s.views, s.gapped, s.jumped = PlaceBelief(), 0, False, False
+        s.survey.measured_m = np.inf
         if known is None:
             self.state = RelocaliserState()
             return
@@ -164,25 +155,24 @@ class Relocaliser:
         self.survey_map()
 
     def survey_map(self) -> None:
-        """Index a map that came without, and find out which ground it knows."""
-        landmarks, axis_rad = self.filter.landmarks(), self.state.map_axis_rad or 0.0
-        lattice = Lattice.of(landmarks, axis_rad)
-        self.state.index = PlaceIndex.of(landmarks)
-        self.state.coverage = Coverage.of(landmarks, 0.0 if lattice is None else float(np.max(lattice.tile_m)))
+        """Survey a map that came without."""
+        self.state.survey = MapSurvey.of(self.filter.landmarks(), self.state.map_axis_rad or 0.0)
 
     def travelled(self, track: Track, crossings: int) -> None:
         """The robot went on; a gap in what vision measured of its way is a doubt."""
         s = self.state
         s.belief.moved(track.moved_m, track.turned_rad)
         self._schedule.travelled(track.moved_m, track.turned_rad)
-        s.measured_m += track.moved_m
+        s.survey.measured_m += track.moved_m
         if track.gap is not None:
-            s.jumped |= crossings >= FEWEST_KNOWN
+            s.gapped, s.jumped = True, s.jumped or crossings >= FEWEST_KNOWN
         if track.final is None:
             return
-        jumped, s.jumped = s.jumped, False
-        if track.blind_s > 0.0:
-            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped))
+        self.filter.predict(track.final)
+        gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
+        s.gapped = s.jumped = False
+        if gapped or track.final.doubt > 0.0:
+            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped, track.final.doubt))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far."""
@@ -205,6 +195,7 @@ class Relocaliser:
 
         Where a view shows that the robot is elsewhere, the filter is put there.
         """
+        s = self.state
         if not self._schedule.due(stamp_ns, self._view_period_s):
             return None
         view = self._observed(crossings)
@@ -213,7 +204,8 @@ class Relocaliser:
         admitted = self._admitted(view)
         if admitted is not None:
             self.filter.update(admitted)
-            self._learnt()
+            if self.sure and len(self._visible_m):
+                s.survey.learnt(self.filter, self._visible_m)
         return view
 
     def _observed(self, crossings: Crossings) -> Observations:
@@ -232,7 +224,8 @@ class Relocaliser:
         if s.pending is None and s.belief.spot_views >= SPOT_VIEWS:
             return False
         before = self.filter.estimate()[0]
-        around = self._surroundings(view, before, WATCH_M if s.pending is None else s.pending.search_m)
+        reach_m = WATCH_M if s.pending is None else s.pending.search_m
+        around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0)
         if s.pending is not None:
             self._instantiate(s.pending, view, around)
         evidence = ViewEvidence(view, around, self._worth(view))
@@ -287,12 +280,12 @@ class Relocaliser:
     def _search(self, view: Observations, pose: Array) -> None:
         """List the places of the whole map that this view can be from, each with its part of what is not listed."""
         s = self.state
-        found = s.index.candidates(view, most=MOST_FOUND)
+        found = s.survey.index.candidates(view, most=MOST_FOUND)
         s.belief.cut = not found.complete
         if not len(found):
             return
-        poses = s.index.refined(found.pose, view)
-        per_place = np.log(max(s.coverage.area_m2, 1.0) * PLACES_PER_M2)
+        poses = s.survey.index.refined(found.pose, view)
+        per_place = np.log(max(s.survey.coverage.area_m2, 1.0) * PLACES_PER_M2)
         odds = s.belief.unknown - s.belief.log_weight[0] - per_place
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
@@ -303,7 +296,7 @@ class Relocaliser:
         out = np.empty(len(poses))
         out[~far] = evidence.log_ratio(poses[~far])
         if np.any(far):
-            out[far] = evidence.log_ratio_in(self.state.index.grid, poses[far])
+            out[far] = evidence.log_ratio_in(self.state.survey.index.grid, poses[far])
         return out
 
     def _decided(self, pose: Array) -> bool:
@@ -319,45 +312,18 @@ class Relocaliser:
             s.belief.forget()
         return winner is not None
 
-    def _surroundings(self, view: Observations, pose: Array, reach_m: float) -> Surroundings:
-        s = self.state
-        seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
-        near = self.filter.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
-        around = Surroundings.of(near, s.coverage, s.chance, reach_m)
-        if s.measured_m < MEASURE_AGAIN_M:
-            return around
-        lattice = Lattice.of(near, s.map_axis_rad or 0.0)
-        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
-        s.chance, s.measured_m = chance_matches(near, around.raster, s.coverage, shifts), 0.0
-        return replace(around, chance=s.chance)
-
     def _admitted(self, view: Observations) -> Observations | None:
         """What of a view may teach the filter; None for nothing of it."""
         matched = view.label >= 0
         if self.sure:
             at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
-            known = self.state.coverage.knows(at)
+            known = self.state.survey.coverage.knows(at)
             count = int(np.count_nonzero(known))
             strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
             return None if strange else view
         if np.count_nonzero(matched) >= CONVINCING * len(view):
-            return view.of(matched)
+            return replace(view.of(matched), visible_m=np.empty((0, 2)))  # what is missing here may be there
         return None
-
-    def _learnt(self) -> None:
-        """The filter has learnt from a view of a sure place: its ground is known better."""
-        if self.sure and len(self._visible_m):
-            pose = Pose(self.filter.estimate()[0])
-            self.state.coverage.show(transform(pose, self._visible_m))
-            self._index_around(pose)
-
-    def _index_around(self, pose: Array) -> None:
-        """What the filter has learnt around the robot goes into the index."""
-        index = self.state.index
-        near = self.filter.landmarks_near(pose[None, :2], INDEXED_M)[1]
-        index.sync(near)
-        there = index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
-        index.remove(np.setdiff1d(there, near.ids))
 
 
 def _off(pose: Array, expected: Array) -> Array:

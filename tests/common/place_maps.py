@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ceilvo.crossing_types import turned_type
-from ceilvo.se2 import inverse, rotation, transform, wrap
+from ceilvo.se2 import inverse, rotation, transform, wrap, wrap_array
 from ceilvo.types import UNLABELLED, Array, Ints, Landmarks, Observations
 
 CORNERS = (0, 2, 6, 8)
@@ -121,3 +121,13 @@ def all_places(landmarks: Landmarks, view: Observations) -> Array:
         out.append(np.column_stack([landmarks.xy_map_m[m] - xy[k], np.full(len(k), heading)]))
     places = np.concatenate(out)
     return np.asarray(places[np.unique(np.round(places, 2), axis=0, return_index=True)[1]])
+
+
+def off(poses: Array, pose: Array) -> tuple[Array, Array]:
+    """(M,) m and rad of poses (M, 3) from one."""
+    return np.hypot(*(poses - pose)[:, :2].T), np.abs(wrap_array(poses[:, 2] - pose[2]))
+
+
+def listed(poses: Array, pose: Array, within_m: float = 0.1) -> bool:
+    apart, turned = off(poses, pose)
+    return bool(np.any((apart < within_m) & (turned < 0.1)))

@@ -98,6 +98,21 @@ def test_a_frozen_picture_is_no_frame() -> None:
     assert repeats >= 15
 
 
+@pytest.mark.parametrize("buffers", [2, 4, 8])
+def test_a_driver_that_goes_round_old_buffers_is_no_camera(buffers: int) -> None:
+    def ring(n: int, w: int, h: int) -> np.ndarray:
+        return moving_square(n if n < 10 else 10 - buffers + (n - 10) % buffers, w, h)
+
+    frames, repeats = captured(ring, 40)
+    assert frames == 10
+    assert repeats >= 25
+
+
+def test_a_picture_that_comes_again_later_is_new() -> None:
+    """Nine pictures in turn: a robot that goes in a small circle may well be where it was."""
+    assert captured(lambda n, w, h: moving_square(n % 9, w, h), 40)[1] == 0
+
+
 def test_a_picture_that_changes_by_one_bit_is_new() -> None:
     def noisy(n: int, w: int, h: int) -> np.ndarray:
         image = moving_square(0, w, h)

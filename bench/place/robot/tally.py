@@ -128,7 +128,7 @@ def _rounded(values: dict[str, float]) -> dict[str, float]:
 
 
 def times(ms: list[float]) -> dict[str, float]:
-    """Of steps; all 0 where there were none."""
+    """Of steps, processor time of this thread, ms; all 0 where there were none."""
     ms = ms or [0.0]
     return {
         "median": float(np.median(ms)),

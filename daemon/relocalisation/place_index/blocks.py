@@ -218,10 +218,17 @@ class LandmarkBlocks:
     def nearest(self, xy: Fine, kind: Ints, reach: int) -> tuple[Slots, NDArray[np.float64]]:
         """For each point (Q, 2) the slot of the nearest landmark of its type (Q,), or -1, and its distance in FINE."""
         best, label = np.full(len(xy), np.inf), np.full(len(xy), END, np.int32)
-        for dx, dy in ((-reach, -reach), (-reach, reach), (reach, -reach), (reach, reach)):
-            for which, slot in self.walk(self.directory.at(xy[:, 0] + np.int32(dx), xy[:, 1] + np.int32(dy))):
-                apart = np.hypot(*(self.xy.take(slot, axis=0) - xy.take(which, axis=0)).T.astype(np.float64))
-                closer = (apart < best[which]) & (self.crossing_type[slot] == kind[which])
+        corners = ((-reach, -reach), (-reach, reach), (reach, -reach), (reach, reach))
+        blocks = np.array([self.directory.at(xy[:, 0] + np.int32(dx), xy[:, 1] + np.int32(dy)) for dx, dy in corners])
+        for i in range(1, 4):
+            blocks[i, np.any(blocks[:i] == blocks[i], axis=0)] = 0  # there is nothing in block 0
+        for number in blocks:
+            for which, slot in self.walk(number):
+                off = (self.xy.take(slot, axis=0) - xy.take(which, axis=0)).astype(np.float64)
+                apart = np.hypot(off[:, 0], off[:, 1])
+                closer = np.flatnonzero(
+                    (apart < best.take(which)) & (self.crossing_type.take(slot) == kind.take(which))
+                )
                 best[which[closer]], label[which[closer]] = apart[closer], slot[closer]
         label[best > reach] = END
         return label, best

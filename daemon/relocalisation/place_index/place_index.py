@@ -8,10 +8,11 @@ import numpy as np
 
 from ceilvo.daemon.relocalisation.place_index.blocks import fine
 from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_probability
+from ceilvo.daemon.relocalisation.place_index.found import CONTRADICTED, cost
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
 from ceilvo.daemon.relocalisation.place_index.refinement import refined
-from ceilvo.daemon.relocalisation.place_index.search import CONTRADICTED, Search, cost
+from ceilvo.daemon.relocalisation.place_index.search import Search
 from ceilvo.daemon.relocalisation.place_index.type_grid import REACH_M, TypeGrid
 from ceilvo.types import Array, Ints, Landmarks, Observations
 

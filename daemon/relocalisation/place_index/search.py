@@ -17,7 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, Fine, fine
+from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
+from ceilvo.daemon.relocalisation.place_index.found import CONTRADICTED, EXPLAINED, Found, first_of_places
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
 from ceilvo.daemon.relocalisation.place_index.missing import missed
@@ -42,10 +43,6 @@ EXPLAINED_FRACTION = 0.5
 INDEPENDENT = 32
 """Features from which on the margin grows with their number: a line that is missed or taken for another kind takes all
 its crossings with it, six of 32 in a square grid; chosen."""
-CONTRADICTED = 4
-"""Landmarks not seen that weigh as much as a feature where no landmark is. That one in ten is passed over makes
-log(10) = 2.3 of each; that one feature in twenty is false, and then lies anywhere on 4 m^2 (association's outliers)
-instead of within 2 cm, makes log(19 * 4 / (2 pi 0.02^2)) = 10 of it."""
 SAMPLE = 1024
 """Poses that a group is judged by before all of its are looked at; chosen for time."""
 PREVIEW = 16
@@ -53,57 +50,13 @@ PREVIEW = 16
 MOST_FEATURES = 64
 """Of a view, those with the fewest landmarks, the surest first; a ceiling of 0.3 m tiles shows hundreds, and time must
 not depend on that."""
-EXPLAINED = 2 * CONTRADICTED
-"""What the best place is chosen by: a feature on unmapped ground makes it worse by so much, one that it contradicts by
-half as much again. Otherwise places at the map's rim would be best and make the limit too strict for all others."""
 FIRST = 32
 """Of a group the best places so far, for which is counted at once what they miss; chosen for time."""
-SAME_PLACE_M = 0.2
-"""Side of the cells in which poses are one place: nearer than half of it always, never a tile of 0.3 m apart."""
 RUNS = 2
 """The second with the best place of the first in mind."""
 LOOK_EVERY, AT_ONCE = 4, 1 << 14
 """Features counted between two looks for hopeless poses, or so many that this many points are looked up; chosen for
 time."""
-
-
-@dataclass(slots=True)
-class Found:
-    """Verified poses: x, y, turn, explained, contradicted (M,), and missed (M,) once that is counted."""
-
-    x: Fine
-    y: Fine
-    turn: Ints
-    explained: Ints
-    contradicted: Ints
-    missed: Ints
-
-    @staticmethod
-    def at(x: Fine, y: Fine, turn: Ints) -> Found:
-        """Nothing is counted yet."""
-        return Found(x, y, turn, *np.zeros((3, len(x)), np.int64))
-
-    @staticmethod
-    def all_of(parts: Sequence[Found]) -> Found:
-        none = np.empty(0, np.int32)
-        parts = [Found.at(none, none, none.astype(np.int64)), *parts]
-        return Found(*(np.concatenate([getattr(p, name) for p in parts]) for name in Found.__slots__))
-
-    def of(self, which: Ints) -> Found:
-        return Found(*(getattr(self, name).take(which) for name in self.__slots__))
-
-    def __len__(self) -> int:
-        return len(self.x)
-
-    @property
-    def cost(self) -> Ints:
-        """What speaks against each."""
-        return cost(self.contradicted, self.missed)
-
-    @property
-    def score(self) -> Ints:
-        """What speaks for each, less what speaks against it."""
-        return EXPLAINED * self.explained - self.cost
 
 
 @dataclass(slots=True)
@@ -299,7 +252,7 @@ class Search:
         self.best = f.of(np.lexsort((-f.cost, -f.score))[:1])
         f = f.of(np.flatnonzero(self._hopeful(f, 0)))
         f = f.of(np.lexsort((f.turn, f.y, f.x, -f.score)))
-        return f.of(_first_of_places(f))
+        return f.of(first_of_places(f))
 
     def counted(self, poses: Array) -> Found:
         """Poses (M, 3), at the nearest of the view's headings, with their counts and in their order."""
@@ -316,20 +269,3 @@ class Search:
     def poses(self, f: Found) -> Array:
         """(M, 3) map_from_base."""
         return np.column_stack([FINE_M * f.x, FINE_M * f.y, self.views.heading_rad[f.turn]])
-
-
-def cost(contradicted: Ints, missed: Ints) -> Ints:
-    """Of features where no landmark is and landmarks that are not seen."""
-    return CONTRADICTED * contradicted + missed
-
-
-def _first_of_places(f: Found) -> Ints:
-    """Of poses of one heading that are in one cell of any of four grids, shifted by half a cell, the first one."""
-    keep = np.arange(len(f))
-    side = round(SAME_PLACE_M / FINE_M)
-    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        column = (f.x[keep].astype(np.int64) + dx * side // 2) // side
-        row = (f.y[keep].astype(np.int64) + dy * side // 2) // side
-        place = (column * (1 << 24) + row) * TURNS + f.turn[keep]
-        keep = keep[np.sort(np.unique(place, return_index=True)[1])]
-    return keep

@@ -9,7 +9,9 @@ import place_maps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
 from ceilvo.daemon.relocalisation.place_index.place_index import MOVED_M, PlaceIndex
+from ceilvo.daemon.replay.snapshot import read_value, value_json
 
 
 def same_answers(index, other, view):
@@ -72,6 +74,28 @@ def test_what_is_not_there_is_removed_without_harm():
     assert index.ids.tolist() == [0]
     index.remove(np.empty(0, np.int64))
     assert len(index) == 1
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**16), st.floats(-5, 5), st.floats(-5, 5), st.floats(0.0, 4.0), st.floats(0.0, 4.0))
+def test_the_landmarks_in_a_box_are_those_in_it(seed, x, y, width, height):
+    world = place_maps.random_map(np.random.default_rng(seed), 150, 9.0)
+    index, low, high = PlaceIndex.of(world), np.array([x, y]), np.array([x + width, y + height])
+    at = FINE_M * fine(world.xy_map_m)
+    sure, possible = (np.all((at > low + e) & (at < high - e), axis=1) for e in (FINE_M, -FINE_M))
+    found = set(index.within(low, high).tolist())
+    assert set(world.ids[sure].tolist()) <= found <= set(world.ids[possible].tolist())
+
+
+def test_an_index_comes_back_from_a_snapshot_and_goes_on():
+    rng = np.random.default_rng(6)
+    world = place_maps.random_map(rng, 300, 9.0)
+    index = PlaceIndex.of(world.of(np.arange(250)))
+    back = read_value(value_json(index), PlaceIndex)
+    for each in (index, back):
+        each.remove(np.arange(10))
+        each.sync(world.of(np.arange(200, 300)))
+    same_answers(index, back, place_maps.view_of(world, [0.5, 0.0, 0.4], rng))
 
 
 def test_a_moved_landmark_is_looked_for_where_it_is_now():

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from ceilvo.daemon.integrity.cross_checks.paths import Paths
-from ceilvo.daemon.integrity.cross_checks.sequential import Cusum, log_normal, threshold
-from ceilvo.daemon.integrity.cross_checks.stretches import Stretch, stretch
-from ceilvo.daemon.integrity.cross_checks.suspicion import Kind, Severity, Suspicion
+from ceilvo.daemon.odometry.cross_checks.paths import Paths
+from ceilvo.daemon.odometry.cross_checks.sequential import Cusum, log_normal, threshold
+from ceilvo.daemon.odometry.cross_checks.stretches import Stretch, stretch
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
 
 _STRETCH_M, _STRETCH_RAD = 0.1, 0.1
 """Length or turn of a stretch; chosen: far above the noise of either, and three of them are still near."""

@@ -1,4 +1,4 @@
-"""Time, memory and answers of the place index on halls of 150 m x 100 m: `make bench-place-index`.
+"""Time, memory and answers of the place index on halls of 150 m x 100 m: `make bench-find-place`.
 
 Views are the synthetic eye's of bench/place, from poses anywhere in the hall, one view a pose, with the heading named
 by any quarter turn. Times are of this process on one thread. Bytes, fractions and the ratios between maps of 1,000 and
@@ -28,8 +28,8 @@ from ceilvo.bench.results.store import one_thread
 from ceilvo.bench.speed.filter_step import medians
 from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
+from ceilvo.daemon.relocalisation.place_index.found import cost
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
-from ceilvo.daemon.relocalisation.place_index.search import cost
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.files import write_atomic
@@ -68,11 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.speed.place_index", description="The place index.")
+    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.speed.find_place", description="The place index.")
     p.add_argument("--views", type=int, default=100, metavar="N", help="a hall (%(default)s)")
     p.add_argument("--seed", type=int, default=101, metavar="N", help="of halls and poses (%(default)s)")
     p.add_argument("--repeats", type=int, default=5, metavar="N", help="ten updates each (%(default)s)")
-    p.add_argument("--json", type=Path, default=Path("build/bench/place_index.json"), metavar="FILE")
+    p.add_argument("--json", type=Path, default=Path("build/bench/find_place.json"), metavar="FILE")
     return p
 
 

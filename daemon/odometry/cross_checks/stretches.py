@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.daemon.integrity.cross_checks.paths import Paths, displacement
+from ceilvo.daemon.odometry.cross_checks.paths import Paths, displacement
 from ceilvo.types import Displacement
 
 

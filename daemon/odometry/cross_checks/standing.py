@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.integrity.cross_checks.paths import Paths, displacement
-from ceilvo.daemon.integrity.cross_checks.suspicion import Kind, Severity, Suspicion
+from ceilvo.daemon.odometry.cross_checks.paths import Paths, displacement
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
 from ceilvo.types import Array, Displacement, Ints
 
 _MOVED_M, _MOVED_RAD = 0.02, 0.03

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.integrity.cross_checks.paths import Paths
+from ceilvo.daemon.odometry.cross_checks.paths import Paths
 from ceilvo.types import Array
 
 _STEP_S = 0.02

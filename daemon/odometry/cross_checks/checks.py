@@ -12,13 +12,13 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Config
-from ceilvo.daemon.integrity.cross_checks.delay import Delay, DelayState
-from ceilvo.daemon.integrity.cross_checks.paths import Paths, PathsState
-from ceilvo.daemon.integrity.cross_checks.pictures import Pictures, PicturesState
-from ceilvo.daemon.integrity.cross_checks.reversal import Reversal, ReversalState
-from ceilvo.daemon.integrity.cross_checks.standing import Standing, StandingState
-from ceilvo.daemon.integrity.cross_checks.suspicion import Kind, Severity, Suspicion, Suspicions
-from ceilvo.daemon.integrity.cross_checks.turned_camera import TurnedCamera, TurnedCameraState
+from ceilvo.daemon.odometry.cross_checks.delay import Delay, DelayState
+from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
+from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
+from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
+from ceilvo.daemon.odometry.cross_checks.standing import Standing, StandingState
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion, Suspicions
+from ceilvo.daemon.odometry.cross_checks.turned_camera import TurnedCamera, TurnedCameraState
 from ceilvo.types import Array, Crossings, Displacement, Motion, Pose, WheelMotion
 
 _KNOWN_DELAY_S = 0.1

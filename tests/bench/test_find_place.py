@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ceilvo.bench.place.ceiling.worlds import WorldSpec
-from ceilvo.bench.speed import place_index as bench
+from ceilvo.bench.speed import find_place as bench
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 
 ROOM = WorldSpec("5", 0.6, "raster", 3)
