@@ -185,7 +185,7 @@ class Relocaliser:
             p = s.pending
             elsewhere, reach_m = max(p.elsewhere, doubt.elsewhere), p.reach_m + doubt.reach_m
             doubt = Doubt(doubt.reason, p.cov + doubt.cov, elsewhere, reach_m)
-        if self.filter.size() and not doubts.negligible(doubt, self._rate):
+        if s.survey.coverage.area_m2 > 0.0 and not doubts.negligible(doubt, self._rate):
             s.pending = doubt
 
     # -- a view
