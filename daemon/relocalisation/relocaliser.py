@@ -172,7 +172,9 @@ class Relocaliser:
         gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
         s.gapped = s.jumped = False
         if gapped or track.final.doubt > 0.0:
-            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped, track.final.doubt))
+            bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
+            cov = track.final.cov if bridged else track.blind_cov  # odometry has weighed all that fits within the latter
+            self._raise(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far."""
