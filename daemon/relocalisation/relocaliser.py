@@ -173,7 +173,7 @@ class Relocaliser:
         s.gapped = s.jumped = False
         if gapped or track.final.doubt > 0.0:
             bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
-            cov = track.final.cov if bridged else track.blind_cov  # odometry has weighed all that fits within the latter
+            cov = track.final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
             self._raise(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt))
 
     def suspect(self, reason: str, reach_m: float) -> None:
