@@ -195,13 +195,17 @@ class JointFilter:
         used = self._used(obs, matched)
         found = self._rule.absorb(state, self._view(obs, used), self._rows(obs.label[used]))
         state.nis, state.nis_dof, state.trimmed_nis = found.nis, found.nis_dof, found.trimmed_nis
-        believed = np.concatenate([used[found.inliers], self._also_there(obs, np.setdiff1d(matched, used))])
+        believed = used[found.inliers]
+        if len(used) < len(matched):
+            believed = np.concatenate([believed, self._also_there(obs, np.setdiff1d(matched, used))])
         self._count(len(matched), len(believed))
         if state.known is None:
             state.joint.seen_at[obs.label[matched]] = state.now
             self._keep_up(obs, obs.label[believed], len(matched))
             upkeep.settle(state.joint, state.now, self.settings.birth_sightings)
-            self._be_born(obs, np.flatnonzero(obs.label == NO_LANDMARK))
+            unknown = np.flatnonzero(obs.label == NO_LANDMARK)
+            if len(unknown):
+                self._be_born(obs, unknown)
             state.joint.bound()
         self._summary = None
 

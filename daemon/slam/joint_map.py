@@ -171,6 +171,8 @@ class JointMap:
     def confirm(self, labels: Ints) -> None:
         """Let landmarks be shown; labels of unconfirmed ones change."""
         labels = labels[labels >= self.size]
+        if not len(labels):
+            return
         end = self.size + len(labels)
         enter = labels[labels >= end]
         leave = np.setdiff1d(np.arange(self.size, end), labels)

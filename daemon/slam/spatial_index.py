@@ -140,11 +140,11 @@ class ChangingIndex:
         """Labels, in any order, in the cells that a box touches."""
         if not self._labels:
             return np.empty(0, np.int64)
-        low, high = _cells(low_m, CHANGING_CELL_M), _cells(high_m, CHANGING_CELL_M)
-        if np.prod((high - low + 1).astype(np.float64)) > len(self._labels):
+        (x0, y0), (x1, y1) = (_cells(corner, CHANGING_CELL_M).tolist() for corner in (low_m, high_m))
+        if (x1 - x0 + 1) * (y1 - y0 + 1) > len(self._labels):
             return np.concatenate(list(self._labels.values()))
-        cells = _numbers(np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), -1))
-        found = [self._labels[c] for c in cells.ravel().tolist() if c in self._labels]
+        cells = (x * _SIDE + y for x in range(x0, x1 + 1) for y in range(y0, y1 + 1))
+        found = [self._labels[c] for c in cells if c in self._labels]
         return np.concatenate(found) if found else np.empty(0, np.int64)
 
 

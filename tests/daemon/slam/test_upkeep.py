@@ -201,3 +201,25 @@ def test_newborn_landmarks_give_way_to_what_is_in_view() -> None:
     for p in GRID[12:16]:
         assert np.min(np.hypot(*(at - p).T)) < 1e-2, "seen twice before the map was full"
     assert f.counters()["map_full"] > 0
+
+
+def test_a_room_renovated_by_a_third_is_learnt_and_the_rest_stays() -> None:
+    """To and fro three times, 20 views each way."""
+    robot, rng = Robot(map_of(GRID)), np.random.default_rng(SEED)
+    changed = rng.permutation(len(GRID))[: len(GRID) // 3]
+    kind = TYPES.copy()
+    kind[changed] = (kind[changed] + rng.integers(1, 9, len(changed))) % 9
+    world = replace(map_of(GRID), crossing_type=kind)
+    for i in range(120):
+        robot.drive(STEP_M if i // 20 % 2 else -STEP_M)
+        robot.look(world, chance=0.95)
+    in_view = np.all(np.abs(GRID + np.array([0.6, 0.0])) < [1.4, 0.9], axis=1)
+    m = robot.filter.landmarks()
+    at = {(*np.round(xy, 1).tolist(), int(k)) for xy, k in zip(m.xy_map_m, m.crossing_type, strict=True)}
+    old = {(*np.round(GRID[i], 1).tolist(), int(TYPES[i])) for i in changed if in_view[i]}
+    new = {(*np.round(xy, 1).tolist(), int(k)) for xy, k, v in zip(GRID, kind, in_view, strict=True) if v}
+    print(f"{len(old)} of {np.count_nonzero(in_view)} changed: {len(old & at)} still there, {len(new - at)} not learnt")
+    assert len(old) >= 5
+    assert not old & at
+    assert new <= at
+    assert robot.ids() >= set(range(len(GRID))) - set(changed.tolist())
