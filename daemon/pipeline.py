@@ -122,7 +122,7 @@ class Pipeline:
         suspicions: Suspicions,
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
-        pose, cov = self.checks.ahead(*track.carry(Pose(pose), cov))
+        pose, cov = self.checks.corrected(*track.carry(Pose(pose), cov))
         degraded = suspicions.gravest(Severity.DEGRADED)
         hypothesis = self.relocaliser.hypothesis
         evidence = Evidence(
