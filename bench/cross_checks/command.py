@@ -19,7 +19,7 @@ import numpy as np
 from ceilvo.bench.cross_checks.drives import DriveSpec, drive, reversed_wheels
 from ceilvo.bench.cross_checks.runner import Fault, run
 from ceilvo.config import Config
-from ceilvo.daemon.integrity.cross_checks.suspicion import Kind
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind
 from ceilvo.files import write_atomic
 
 _LEG_S = 600.0  # of the drives without faults; chosen: each kind of robot has several an hour

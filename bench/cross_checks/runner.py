@@ -11,8 +11,8 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.bench.cross_checks.drives import Eye, Path, wheel_motion
 from ceilvo.config import Config
-from ceilvo.daemon.integrity.cross_checks.checks import CrossChecks
-from ceilvo.daemon.integrity.cross_checks.suspicion import Suspicions
+from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks
+from ceilvo.daemon.odometry.cross_checks.suspicion import Suspicions
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Crossings, Motion, WheelMotion

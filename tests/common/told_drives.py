@@ -8,7 +8,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.bench.cross_checks.drives import DriveSpec, Path, drive, wheel_motion
-from ceilvo.daemon.integrity.cross_checks.paths import Paths
+from ceilvo.daemon.odometry.cross_checks.paths import Paths
 from ceilvo.types import Array, Displacement, Motion, WheelMotion
 
 EYE_SIGMA = np.array([1e-4, 1e-4, 1e-5])
