@@ -106,7 +106,7 @@ class Pipeline:
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
-        pose, cov = self.checks.ahead(*track.carry(Pose(pose), cov))
+        pose, cov = self.checks.corrected(*track.carry(Pose(pose), cov))
         path = self.dead_reckoning.state
         degraded = suspicions.gravest(Severity.DEGRADED)
         evidence = Evidence(

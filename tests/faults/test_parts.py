@@ -127,6 +127,27 @@ def test_repeats_may_be_allowed() -> None:
     assert captured(lambda n, w, h: moving_square(0, w, h), 20, refuse_repeats=False)[1] == 0
 
 
+# --- stamps that run at another rate than the clock
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_frames_are_stamped_on_arrival_once_their_stamps_fall_behind(live: bool) -> None:
+    """A recording that is played slowly is no fault."""
+    clock, calibration = Clock(), replace(simulated_calibration(), camera_id="")
+    estimator = Estimator(Pipeline(calibration, Config(), np.random.default_rng(SEED)), clock)
+    gray = np.zeros((calibration.camera.height_px, calibration.camera.width_px), np.uint8)
+    begin_ns, off_s = clock(), 0.0
+    for k in range(60):
+        clock.wait(0.1)
+        told_ns = begin_ns + round(0.8 * (clock() - begin_ns)) - 20_000_000
+        estimate = estimator.frame(Frame(k, told_ns, gray), live)
+        assert estimate is not None
+        off_s = 1e-9 * (clock() - estimate.stamp_ns)
+    assert (off_s < 0.2) == live
+    assert estimator.suspicions()["stamp_rate"] == live
+    assert ("0.80 times the computer's clock" in estimator.stamp_fault) == live
+
+
 # --- a slow camera that stalls
 
 

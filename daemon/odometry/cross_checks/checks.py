@@ -18,7 +18,7 @@ from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
 from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
 from ceilvo.daemon.odometry.cross_checks.standing import Standing, StandingState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion, Suspicions
-from ceilvo.daemon.odometry.cross_checks.turned_camera import TurnedCamera, TurnedCameraState
+from ceilvo.daemon.odometry.cross_checks.turned_camera import YAW_SIGMA_RAD, TurnedCamera, TurnedCameraState
 from ceilvo.types import Array, Crossings, Displacement, Motion, Pose, WheelMotion
 
 _KNOWN_DELAY_S = 0.1
@@ -108,26 +108,41 @@ class CrossChecks:
         return Admitted(crossings, self.usable_wheels(wheels, elapsed_s))
 
     def usable_wheels(self, wheels: WheelMotion | None, elapsed_s: float) -> WheelMotion | None:
-        """The wheels' motion between the moments that the last two pictures show; None while they are not believed."""
+        """The wheels' motion between the moments that the last two pictures show, in base as a turned camera has it.
+
+        None while the wheels are not believed.
+        """
         if wheels is None or Kind.WHEELS_REVERSED.value in self._active:
             return None
         late_s = self._delay.known_s
         if late_s <= 0.0 or elapsed_s <= 0.0:
-            return wheels
+            return _seen_from(wheels, self._turned_camera.yaw_rad)
+        return _seen_from(self._delayed(wheels, late_s, elapsed_s), self._turned_camera.yaw_rad)
+
+    def _delayed(self, wheels: WheelMotion, late_s: float, elapsed_s: float) -> WheelMotion:
+        """What the wheels did so much earlier; as they are where the history does not reach."""
         now_s = self._paths.state.time_s
         if late_s >= elapsed_s:
             return self._paths.wheel_motion(now_s - late_s, now_s - late_s + elapsed_s) or wheels
         before = self._paths.wheel_motion(now_s - late_s, now_s)
         return wheels if before is None else _joined(before, _part(wheels, 1.0 - late_s / elapsed_s))
 
-    def ahead(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
-        """A pose (3,) with cov (3, 3) of the moment that the last picture shows, moved on to its stamp by wheels."""
-        late_s, now_s = self._delay.known_s, self._paths.state.time_s
-        moved = self._paths.wheel_motion(now_s - late_s, now_s) if late_s > 0.0 else None
-        if moved is None or Kind.WHEELS_REVERSED.value in self._active:
-            return pose, cov
-        there = Pose(se2.compose(pose, moved.prev_from_curr))
-        return there, se2.compose_cov(pose, cov, moved.prev_from_curr, moved.cov)
+    def corrected(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
+        """The pose (3,) with cov (3, 3) to report, for what is known to be wrong with the camera.
+
+        A late picture's pose is moved on to its stamp by the wheels. A heading that a turned camera gives is turned to
+        the wheels' direction; that the camera is not on the rotation centre is left out (5 mm at 5 deg and 6 cm).
+        """
+        late_s, now_s, yaw_rad = self._delay.known_s, self._paths.state.time_s, self._turned_camera.yaw_rad
+        since = self._paths.wheel_motion(now_s - late_s, now_s) if late_s > 0.0 else None
+        if since is not None and Kind.WHEELS_REVERSED.value not in self._active:
+            moved = _seen_from(since, yaw_rad)
+            cov = se2.compose_cov(pose, cov, moved.prev_from_curr, moved.cov)
+            pose = Pose(se2.compose(pose, moved.prev_from_curr))
+        if yaw_rad:
+            cov = cov + np.diag([0.0, 0.0, YAW_SIGMA_RAD**2])
+            pose = Pose(se2.compose(pose, np.array([0.0, 0.0, yaw_rad])))
+        return pose, cov
 
     def step(
         self,
@@ -156,7 +171,7 @@ class CrossChecks:
         found = [] if repeat is None else [repeat]
         found += self._standing.step(self._paths, late_s)
         against = self._reversal.step(self._paths, max(known_s, 0.0))
-        found += against + self._turned_camera.step(self._paths, max(known_s, 0.0), bool(against))
+        found += against + self._turned_camera.step(self._paths, max(known_s, 0.0), late_s, bool(against))
         found += self._late()
         return self._count(found)
 
@@ -189,6 +204,15 @@ class CrossChecks:
             self._counters[kind] = self._counters.get(kind, 0) + (kind not in self._active)
         self._active = now
         return Suspicions(tuple(sorted(found, key=lambda f: -f.severity)))
+
+
+def _seen_from(wheels: WheelMotion, yaw_rad: float) -> WheelMotion:
+    """A motion of the true base as one of a base that is turned by -yaw_rad."""
+    if not yaw_rad:
+        return wheels
+    turn = np.eye(3)
+    turn[:2, :2] = se2.rotation(yaw_rad)
+    return WheelMotion(Displacement(turn @ wheels.prev_from_curr), turn @ wheels.cov @ turn.T)
 
 
 def _part(wheels: WheelMotion, share: float) -> WheelMotion:

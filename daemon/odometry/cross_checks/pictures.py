@@ -25,6 +25,9 @@ _QUIET = 0.5
 """Of a standing camera's difference, below which two pictures are one. 20 standing pictures had 0.93 to 1.1 of their
 mean, at noise 0.3 to 3 times the simulator's; one picture with its last bit random 0.29, at 1 times; measured with
 tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
+_LEAST_NEAR = 0.5 * _CALM_SHARE
+"""Of the samples, within twice the difference of _QUIET, in two pictures that may be one: with fewer, half of the calm
+ones are above it, and so their mean is above _QUIET."""
 _LEAST_NOISE_GREY = 0.2
 """Difference of standing pictures below which the camera shows too little noise to judge by; chosen: grey levels are
 whole numbers, so most of the calm samples are equal then."""
@@ -90,15 +93,25 @@ class Pictures:
         new, s = _picture(crossings), self.state
         if not s.last or not len(crossings):
             return None
-        if self._same(new, s.last[-1]):
-            if wheels_stand:
-                return None
+        newest_first = s.last[::-1]
+        like = self._may_be(new, newest_first)
+        periods = [k + 1 for k, old in enumerate(newest_first) if like[k] and self._same(new, old)]
+        if not periods or (wheels_stand and periods[0] == 1):
+            return None
+        if periods[0] == 1:
             return Suspicion(Kind.FROZEN, "the picture is the last one again: the camera is frozen", Severity.UNUSABLE)
-        for period in range(2, len(s.last) + 1):
-            if self._same(new, s.last[-period]):
-                why = f"the picture is the one {period} frames before again: the camera repeats old buffers"
-                return Suspicion(Kind.REPEATS, why, Severity.UNUSABLE)
-        return None
+        why = f"the picture is the one {periods[0]} frames before again: the camera repeats old buffers"
+        return Suspicion(Kind.REPEATS, why, Severity.UNUSABLE)
+
+    def _may_be(self, new: Picture, old: list[Picture]) -> NDArray[np.bool_]:
+        """(N,) a first look at all at once: pictures of which hardly any sample is like the new one's are others."""
+        alike = [len(p.sample) == len(new.sample) for p in old]
+        if not len(new.sample) or not all(alike):
+            return np.ones(len(old), bool)
+        before = np.stack([p.sample for p in old]).astype(np.int16)
+        near = np.abs(before - new.sample) <= 2.0 * _QUIET * self.state.noise_grey
+        near |= (new.sample <= _BLACK) | (new.sample >= _GLARE) | (before <= _BLACK) | (before >= _GLARE)
+        return np.asarray(near.mean(axis=1) >= _LEAST_NEAR)
 
     def add(self, crossings: Crossings, motion: Motion) -> None:
         """Keep a picture, refused ones as well, and learn the camera's noise from pictures that stand."""

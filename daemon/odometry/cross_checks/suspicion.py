@@ -33,6 +33,7 @@ class Kind(str, Enum):
     WHEELS_REVERSED = "wheels_reversed"
     PICTURE_TURNED = "picture_turned"
     CAMERA_TURNED = "camera_turned"
+    KNOCKED = "knocked"
     LATE = "picture_late"
 
 

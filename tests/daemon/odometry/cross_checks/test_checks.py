@@ -88,7 +88,7 @@ def test_wheels_are_compared_with_the_picture_of_their_own_time_once_its_delay_i
         checks.step(k, None, motion, wheels, elapsed_s)
         pose, now = Pose(se2.compose(pose, motion.prev_from_curr)), se2.compose(now, on_time[k].prev_from_curr)
         if now_s > 60.0:
-            there, cov = checks.ahead(pose, np.eye(3) * 1e-6)
+            there, cov = checks.corrected(pose, np.eye(3) * 1e-6)
             assert cov[0, 0] >= 1e-6
             off_ahead.append([np.hypot(*(pose - now)[:2]), np.hypot(*(there - now)[:2])])
     assert checks.counters[Kind.LATE.value] == 0
