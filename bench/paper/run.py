@@ -72,7 +72,8 @@ def run(cell: Cell) -> Figures:
     f = make(cell.filter, cell.particles, setting, np.random.default_rng([cell.seed, index, 1]), unlabelled)
     if cell.experiment in ("lap", "laps3"):
         laps = 1 if cell.experiment == "lap" else LAPS
-        return mapping(f, record(setting, room_scene(world), world, laps * LAP_STEPS), labelled=True)
+        scene = room_scene(world, setting.features_per_side)
+        return mapping(f, record(setting, scene, world, laps * LAP_STEPS), labelled=True)
     if cell.experiment == "grid":
         return mapping(f, record(setting, grid_scene(world, False), world), labelled=False)
     return on_a_map(f, recovery_recording(cell.experiment, setting, world), cell.experiment == "global")
