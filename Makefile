@@ -6,8 +6,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
-.PHONY: soak bench-faults bench-latency kill-test fuzz
-.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-calib
+.PHONY: soak bench-faults bench-place bench-latency kill-test fuzz
+.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-calib
 .DEFAULT_GOAL := help
 
 help:
@@ -20,9 +20,11 @@ help:
 	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
 	@echo "make bench-filter      time of a filter's step, as ratios"
+	@echo "make bench-find-place time, memory and answers of the place index on halls of 150 m"
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
 	@echo "make soak              the daemon with faults for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
+	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
 	@echo "make kill-test         kill -9 while it saves, KILLS=200 times"
 	@echo "make fuzz              every reader of bytes, MINUTES=10 each; by coverage where atheris can be installed"
@@ -58,6 +60,9 @@ bench-mrclam: $(VENV)/.installed-bench
 bench-filter: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.speed.filter_step
 
+bench-find-place: $(VENV)/.installed-bench
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.speed.find_place
+
 bench-calib: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.calib.study sigma --count 100
 	$(BIN)/python -m ceilvo.calib.study drive --count 8
@@ -68,6 +73,14 @@ soak: $(VENV)/.installed-bench
 
 bench-faults: $(VENV)/.installed
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10) --resume
+
+bench-place: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.bench.place faults --count $(or $(COUNT),300) --seed $(or $(SEED),1000) --resume
+	$(BIN)/python -m ceilvo.bench.place laps --hours $(or $(HOURS),10) --seed $(or $(SEED),1000) --resume
+	$(BIN)/python -m ceilvo.bench.place carried --seed $(or $(SEED),1000) --resume
+	$(BIN)/python -m ceilvo.bench.place restart --seed $(or $(SEED),1000) --resume
+	$(BIN)/python -m ceilvo.bench.place renovated --seed $(or $(SEED),1000) --resume
+	$(BIN)/python -m ceilvo.bench.place start --seed $(or $(SEED),1000) --resume
 
 bench-latency: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.speed.latency --seconds $(or $(SECONDS),60)

@@ -16,6 +16,10 @@ from ceilvo.errors import CalibrationError
 Array = NDArray[np.float64]
 _SINGULAR = 1e-12
 """Scale of M's left block below which it has no inverse; a real one has about 1."""
+_SIDE_POINTS = 33
+"""Along each side of the picture, to find how far it sees; chosen: a lens bends a side smoothly."""
+_CIRCLE_CORNERS = 32
+"""Of the polygon in place of a circle; chosen: it lacks 0.6 % of the area."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,61 @@ def projection_matrix(
     position = np.array([mount_xy_m[0], mount_xy_m[1], -ceiling_height_m])
     r = np.asarray(camera_from_base, np.float64)
     return np.asarray(camera.matrix @ np.column_stack([r, -r @ position]))
+
+
+def to_ceiling(ceiling_from_level: Array, uv_px: Array) -> Array:
+    """(M, 2) metres on the ceiling in base for (M, 2) level pixels."""
+    s = np.column_stack([uv_px, np.ones(len(uv_px))]) @ ceiling_from_level.T  # eq. 7
+    return np.asarray(s[:, :2] / s[:, 2:], np.float64)
+
+
+def in_base(calibration: Calibration, uv_px: Array) -> Array:
+    """(N, 2) metres on the ceiling in base where raw pixels (N, 2) look; nan at and beyond the horizon."""
+    return to_ceiling(calibration.ceiling_from_level, calibration.level_view.from_raw(uv_px))
+
+
+def visible_polygon(calibration: Calibration, margin_px: float, max_view_deg: float) -> Array:
+    """(V, 2) corners in base, counter-clockwise, of a convex part of the ceiling that a level robot sees.
+
+    A lens bends the sides of the picture inwards on the ceiling; what lies beyond the innermost point of a side is left
+    out. (0, 2) where nothing remains.
+
+    Args:
+        margin_px: so far from the sides of the raw picture at least.
+        max_view_deg: and no further off the vertical.
+    """
+    camera, mount_m = calibration.camera, calibration.mount_xy_m
+    reach_m = calibration.ceiling_height_m * np.tan(np.radians(max_view_deg))
+    low, right, top = margin_px, camera.width_px - 1.0 - margin_px, camera.height_px - 1.0 - margin_px
+    if low >= min(right, top):
+        return np.empty((0, 2))
+    angle = 2.0 * np.pi * np.arange(_CIRCLE_CORNERS) / _CIRCLE_CORNERS
+    polygon = mount_m + reach_m * np.column_stack([np.cos(angle), np.sin(angle)])
+    x, y = np.linspace(low, right, _SIDE_POINTS), np.linspace(low, top, _SIDE_POINTS)
+    middle = in_base(calibration, np.array([[0.5 * (low + right), 0.5 * (low + top)]]))[0]
+    for u, v in ((x, low), (right, y), (x, top), (low, y)):
+        side = in_base(calibration, np.column_stack(np.broadcast_arrays(u, v)))
+        side = side[np.hypot(*(side - mount_m).T) <= reach_m]
+        if len(side) < 2:
+            continue
+        along = side[-1] - side[0]
+        inward = np.array([-along[1], along[0]])
+        inward *= np.sign(inward @ (middle - side[0]))
+        polygon = _clipped(polygon, inward, float(np.max(side @ inward)))
+    return polygon if np.all(np.isfinite(middle)) else np.empty((0, 2))
+
+
+def _clipped(polygon: Array, normal: Array, least: float) -> Array:
+    """The part of a convex polygon (V, 2) where normal . p >= least (Sutherland and Hodgman 1974)."""
+    above = polygon @ normal - least
+    out = []
+    for i in range(len(polygon)):
+        j = (i + 1) % len(polygon)
+        if above[i] >= 0.0:
+            out.append(polygon[i])
+        if (above[i] >= 0.0) != (above[j] >= 0.0):
+            out.append(polygon[i] + above[i] / (above[i] - above[j]) * (polygon[j] - polygon[i]))
+    return np.array(out).reshape(-1, 2)
 
 
 def mount_rotation(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Array:

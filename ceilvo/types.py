@@ -108,6 +108,7 @@ class Crossings:
         psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines.
         common_cov_m2: (2, 2) the part of cov_base_m2 that all crossings of a frame share: an error of the tilt
             shifts them together.
+        sample_gray: (S,) grey levels at fixed places of the picture, to tell whether it is an old one; (0,) = none.
     """
 
     uv_px: Array
@@ -119,6 +120,7 @@ class Crossings:
     tilt_rad: Array
     tilt_sigma_rad: Array
     common_cov_m2: Array
+    sample_gray: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
 
     def __len__(self) -> int:
         return len(self.crossing_type)
@@ -137,6 +139,14 @@ class Motion:
         failure: None, or why there is no motion (prev_from_curr is then a prediction).
         restarted: odometry goes on from this frame without having tied it to the last good one, so what was
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
+        prior_cov: (3, 3) of prev_from_curr before anything was seen in this frame: what prediction alone knew.
+        by_wheels: the prediction is the wheels'.
+        alternatives: (A, 3) other displacements prev_from_curr that this view fits too: whole tiles or quarter turns
+            off. Those are left out that are less likely than the rate of error that odometry may have.
+        log_ratio: (A,) logarithm of how much likelier the view is at each of them than at prev_from_curr; what the
+            prediction thinks of them is not in it.
+        doubt: probability that the displacement is another, such as one too long for the views to be compared; 0 where
+            nothing gave reason to look.
     """
 
     prev_from_curr: Displacement
@@ -145,6 +155,11 @@ class Motion:
     rms_m: float
     failure: str | None = None
     restarted: bool = False
+    prior_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    by_wheels: bool = False
+    alternatives: Array = field(default_factory=lambda: np.empty((0, 3)))
+    log_ratio: Array = field(default_factory=lambda: np.empty(0))
+    doubt: float = 0.0
 
     @property
     def ok(self) -> bool:
@@ -193,8 +208,8 @@ class Observations:
     def __len__(self) -> int:
         return len(self.label)
 
-    def of(self, which: NDArray[np.bool_]) -> Observations:
-        """The features `which` (K,), with the same heading."""
+    def of(self, which: NDArray[np.bool_] | Ints) -> Observations:
+        """The features `which`, a mask (K,) or indices, with the same heading."""
         return replace(
             self,
             xy_base_m=self.xy_base_m[which],
@@ -206,16 +221,45 @@ class Observations:
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
-    """The map as estimated: ids (L,), xy_map_m (L, 2), cov_m2 (L, 2, 2), crossing_type (L,), sightings (L,)."""
+    """The map as estimated.
+
+    Attributes:
+        ids, crossing_type: (L,).
+        xy_map_m, cov_m2: (L, 2) and (L, 2, 2).
+        sightings: (L,) how often each was seen.
+        expected: (L,) how often each was in view and should have been seen; at least `sightings`, which it is where
+            nobody counted (an empty array is given).
+    """
 
     ids: Ints
     xy_map_m: Array
     cov_m2: Array
     crossing_type: Ints
     sightings: Ints
+    expected: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        counted = np.maximum(self.expected, self.sightings) if len(self.expected) else self.sightings
+        object.__setattr__(self, "expected", counted)
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def visibility(self) -> Array:
+        """(L,) chance that a view shows a landmark that is in it; the mean of a uniform prior after the counts."""
+        return np.asarray((self.sightings + 1.0) / (self.expected + 2.0), np.float64)
+
+    def of(self, which: NDArray[np.bool_] | Ints) -> Landmarks:
+        """The landmarks `which`: a mask (L,), or their indices in the order wanted."""
+        return Landmarks(
+            self.ids[which],
+            self.xy_map_m[which],
+            self.cov_m2[which],
+            self.crossing_type[which],
+            self.sightings[which],
+            self.expected[which],
+        )
 
 
 @dataclass(frozen=True, slots=True)

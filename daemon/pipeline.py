@@ -6,7 +6,7 @@ run, a replay and a test do the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,15 @@ import numpy as np
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
+from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
+from ceilvo.daemon.odometry.cross_checks.suspicion import Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry, VisualOdometryState
+from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
-from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter
-from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
+from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.line_finder import LineFinderState
 from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, Motion, Observations, Pose, WheelMotion
@@ -37,10 +40,10 @@ class PipelineState:
     vision: LineFinderState
     odometry: VisualOdometryState
     dead_reckoning: DeadReckoningState
-    schedule: ScheduleState
     relocaliser: RelocaliserState
     filter: Any
     states: StateMachineState
+    checks: CrossChecksState = field(default_factory=CrossChecksState)
 
 
 class Pipeline:
@@ -53,15 +56,16 @@ class Pipeline:
         self.vision = CrossingFinder(calibration, config.features)
         self.odometry = VisualOdometry(config.odometry)
         self.dead_reckoning = DeadReckoning(process)
-        self.schedule = UpdateSchedule(settings)
         self.relocaliser = Relocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
+        self.checks = CrossChecks(config)
         self.seq = 0
         self.reset()
 
     def step(self, frame: Frame, wheels: WheelMotion | None = None, on_stage_done: OnStageDone = ignore) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
-        expected = self.odometry.expected(self.dead_reckoning.elapsed_s(frame.stamp_ns), wheels)
+        elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
+        expected = self.odometry.expected(elapsed_s, self.checks.usable_wheels(wheels, elapsed_s))
         crossings = self.vision(frame, expected, on_stage_done)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done)
 
@@ -74,38 +78,37 @@ class Pipeline:
         missing: str = NO_LINES,
     ) -> Estimate:
         """step() from what was seen in a frame; without crossings, why they are missing."""
-        motion = self.odometry.step(crossings, self.dead_reckoning.elapsed_s(stamp_ns), wheels, missing)
+        elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)
+        usable = self.checks.admit(crossings, wheels, elapsed_s)
+        motion = self.odometry.step(usable.crossings, elapsed_s, usable.wheels, usable.missing or missing)
+        suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s)
+        crossings = usable.crossings
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
-        self.schedule.travelled(track.moved_m, track.turned_rad)
-        self.relocaliser.travelled(track)  # a blind path is a doubt
-        if track.final is not None:
-            self.filter.predict(track.final)
+        self.relocaliser.travelled(track, 0 if crossings is None else len(crossings))
+        jump = suspicions.gravest(Severity.IN_DOUBT)
+        if jump is not None:
+            self.relocaliser.suspect(jump.reason, jump.jump_m)
         view = None
         if crossings is not None and len(crossings) and track.gap is None:
-            view = self._update(stamp_ns, crossings)
+            view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
-        return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view)
-
-    def _update(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
-        """Weigh what is seen against the map, when it is news or the pose is in doubt."""
-        due = self.schedule.due(stamp_ns, self.relocaliser.view_period_s)
-        if not due and self.relocaliser.hypothesis is None:
-            return None
-        view = self.relocaliser.see(crossings)
-        admitted = self.relocaliser.admit(view)
-        if admitted is not None:
-            self.filter.update(admitted)
-        if due:
-            self.relocaliser.weigh(view)
-        return view
+        return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view, suspicions)
 
     def _estimate(
-        self, stamp_ns: int, motion: Motion, track: Track, crossings: int, view: Observations | None
+        self,
+        stamp_ns: int,
+        motion: Motion,
+        track: Track,
+        crossings: int,
+        view: Observations | None,
+        suspicions: Suspicions,
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
-        pose, cov = track.carry(Pose(pose), cov)
-        hypothesis = self.relocaliser.hypothesis
+        landmarks = self.filter.size()
+        pose, cov = self.checks.ahead(*track.carry(Pose(pose), cov))
+        path = self.dead_reckoning.state
+        degraded = suspicions.gravest(Severity.DEGRADED)
         evidence = Evidence(
             stamp_ns=stamp_ns,
             motion_ok=motion.ok,
@@ -118,8 +121,8 @@ class Pipeline:
             nis_dof=health.nis_dof if view is not None else 0,
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
-            relocalising=health.mode_weight < SURE or (hypothesis is not None and not hypothesis.usable),
-            unconfirmed="" if hypothesis is None else hypothesis.reason,
+            in_doubt=self.relocaliser.doubt,
+            suspected="" if degraded is None else degraded.reason,
         )
         verdict = self.states.step(evidence)
         self.seq += 1
@@ -128,15 +131,15 @@ class Pipeline:
             stamp_ns=stamp_ns,
             pose=pose,
             cov=cov,
-            odom=self.dead_reckoning.state.odom,
-            twist=self.dead_reckoning.state.twist,
+            odom=path.odom,
+            twist=path.twist,
             state=verdict.state,
             quality=verdict.quality,
             reason=verdict.reason,
             motion=motion,
             health=health,
             crossings=crossings,
-            landmarks=len(self.filter.landmarks()),
+            landmarks=landmarks,
         )
 
     # -- what the outside may ask or say
@@ -153,33 +156,36 @@ class Pipeline:
             self.vision.state,
             self.odometry.state,
             self.dead_reckoning.state,
-            self.schedule.state,
             self.relocaliser.state,
             self.filter.state,
             self.states.state,
+            self.checks.state,
         )
 
     @state.setter
     def state(self, state: PipelineState) -> None:
         self.seq, self.vision.state, self.odometry.state = state.seq, state.vision, state.odometry
-        self.dead_reckoning.state, self.schedule.state = state.dead_reckoning, state.schedule
+        self.dead_reckoning.state = state.dead_reckoning
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
+        self.checks.state = state.checks
 
     def reset(self, keep_map: bool = False) -> None:
         """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without."""
         cfg = self.config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
         known = self.filter.landmarks() if keep_map else None
+        doubt = Doubt("the pose was reset", np.diag(START_SIGMA**2), doubts.RESET_WRONG, np.inf)
         self.odometry.state = VisualOdometryState()
         self.vision.state = LineFinderState()
         self.dead_reckoning.restart()
-        self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known)
-        self.schedule.restart()
+        self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known, doubt)
         self.states.reset("started")
+        self.checks.restart()
 
     def set_pose(self, pose: Pose, cov: Array, reason: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
-        self.relocaliser.start_at(pose, cov, self.filter.landmarks())
+        doubt = Doubt(reason, cov, doubts.GIVEN_WRONG, np.inf)
+        self.relocaliser.start_at(pose, cov, self.filter.landmarks(), doubt)
         self._begin(reason)
 
     def load_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Pose, cov: Array) -> None:
@@ -189,5 +195,4 @@ class Pipeline:
 
     def _begin(self, reason: str) -> None:
         self.dead_reckoning.settle()
-        self.schedule.restart()
         self.states.reset(reason)

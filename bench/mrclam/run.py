@@ -17,9 +17,9 @@ import numpy as np
 from ceilvo.bench.mrclam.data import Run, World
 from ceilvo.bench.mrclam.noise import Noise
 from ceilvo.bench.paper.run import known_map, labels_of, mahalanobis2, rms
+from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.rigid import rigid_motion
-from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.se2 import between, transform
 from ceilvo.types import Array, Displacement, Ints, Landmarks, Motion, Observations

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ceilvo.daemon.slam.pose_filter import COUNTERS
+from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.se2 import rotation, transform, wrap
 from ceilvo.types import Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
@@ -87,6 +88,15 @@ class EkfNearestNeighbour:
         cov = np.array([self._p[3 + 2 * i : 5 + 2 * i, 3 + 2 * i : 5 + 2 * i] for i in show]).reshape(-1, 2, 2)
         xy = self._x[3:].reshape(-1, 2)[show]
         return Landmarks(show.astype(np.int64), xy, cov, self._kind[show], self._sightings[show])
+
+    def jump(self, pose: Array, cov: Array) -> None:
+        self.reset(pose, cov, self.landmarks())
+
+    def size(self) -> int:
+        return len(self.landmarks())
+
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        return landmarks_near(self.landmarks(), xy_m, reach_m)
 
     def particles(self) -> tuple[Array, Array]:
         return self._x[None, :3].copy(), np.ones(1)

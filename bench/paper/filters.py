@@ -8,8 +8,8 @@ import numpy as np
 
 from ceilvo.bench.paper.ekf import EkfNearestNeighbour
 from ceilvo.bench.paper.world import Setting
+from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
 from ceilvo.config import Filter
-from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
 from ceilvo.daemon.slam.pose_filter import PoseFilter, mean_and_cov, spread
 from ceilvo.errors import ConfigError

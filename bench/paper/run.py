@@ -196,7 +196,7 @@ def evidence(f: PoseFilter, step: int, seen: int) -> Evidence:
         nis_dof=d.nis_dof,
         ess_ratio=d.ess / d.particles,
         landmarks_matched=d.nis_dof // 2,
-        relocalising=d.mode_weight < SURE,
+        in_doubt="searching" if d.mode_weight < SURE else "",
     )
 
 

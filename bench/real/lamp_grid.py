@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calibration import Calibration
-from ceilvo.daemon.vision.crossings import to_ceiling
+from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.types import Array
 
 _BRIGHT = 127  # grey level; half of 255, as the frames hold 0 and 255 alone (SOURCE.txt)

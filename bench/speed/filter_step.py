@@ -21,11 +21,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ceilvo.bench.paper.run import known_map
+from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
 from ceilvo.bench.results.bars import Bar, as_json, table
 from ceilvo.bench.results.store import one_thread
 from ceilvo.bench.speed import filter_step_peers as peers
 from ceilvo.config import Filter
-from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic

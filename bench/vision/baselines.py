@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.daemon.odometry.rigid import rigid_motion
-from ceilvo.daemon.vision.crossings import to_ceiling
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]

@@ -13,10 +13,9 @@ from ceilvo import se2
 from ceilvo.calib.session.common import check_size
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.sigma import MIN_CIRCLES, MIN_PER_CIRCLE, Errors
-from ceilvo.calib.solve.station import in_base
 from ceilvo.calib.targets.ceiling_view import CeilingReader
 from ceilvo.calib.targets.sources import Picture, Source
-from ceilvo.calibration import Calibration, mount_angles
+from ceilvo.calibration import Calibration, in_base, mount_angles
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]

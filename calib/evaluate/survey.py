@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calib.solve.station import in_base
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, in_base
 from ceilvo.daemon.integrity.staleness import MIN_UPDATES
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Crossings, Estimate

@@ -11,9 +11,8 @@ from ceilvo import se2
 from ceilvo.calib.solve.sigma import Errors
 from ceilvo.calib.solve.tile_grid import tile_index
 from ceilvo.calib.targets.ceiling_view import GridView
-from ceilvo.calibration import Calibration, mount_angles
+from ceilvo.calibration import Calibration, in_base, mount_angles
 from ceilvo.daemon.odometry.rigid import rigid_motion
-from ceilvo.daemon.vision.crossings import to_ceiling
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -38,11 +37,6 @@ class Station:
 
     label: str
     views: list[GridView]
-
-
-def in_base(calibration: Calibration, uv_px: Array) -> Array:
-    """(N, 2) raw pixels to metres on the ceiling in base."""
-    return to_ceiling(calibration.ceiling_from_level, calibration.level_view.from_raw(uv_px))
 
 
 def errors_against_grid(

@@ -107,7 +107,7 @@ class Odometry:
     )
     max_turn_radps: float = key(3.5, "faster turning is a failure", low=0.05, high=20.0)
     max_turn_accel_radps2: float = key(
-        10.0,
+        40.0,
         "a turn that the last twist contradicts by more than this angular acceleration is a failure",
         low=0.1,
         high=1000.0,
@@ -117,9 +117,18 @@ class Odometry:
     )
     noise_theta_rad: float = key(0.000005, "standard deviation added to every step in heading", low=0.0, high=0.1)
     coast_accel_mps2: float = key(
-        0.5, "acceleration assumed while vision is out: covariance grows with it", low=0.01, high=10.0
+        0.8,
+        "standard deviation of a slow robot's acceleration while vision is out: covariance grows with it",
+        low=0.01,
+        high=10.0,
     )
-    coast_turn_radps2: float = key(0.5, "angular acceleration assumed while vision is out", low=0.01, high=20.0)
+    coast_turn_radps2: float = key(1.0, "the same of its angular acceleration", low=0.01, high=20.0)
+    max_delay_s: float = key(
+        0.2,
+        "pictures later than the wheels by more are an error; shorter delays are found while driving and taken out",
+        low=0.05,
+        high=0.5,
+    )
 
 
 @dataclass(frozen=True)
@@ -161,7 +170,12 @@ class Filter:
     update_period_s: float = key(1.0, "or after this much time", low=0.0, high=60.0)
     association_gate_m: float = key(0.20, "largest distance of a feature from its landmark", low=0.01, high=1.0)
     birth_sightings: int = key(3, "sightings that confirm a landmark", low=1, high=20)
-    max_landmarks: int = key(2000, "landmarks kept", low=10, high=100000)
+    max_landmarks: int = key(
+        200_000,
+        "landmarks in the map; in a full one nothing new is learnt, and the log says so",
+        low=10,
+        high=2_000_000,
+    )
     initial_pose_x_m: float = key(0.0, "pose in map at start", low=-1e5, high=1e5)
     initial_pose_y_m: float = key(0.0, "pose in map at start", low=-1e5, high=1e5)
     initial_pose_theta_deg: float = key(0.0, "pose in map at start", low=-360.0, high=360.0)
@@ -178,6 +192,9 @@ class States:
     nis_high: float = key(3.0, "mean NIS per degree of freedom above this is DEGRADED", low=1.0, high=100.0)
     nis_lost: float = key(
         12.0, "mean NIS per degree of freedom above this for nis_frames updates is LOST", low=1.0, high=1000.0
+    )
+    false_place_rate: float = key(
+        1e-4, "chance at most that a place which is called good is a wrong one", low=1e-9, high=0.1
     )
     nis_frames: int = key(10, "updates that must agree before NIS changes the state", low=1, high=1000)
 

@@ -62,6 +62,7 @@ _STOP_S = 1.0
 _TRIM_NS = 60 * 10**9
 """Between returns of free memory to the system; chosen: so seldom it costs nothing."""
 _SILENT = "the camera gives no frames"
+_MAP_FULL = "the map is full: nothing new is learnt; raise filter.max_landmarks, or reset the map"
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ class Daemon:
         self._stop = threading.Event()
         self._crashes: queue.SimpleQueue[BaseException] = queue.SimpleQueue()
         self._first_frame_ns: int | None = None
+        self._map_full = False
         self._camera_reason = "camera not opened yet"
         self._store = Store.choose(config.service.state_dir)
         self._recording = recording_of(
@@ -229,6 +231,9 @@ class Daemon:
         self._outputs.health(
             state, self._telemetry.uptime_s, {**self._telemetry.counters(), **self._recorder_counters()}
         )
+        if not self._map_full and self._estimator.counters()["map_full"]:
+            self._map_full = True
+            self._outputs.event("map", _MAP_FULL, logging.WARNING)
 
     def _report_status(self, state: State) -> None:
         self._notifier.status(self._telemetry.status_line(state, self._camera_reason))

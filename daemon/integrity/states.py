@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from ceilvo.config import States
+from ceilvo.daemon.relocalisation.relocaliser import AMBIGUOUS
 from ceilvo.types import State
 
 LEAVE_RATIO = 0.8
@@ -37,8 +38,9 @@ class Evidence:
         nis_dof: its degrees of freedom; 0 = the landmarks were not used on this frame.
         ess_ratio: effective sample size over the number of particles.
         landmarks_matched: observations that a landmark explained; needed to confirm a relocalisation.
-        relocalising: the filter is searching, so the pose is one hypothesis among several.
-        unconfirmed: why landmarks have yet to confirm the pose, "" when they need not.
+        in_doubt: why the robot may be at another place than the pose says, "" while that is less likely than
+            states.false_place_rate.
+        suspected: what picture, wheels and stamps say against each other, "" for nothing.
     """
 
     stamp_ns: int
@@ -52,8 +54,8 @@ class Evidence:
     nis_dof: int = 0
     ess_ratio: float = 1.0
     landmarks_matched: int = 0
-    relocalising: bool = False
-    unconfirmed: str = ""
+    in_doubt: str = ""
+    suspected: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +128,7 @@ class StateMachine:
     def step(self, evidence: Evidence) -> Verdict:
         s = self.state
         self._update(evidence)
-        if evidence.relocalising:
+        if evidence.in_doubt:
             self._drop_evidence()
         state, cause, reason = self._decide(evidence)
         if state is not s.current or cause not in ("", s.cause):
@@ -163,12 +165,11 @@ class StateMachine:
         heading_deg = math.degrees(e.heading_sigma_rad)
         self._set_above("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
         self._set_above("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
-        text = f"{e.unconfirmed}, not confirmed by landmarks yet"
-        self._set("unconfirmed", bool(e.unconfirmed), not e.unconfirmed, text)
+        self._set("suspected", bool(e.suspected), not e.suspected, e.suspected)
         self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
-        s.confirmed |= not e.relocalising and e.landmarks_matched > 0
+        s.confirmed |= not e.in_doubt and e.landmarks_matched > 0
         hold = math.exp(-elapsed_s / cfg.dead_reckoning_s) if cfg.dead_reckoning_s > 0 else 0.0
         now = _score(cfg.degraded_inliers, e.inliers) if e.motion_ok else 0.0
         s.vision_score = max(now, s.vision_score * hold)
@@ -198,8 +199,8 @@ class StateMachine:
         """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
         cfg, s = self._cfg, self.state
         state = s.current
-        if e.relocalising:
-            return State.RELOCALISING, "relocalising", self._search_reason()
+        if e.in_doubt:
+            return State.RELOCALISING, "ambiguous" if AMBIGUOUS in e.in_doubt else "in doubt", e.in_doubt
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:
             return State.LOST, lost, s.conditions[lost]
@@ -213,14 +214,10 @@ class StateMachine:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
-        cause = self._first_cause("nis", "unconfirmed", "sigma", "heading", "inliers")
+        cause = self._first_cause("nis", "suspected", "sigma", "heading", "inliers")
         if cause:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
-
-    def _search_reason(self) -> str:
-        why = self.state.reason if self.state.cause == "reset" else "searching"
-        return f"{why}: a hypothesis until landmarks confirm it"
 
     def _without_vision(self, e: Evidence) -> tuple[State, str, str]:
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9

@@ -23,17 +23,22 @@ class Track:
     Attributes:
         final: motion since the last final one; None while a gap lasts.
         gap: predicted motion that is not final yet; None when there is none.
-        blind_m: length of the path since the last final motion but one that no vision measured.
-        blind_cov: (3, 3) what prediction alone knew of it.
+        blind_m: length of the path since the last final motion, this one included.
+        blind_cov: (3, 3) what prediction alone knew of it, however many frames failed on it or did not come.
         moved_m, turned_rad: of this frame alone.
+        blind_s: time since the last frame that gave a final motion; the time between two frames where none failed.
+        by_wheels: wheels covered all of that time.
     """
 
     final: Motion | None
     gap: Motion | None
     blind_m: float
+    blind_s: float
     blind_cov: Array
     moved_m: float
     turned_rad: float
+    blind_s: float
+    by_wheels: bool
 
     def carry(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
         """A pose (3,) with cov (3, 3) at the last final motion, moved over the gap."""
@@ -52,7 +57,7 @@ class DeadReckoningState:
         odom: (3,) odom_from_base, which no map corrects.
         twist: (3,) in base, of the last good motion.
         gap: predictions since the last final motion; None when there are none.
-        blind_m: length of the path in that gap.
+        blind_m, blind_s: length and time of the path in that gap.
     """
 
     stamp_ns: int | None = None
@@ -60,6 +65,7 @@ class DeadReckoningState:
     twist: Twist = field(default_factory=lambda: Twist(np.zeros(3)))
     gap: Motion | None = None
     blind_m: float = 0.0
+    blind_s: float = 0.0
 
 
 class DeadReckoning:
@@ -78,32 +84,49 @@ class DeadReckoning:
         """Take in the motion of the frame at stamp_ns."""
         s, dt_s = self.state, self.elapsed_s(stamp_ns)
         s.stamp_ns = stamp_ns
-        if motion.ok and dt_s > 0:
-            s.twist = Twist(motion.prev_from_curr / dt_s)
         s.odom = Pose(se2.compose(s.odom, motion.prev_from_curr))
         gap = NO_MOTION if s.gap is None else s.gap
         moved = Displacement(se2.compose(gap.prev_from_curr, motion.prev_from_curr))
-        cov, blind_cov = motion.cov, gap.cov
+        before, step = gap.prev_from_curr, motion.prev_from_curr
+        blind_cov = se2.compose_cov(before, gap.cov, step, motion.prior_cov)
+        cov = motion.cov if motion.ok else se2.compose_cov(before, gap.cov, step, motion.cov)
+        by_wheels = gap.by_wheels and motion.by_wheels
         moved_m = float(np.hypot(*motion.prev_from_curr[:2]))
-        if not motion.ok:
-            cov = blind_cov = se2.compose_cov(gap.prev_from_curr, gap.cov, motion.prev_from_curr, motion.cov)
-            s.blind_m += moved_m
-        turned_rad = abs(float(motion.prev_from_curr[2]))
-        if not (motion.ok or motion.restarted):
-            s.gap = replace(motion, prev_from_curr=moved, cov=cov)
-            return Track(None, s.gap, s.blind_m, blind_cov, moved_m, turned_rad)
-        final = replace(motion, prev_from_curr=moved, cov=cov + self._process_cov)
-        blind_m = s.blind_m
-        self.settle()
-        return Track(final, None, blind_m, blind_cov, moved_m, turned_rad)
+        s.blind_m += moved_m
+        s.blind_s += dt_s
+        if motion.ok and s.blind_s > 0:
+            s.twist = Twist(moved / s.blind_s)
+        whole = replace(
+            motion,
+            prev_from_curr=moved,
+            cov=cov,
+            prior_cov=blind_cov,
+            by_wheels=by_wheels,
+            alternatives=se2.compose(gap.prev_from_curr, motion.alternatives) if motion.doubt else motion.alternatives,
+        )
+        final = motion.ok or motion.restarted
+        track = Track(
+            final=replace(whole, cov=whole.cov + self._process_cov) if final else None,
+            gap=None if final else whole,
+            blind_m=s.blind_m,
+            blind_cov=blind_cov,
+            moved_m=moved_m,
+            turned_rad=abs(float(motion.prev_from_curr[2])),
+            blind_s=s.blind_s,
+            by_wheels=by_wheels,
+        )
+        s.gap = track.gap
+        if final:
+            self.settle()
+        return track
 
     def settle(self) -> None:
         """Whatever is predicted in a gap no longer matters: the pose is another."""
-        self.state.gap, self.state.blind_m = None, 0.0
+        self.state.gap, self.state.blind_m, self.state.blind_s = None, 0.0, 0.0
 
     def restart(self) -> None:
         """A new odom frame; time goes on."""
         self.state = DeadReckoningState(stamp_ns=self.state.stamp_ns)
 
 
-NO_MOTION = Motion(Displacement(np.zeros(3)), np.zeros((3, 3)), 0, 0.0)
+NO_MOTION = Motion(Displacement(np.zeros(3)), np.zeros((3, 3)), 0, 0.0, by_wheels=True)

@@ -2,7 +2,8 @@
 
 Features are predicted from the last motion (or the wheels), matched to the last good frame, cleaned by a homography
 and by the residuals of the rigid fit. After a failure the last good frame stays the reference and the prediction
-grows with the gap, so one bad frame costs nothing but covariance.
+grows with the gap, so one bad frame costs nothing but covariance. Where the prediction leaves room for whole tiles,
+or a view fits worse than usual, all displacements that fit are weighed (alternatives.py).
 """
 
 from __future__ import annotations
@@ -11,33 +12,43 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import quarter_turns, turned_type
+from ceilvo.daemon.odometry.alternatives import Prior, find_candidates
+from ceilvo.daemon.odometry.coasting import LastTwist, coast
+from ceilvo.daemon.odometry.course import Course, contradicted, off_course
 from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
-from ceilvo.daemon.odometry.homography import consistent
-from ceilvo.daemon.odometry.matching import mutual_nearest
-from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
-from ceilvo.robust import median
-from ceilvo.types import Crossings, Displacement, Ints, Motion, WheelMotion
-
-Array = NDArray[np.float64]
+from ceilvo.daemon.odometry.registration import Registration, direction_change, register, view_size_m
+from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
+from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
 _MAX_FAILED_FRAMES = 8
 """Frames in a row that fit no reference before the newest becomes it; chosen: 0.27 s at 30 Hz."""
-_TWIST_DECAY_S = 1.0
-"""Time constant of the twist while vision is out; chosen: a robot that hears that its pose is bad stops in about it."""
-_COURSE_SIGMAS = 5.0
-"""Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
-_MIN_AGREEING = 1.0 / 3.0
-"""Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
+_REACH_SIGMAS = 4.0
+"""How many standard deviations off its prediction the robot may be; a normal error is beyond once in 3000 gaps."""
+_NARROW_RAD = 0.25 * np.pi
+"""A turn that is predicted better than this is known from lines, which show it but for quarter turns."""
+_REFINE_M = 0.05
+"""Match radius around a displacement that many crossings voted for; chosen: several bins of the votes."""
+_FALSE_RATE = 1e-4
+"""Rate at which a displacement may be wrong that is reported without alternatives; the stated one of the daemon."""
+_CARRIED_PS = 1e-4
+"""Chance per second that somebody moves the robot, or that wheels say something else altogether; chosen: thrice in an
+eight-hour shift. Alternatives beyond all prediction are weighed with it."""
+_UNUSUAL_SIGMAS = 3.0
+"""Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
+are looked at; chosen: half a per cent of a lap's frames cost the look."""
+_USUAL_FRAMES = 45.0
+"""Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
+_MOST_USUAL = 0.4
+"""Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
+_MOVED_RAD = 0.25 * np.pi
+"""Standard deviation of the heading of a robot that was put somewhere else; chosen: any of the quarters."""
 _NEW_ERROR = 0.6
 """Part of a direction's or tilt's error that is new in a frame; the rest is the same lines' in the next and cancels.
 Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
-_MIN_VIEW_M = 1e-9
-"""Crossings all in one place: not divided by 0."""
+_NONE = np.empty((0, 3))
 
 
 @dataclass(slots=True)
@@ -52,6 +63,12 @@ class VisualOdometryState:
         twist: (3,) [m/s, m/s, rad/s] in base, of the last good step.
         twist_known: whether there was one since odometry last began anew.
         heading: difference between the rotations of lines and points.
+        ref_cov: (3, 3) of ref_from_prev.
+        twist_span_s: time over which the twist was measured.
+        since_twist_s: time from its end to the previous frame.
+        by_wheels: wheels have covered all since the reference.
+        refused: (3,) ref_from_prev of the previous frame, when that was a motion that no robot makes; else None.
+        disagreeing: usual fraction of the crossings that both frames must show but do not agree.
     """
 
     reference: Crossings | None = None
@@ -61,6 +78,30 @@ class VisualOdometryState:
     twist: Array = field(default_factory=lambda: np.zeros(3))
     twist_known: bool = False
     heading: HeadingState = field(default_factory=HeadingState)
+    ref_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    twist_span_s: float = 0.0
+    since_twist_s: float = 0.0
+    by_wheels: bool = True
+    refused: Array | None = None
+    disagreeing: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A registration to the reference, or why there is none; what else fits, as in Motion but from the reference.
+
+    Attributes:
+        jump: the displacement that no robot makes, where that is why.
+        out_of_view: the robot is likelier to have left the reference's view than to be anywhere in it.
+    """
+
+    place: Registration | None
+    failure: str = ""
+    others: Array = field(default_factory=lambda: _NONE)
+    log_ratio: Array = field(default_factory=lambda: np.empty(0))
+    doubt: float = 0.0
+    jump: Array | None = None
+    out_of_view: bool = False
 
 
 class VisualOdometry:
@@ -95,153 +136,167 @@ class VisualOdometry:
             A Motion; where it failed, prev_from_curr is the prediction and cov is the variance of that. A
             good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
-        predicted = wheels.prev_from_curr if wheels is not None else self._decayed_twist() * dt_s
-        if crossings is None:
-            return self._dead_reckon(predicted, dt_s, wheels, missing)
-        if len(crossings) < self._config.min_inliers:
-            return self._dead_reckon(predicted, dt_s, wheels, f"only {len(crossings)} crossings")
+        predicted = self._predicted(dt_s, wheels)
+        if crossings is None or len(crossings) < self._config.min_inliers:
+            self.state.refused = None
+            return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
         if self.state.reference is None:
             self._set_reference(crossings)
             still = Displacement(np.zeros(3))
             return Motion(still, self._noise_floor(), len(crossings), 0.0, "first frame", restarted=True)
-        fit, failure = self._register(crossings, se2.compose(self.state.ref_from_prev, predicted), dt_s)
-        if fit is None:
-            return self._after_failure(crossings, self._dead_reckon(predicted, dt_s, wheels, failure))
-        motion = se2.between(self.state.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
-        cov = fit.cov + self._noise_floor()
-        cov[:2, :2] += _NEW_ERROR**2 * (self.state.reference.common_cov_m2 + crossings.common_cov_m2)
-        self.state.twist = fit.b_from_a / (self.state.since_ref_s + dt_s)
-        self.state.twist_known = True
-        self._set_reference(crossings)
-        return Motion(Displacement(motion), cov, int(np.count_nonzero(fit.used)), fit.rms_m)
+        course = self._course(predicted, dt_s)
+        found = self._find(self.state.reference, crossings, course)
+        if found.place is None:
+            self.state.refused = found.jump
+            return self._after_failure(crossings, self._coast(predicted, dt_s, found.failure), found.out_of_view)
+        return self._accept(self.state.reference, crossings, course, found, predicted)
 
-    def _set_reference(self, crossings: Crossings) -> None:
-        self.state.reference, self.state.ref_from_prev = crossings, np.zeros(3)
-        self.state.since_ref_s, self.state.failed_frames = 0.0, 0
+    # -- before the view
+
+    def _predicted(self, dt_s: float, wheels: WheelMotion | None) -> Motion:
+        """The motion of dt_s by wheels or coasting, which has failed until a view confirms it."""
+        s = self.state
+        if wheels is not None:
+            return Motion(wheels.prev_from_curr, wheels.cov, 0, 0.0, "", prior_cov=wheels.cov, by_wheels=True)
+        last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
+        moved, cov = coast(self._config, last, dt_s)
+        cov = cov + self._noise_floor()
+        return Motion(moved, cov, 0, 0.0, "", prior_cov=cov)
+
+    def _course(self, predicted: Motion, dt_s: float) -> Course:
+        s = self.state
+        return Course(
+            guess=se2.compose(s.ref_from_prev, predicted.prev_from_curr),
+            cov=se2.compose_cov(s.ref_from_prev, s.ref_cov, predicted.prev_from_curr, predicted.cov),
+            elapsed_s=s.since_ref_s + dt_s,
+            step_s=dt_s,
+            twist=s.twist if s.twist_known else None,
+            span_s=s.twist_span_s,
+            by_wheels=s.by_wheels and predicted.by_wheels,
+            refused=s.refused,
+        )
 
     def _noise_floor(self) -> Array:
         """(3, 3) covariance of a step that no residual shows."""
         xy, theta = self._config.noise_xy_m, self._config.noise_theta_rad
         return np.diag([xy * xy, xy * xy, theta * theta])
 
-    def _register(self, crossings: Crossings, guess: Array, dt_s: float) -> tuple[RigidFit | None, str]:
-        """ref_from_curr by matching near the guess, or why there is none."""
-        ref, cfg = self.state.reference, self._config
-        if ref is None:
-            return None, "no reference"
-        turn = _direction_change(ref.psi_rad, crossings.psi_rad, float(guess[2]))
-        guess = np.array([guess[0], guess[1], turn])
-        kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
-        i, j = mutual_nearest(
-            se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, cfg.match_radius_m
-        )
-        if len(i) < cfg.min_inliers:
-            return None, f"{len(i)} of {len(crossings)} crossings matched, {cfg.min_inliers} needed"
-        good = consistent(crossings.uv_px[i], ref.uv_px[j], cfg.ransac_px)
-        i, j = i[good], j[good]
-        if len(i) == 0:
-            return None, "no consistent correspondences"
-        seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
-        fit = robust_rigid_motion(
-            seen,
-            before,
-            cfg.residual_sigmas,
-            cfg.residual_max_m,
-            cfg.min_inliers,
-            [median_translation(seen, before, turn, ref.psi_rad)],
-            _independent_sigma_m(crossings, i) + _independent_sigma_m(ref, j),
-        )
-        if fit is None:
-            return None, "too few consistent correspondences"
-        failure = (
-            self._implausible(fit.b_from_a, turn, self.state.since_ref_s + dt_s)
-            or self._off_course(fit, dt_s)
-            or _too_few_agree(fit, crossings, ref)
-        )
+    # -- the view
+
+    def _find(self, ref: Crossings, crossings: Crossings, course: Course) -> _Found:
+        """The view on the reference: near the prediction where that suffices, else wherever it fits."""
+        turn = direction_change(ref.psi_rad, crossings.psi_rad, float(course.guess[2]))
+        guess = np.array([course.guess[0], course.guess[1], turn])
+        near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config)
+        narrow = course.reach_rad(_REACH_SIGMAS) < _NARROW_RAD
+        narrow &= course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
+        if narrow and near is not None and self._is_usual(near):
+            return self._judged(_Found(near), course)
+        return self._among(ref, crossings, course, turn, near, why)
+
+    def _is_usual(self, near: Registration) -> bool:
+        """Whether no more crossings disagree than chance and passing things explain."""
+        usual = self.state.disagreeing * near.expected
+        return near.expected - near.agreeing <= usual + _UNUSUAL_SIGMAS * math.sqrt(usual + 1.0)
+
+    def _among(
+        self, ref: Crossings, crossings: Crossings, course: Course, turn: float, near: Registration | None, why: str
+    ) -> _Found:
+        """The likeliest of all displacements that fit, with the others that may be right."""
+        chance = min(_CARRIED_PS * course.elapsed_s, 1.0)
+        known = None if near is None else near.fit.b_from_a
+        found = find_candidates(ref, crossings, turn, Prior(course.guess, course.cov, chance), known)
+        place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
+        if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
+            why = why or (near is not None and contradicted(near, self._config)) or "nothing fits the last good view"
+            return _Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
+        if place is None:
+            place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config)
+        if place is None:
+            return _Found(None, why)
+        doubt = found.doubt()
+        others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
+        ratio = found.log_ratio[others] - found.log_ratio[0]
+        return self._judged(_Found(place, "", found.ref_from_curr[others], ratio, doubt), course)
+
+    def _judged(self, found: _Found, course: Course) -> _Found:
+        """The same, refused where the view contradicts it or no robot makes it."""
+        if found.place is None:
+            return found
+        failure = contradicted(found.place, self._config)
         if failure:
-            return None, failure
-        sigma_rad = _NEW_ERROR * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
-        best = HeadingFusion(self.state.heading).fuse(turn, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
-        if best.of_points:
-            return fit.with_rotation(best.theta_rad, best.sigma_rad), ""
-        return with_known_rotation(fit, seen, before, best.theta_rad, best.sigma_rad), ""
+            return _Found(None, failure)
+        failure = off_course(found.place.fit, found.doubt < _FALSE_RATE, course, self._config)
+        return _Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
 
-    def _implausible(self, ref_from_curr: Array, turn: float, elapsed_s: float) -> str:
-        cfg = self._config
-        off = abs(se2.wrap(float(ref_from_curr[2]) - turn))
-        travel = float(np.hypot(ref_from_curr[0], ref_from_curr[1]))
-        if off > cfg.heading_gate_rad:
-            return f"rotation of points and of lines differ by {off:.3f} rad"
-        if travel > cfg.max_speed_mps * elapsed_s:
-            return f"moved {travel:.3f} m in {elapsed_s:.3f} s"
-        if abs(ref_from_curr[2]) > cfg.max_turn_radps * elapsed_s:
-            return f"turned {abs(ref_from_curr[2]):.3f} rad in {elapsed_s:.3f} s"
-        return ""
-
-    def _after_failure(self, crossings: Crossings, motion: Motion) -> Motion:
-        """After several frames that do not fit the reference, go on from here; the covariance grows accordingly."""
-        self.state.failed_frames += 1
-        if self.state.failed_frames < _MAX_FAILED_FRAMES:
-            return motion
+    def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: _Found, predicted: Motion) -> Motion:
+        s, place = self.state, found.place
+        assert place is not None
+        fit = self._fused(ref, crossings, place)
+        motion = se2.between(s.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
+        cov = fit.cov + self._noise_floor()
+        cov[:2, :2] += _NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
+        alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else _NONE
+        s.twist, s.twist_span_s = fit.b_from_a / course.elapsed_s, course.elapsed_s
+        s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
+        share = min(max(1.0 - place.agreeing / max(place.expected, 1.0), 0.0), _MOST_USUAL)
+        s.disagreeing += (share - s.disagreeing) / _USUAL_FRAMES
         self._set_reference(crossings)
-        self.state.twist_known = False
-        self.state.heading = HeadingState()
-        return replace(motion, restarted=True)
-
-    def _off_course(self, fit: RigidFit, dt_s: float) -> str:
-        """Neighbouring lines that change places: a jump that is consistent in itself, but that no robot makes."""
-        if not self.state.twist_known:
-            return ""
-        elapsed_s = self.state.since_ref_s + dt_s
-        off = fit.b_from_a - self.state.twist * elapsed_s
-        off_m, off_rad = float(np.hypot(off[0], off[1])), abs(se2.wrap(float(off[2])))
-        noise_m = _COURSE_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
-        noise_rad = _COURSE_SIGMAS * math.sqrt(fit.cov[2, 2])
-        if off_m > self._config.max_accel_mps2 * elapsed_s**2 + noise_m:
-            return f"jumped {off_m:.3f} m off its course within {elapsed_s:.3f} s"
-        if off_rad > self._config.max_turn_accel_radps2 * elapsed_s**2 + noise_rad:
-            return f"turned {off_rad:.3f} rad off its course within {elapsed_s:.3f} s"
-        return ""
-
-    def _decayed_twist(self) -> Array:
-        """The last twist, fading with the gap: a robot that hears that its pose is bad will stop."""
-        return np.asarray(self.state.twist * np.exp(-self.state.since_ref_s / _TWIST_DECAY_S))
-
-    def _dead_reckon(self, predicted: Array, dt_s: float, wheels: WheelMotion | None, reason: str) -> Motion:
-        start_s = self.state.since_ref_s
-        self.state.since_ref_s += dt_s
-        self.state.ref_from_prev = se2.compose(self.state.ref_from_prev, predicted)
-        if wheels is not None:
-            return Motion(wheels.prev_from_curr, wheels.cov, 0, 0.0, reason)
-        # an unknown constant acceleration displaces by a t^2 / 2; its variance, split over the steps of the gap
-        spread_s4 = 0.25 * (self.state.since_ref_s**4 - start_s**4)
-        xy, theta = self._config.coast_accel_mps2**2 * spread_s4, self._config.coast_turn_radps2**2 * spread_s4
-        return Motion(
-            Displacement(np.asarray(predicted, np.float64)),
-            np.diag([xy, xy, theta]) + self._noise_floor(),
-            0,
-            0.0,
-            reason,
+        return replace(
+            predicted,
+            prev_from_curr=Displacement(motion),
+            cov=cov,
+            inliers=place.agreeing,
+            rms_m=fit.rms_m,
+            failure=None,
+            alternatives=alternatives,
+            log_ratio=found.log_ratio,
+            doubt=found.doubt,
         )
 
+    def _fused(self, ref: Crossings, crossings: Crossings, place: Registration) -> RigidFit:
+        """The fit with the rotation to report, by lines or points."""
+        fit = place.fit
+        sigma_rad = _NEW_ERROR * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
+        fusion = HeadingFusion(self.state.heading)
+        best = fusion.fuse(place.turn_rad, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
+        if best.of_points:
+            return fit.with_rotation(best.theta_rad, best.sigma_rad)
+        return with_known_rotation(fit, place.seen, place.before, best.theta_rad, best.sigma_rad)
 
-def _too_few_agree(fit: RigidFit, crossings: Crossings, ref: Crossings) -> str:
-    """A motion that few of the crossings share which both frames must show: a part that fits by chance."""
-    view_m = 2.0 * float(np.median(np.hypot(*(ref.xy_base_m - ref.xy_base_m.mean(axis=0)).T)))
-    overlap = max(1.0 - float(np.hypot(*fit.b_from_a[:2])) / max(view_m, _MIN_VIEW_M), 0.0)
-    most, used = min(len(crossings), len(ref)), int(np.count_nonzero(fit.used))
-    return f"{used} of {most} crossings moved alike" if used < _MIN_AGREEING * overlap * most else ""
+    def _set_reference(self, crossings: Crossings) -> None:
+        s = self.state
+        s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
+        s.since_ref_s, s.failed_frames, s.by_wheels, s.refused = 0.0, 0, True, None
 
+    # -- without a motion
 
-def _independent_sigma_m(crossings: Crossings, which: Ints) -> float:
-    """Median standard deviation of the crossings `which`, m, without the part that all of a frame share."""
-    cov, common = crossings.cov_base_m2, crossings.common_cov_m2
-    own = cov[which, 0, 0] + cov[which, 1, 1] - (common[0, 0] + common[1, 1])
-    return math.sqrt(max(0.5 * median(own), 0.0))
+    def _coast(self, predicted: Motion, dt_s: float, why: str) -> Motion:
+        """The prediction in place of a motion."""
+        s = self.state
+        s.ref_cov = se2.compose_cov(s.ref_from_prev, s.ref_cov, predicted.prev_from_curr, predicted.cov)
+        s.ref_from_prev = se2.compose(s.ref_from_prev, predicted.prev_from_curr)
+        s.since_ref_s += dt_s
+        s.since_twist_s += dt_s
+        s.by_wheels &= predicted.by_wheels
+        if predicted.by_wheels and dt_s > 0.0:  # they also say how it goes on without them
+            s.twist, s.twist_span_s, s.since_twist_s = predicted.prev_from_curr / dt_s, dt_s, 0.0
+        return replace(predicted, failure=why)
 
+    def _after_failure(self, crossings: Crossings, motion: Motion, out_of_view: bool) -> Motion:
+        """Where the reference is out of view, or several frames did not fit it, go on from here.
 
-def _direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
-    """ref_from_curr rotation from the change of dominant direction: the branch modulo 90 deg nearest the prediction."""
-    change = psi_ref - psi_curr
-    branch = np.round((predicted - change) / (0.5 * np.pi))
-    return float(change + branch * 0.5 * np.pi)
+        Frames that the prediction would have fit, but did not, show another place: somebody moved the robot.
+        """
+        s = self.state
+        s.failed_frames += 1
+        if s.reference is None or not (out_of_view or s.failed_frames >= _MAX_FAILED_FRAMES):
+            return motion
+        cov = motion.cov
+        if not out_of_view:
+            away = 0.5 * view_size_m(s.reference)
+            cov = cov + np.diag([away**2, away**2, _MOVED_RAD**2])
+        self._set_reference(crossings)
+        s.twist_known = False
+        s.heading = HeadingState()
+        return replace(motion, cov=cov, prior_cov=cov, restarted=True)

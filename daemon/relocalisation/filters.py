@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ceilvo.config import Filter
-from ceilvo.daemon.relocalisation.recovering_filter import RecoveringFilter
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
 from ceilvo.daemon.slam.paper.ukf import UkfRule
@@ -18,5 +17,5 @@ def make_filter(settings: Filter, rng: np.random.Generator) -> PoseFilter:
     if settings.method == "ukf":
         return JointFilter(settings, rng, UkfRule(settings))
     if settings.method == "pfcf":
-        return RecoveringFilter(JointFilter(settings, rng, PfcfRule(settings)))
+        return JointFilter(settings, rng, PfcfRule(settings))
     return FastSlam(settings, rng)

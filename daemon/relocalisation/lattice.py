@@ -1,4 +1,4 @@
-"""On a periodic ceiling a pose whole tiles off sees nearly the same: the shifts, and the belief in each."""
+"""On a periodic ceiling a pose whole tiles or quarter turns off sees nearly the same: which poses those are."""
 
 from __future__ import annotations
 
@@ -6,125 +6,119 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.daemon.slam.pose_filter import normalised
-from ceilvo.se2 import rotation
-from ceilvo.types import Array, Landmarks
+from ceilvo.crossing_types import turned_type
+from ceilvo.se2 import compose, rotation, wrap, wrap_array
+from ceilvo.types import Array, Landmarks, Observations
 
-SAMPLE = 144
-"""Landmarks that periods are looked for among; chosen for time, which grows with its square."""
-REACH_M = 1.6
-"""Longest period; office tiles are 0.3 to 1.25 m."""
-BIN_M = 0.04
-"""Shifts that differ by less are one; a few sigmas of a landmark."""
-SHORTEST_M = 0.15
-"""Landmarks nearer than this are the two edges of one joint, not a period."""
-FEWEST_SHIFTS = 8
-"""Of fewer pairs no period is concluded; chosen."""
-FEWEST_LANDMARKS = 6
-"""A map of fewer confirms no pose; chosen."""
 SMALLEST_TILE_M = 0.28
 """The smallest tiles made are 0.3 m; nearer landmarks of one type are the two edges of a joint."""
-REACH_TILES = 3
-"""Tiles that a pose may be off along each axis and be noticed; further takes the place search."""
-CERTAIN = 0.95
-"""Weight from which a map in the making takes another shift for certain; chosen."""
-TINY = 1e-300
-"""In place of a weight of zero, whose logarithm there is not."""
-PERIODIC = 0.35
-"""Fraction of the landmarks that must have a neighbour of their kind at a shift for it to be a period."""
-SLIP_CHANCE, SLIP_CHANCE_2_SIGMA, SLIP_CHANCE_3_SIGMA, SLIP_CHANCE_MAPPING = 1e-4, 0.05, 0.2, 0.01
-"""Chance per update that the pose is a tile further: always; when the NIS is beyond 2 sigma; beyond 3 sigma or twice in
-a row; the same while a map is made, which grew along the robot's path and so is tied to its tile. Chosen."""
-SAME_BINS = 1.5
-"""Shifts within so many bins vote for one period."""
+LARGEST_TILE_M = 3.0
+"""Landmarks further apart say nothing of a period: beyond it few would be in one view."""
+ALIGNED_M = 0.04
+"""Two landmarks lie in one row of the lattice where they differ by less across it: a few sigmas of both."""
+FEWEST_PAIRS = 4
+"""Of fewer pairs no period is concluded; chosen."""
+MOST_SHIFTS = 33
+"""Tiles along a side of the square of shifts at most: 16 either way, 4.8 m of the smallest tiles."""
+_QUARTER = 0.5 * np.pi
 
 
-def periods(landmarks: Landmarks) -> Array:
-    """(P, 2) two shortest shifts, not parallel, under which much of the map looks the same; (0, 2) without period."""
-    pick = np.arange(len(landmarks)) if len(landmarks) <= SAMPLE else np.arange(SAMPLE) * (len(landmarks) // SAMPLE)
-    at, kind = landmarks.xy_map_m[pick], landmarks.crossing_type[pick]
-    if len(landmarks) > SAMPLE:  # a compact part, for neighbours must be in it
-        centre = landmarks.xy_map_m[len(landmarks) // 2]
-        pick = np.argsort(np.hypot(*(landmarks.xy_map_m - centre).T), kind="stable")[:SAMPLE]
-        at, kind = landmarks.xy_map_m[pick], landmarks.crossing_type[pick]
-    off = at[:, None] - at[None]
-    length = np.hypot(off[..., 0], off[..., 1])
-    near = (kind[:, None] == kind[None]) & (length > SHORTEST_M) & (length < REACH_M) & (off[..., 0] > -BIN_M)
-    shifts = off[near]
-    if len(shifts) < FEWEST_SHIFTS:
-        return np.empty((0, 2))
-    votes = np.array([np.sum(np.hypot(*(shifts - s).T) < SAME_BINS * BIN_M) for s in shifts[: 2 * SAMPLE]])
-    good = votes > PERIODIC * len(at)
-    found = shifts[: 2 * SAMPLE][good]
-    return _basis(np.array([np.mean(shifts[np.hypot(*(shifts - s).T) < SAME_BINS * BIN_M], axis=0) for s in found]))
-
-
-def _basis(shifts: Array) -> Array:
-    if not len(shifts):
-        return np.empty((0, 2))
-    order = np.argsort(np.hypot(*shifts.T), kind="stable")
-    first = shifts[order[0]]
-    for i in order[1:]:
-        second = shifts[i]
-        cross = first[0] * second[1] - first[1] * second[0]
-        if abs(cross) > 0.5 * float(np.hypot(*first) * np.hypot(*second)):
-            return np.array([first, second])
-    return np.asarray(first[None], np.float64)
-
-
-def neighbours(basis: Array) -> Array:
-    """(S, 2) no shift first, then all to the neighbouring tiles."""
-    if not len(basis):
-        return np.zeros((1, 2))
-    n = np.array(np.meshgrid(*[[0, 1, -1]] * len(basis), indexing="ij")).reshape(len(basis), -1).T
-    return np.asarray(n @ basis, np.float64)
-
-
-@dataclass(slots=True)
-class LatticeBelief:
-    """Belief in each shift; the first is none.
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Periods (2,) along the map's axes, 0 where there is none, the axes' direction, and what is periodic.
 
     Attributes:
-        shifts: (S, 2).
-        weight: (S,), sums to one.
+        phase_m: (2,) where the landmarks of the commonest type lie in a tile, along the axes.
+        crossing_type: that type.
     """
 
-    shifts: Array
-    weight: Array
+    tile_m: Array
+    axis_rad: float
+    phase_m: Array
+    crossing_type: int
 
     @staticmethod
-    def at_home(shifts: Array) -> LatticeBelief:
-        """Sure of no shift."""
-        return LatticeBelief(shifts, np.eye(1, len(shifts))[0])
+    def of(landmarks: Landmarks, axis_rad: float) -> Lattice | None:
+        """None where the landmarks show no period along either axis."""
+        if not len(landmarks):
+            return None
+        common = int(np.argmax(np.bincount(landmarks.crossing_type)))
+        at = landmarks.xy_map_m[landmarks.crossing_type == common] @ rotation(axis_rad)
+        tile = np.array([_period(at), _period(at[:, ::-1])])
+        if not np.any(tile):
+            return None
+        return Lattice(tile, axis_rad, _phase(at, tile), common)
 
-    def weigh(self, log_likelihood: Array, chance: float) -> None:
-        """(S,) of one view at all shifts, with the chance that the pose slipped since the last."""
-        n = max(len(self.shifts) - 1, 1)
-        mixed = (1.0 - chance) * self.weight + chance * (1.0 - self.weight) / n
-        self.weight = normalised(np.log(np.maximum(mixed, TINY)) + log_likelihood)
+    def shifts(self, reach_m: float) -> Array:
+        """(S, 2) all whole tiles within reach, none of them zero."""
+        counts = [min(int(reach_m / t), MOST_SHIFTS // 2) if t > 0 else 0 for t in self.tile_m]
+        i, j = np.meshgrid(*(np.arange(-n, n + 1) for n in counts), indexing="ij")
+        steps = np.column_stack([i.ravel() * self.tile_m[0], j.ravel() * self.tile_m[1]])
+        length = np.hypot(steps[:, 0], steps[:, 1])
+        return np.asarray(steps[(length > 0) & (length <= reach_m)] @ rotation(self.axis_rad).T)
 
-    def settle(self) -> None:
-        """Begin anew where another shift is nearly certain: a map in the making ends, and a tile back all is mapped."""
-        best = int(np.argmax(self.weight))
-        if best and self.weight[best] >= CERTAIN:
-            self.weight = np.eye(1, len(self.shifts))[0]
+    def aligned(self, pose: Array, view: Observations, turn: int = 0) -> Array:
+        """(3,) the nearest pose, so many quarter turns clockwise, from which what is seen lies on the lattice."""
+        theta = wrap(view.heading_rad - turn * _QUARTER)
+        there = np.array([pose[0], pose[1], theta])
+        there[:2] += self._misfit(there, view, turn)
+        return there
+
+    def rivals(self, pose: Array, view: Observations, reach_m: float, turned: bool) -> Array:
+        """(M, 3) rival_from_tracked: takes an aligned pose (3,) to each that sees the lattice as well, itself left out.
+
+        Args:
+            turned: also quarter turns about the robot.
+        """
+        shifts = self.shifts(reach_m)
+        poses = [np.column_stack([pose[:2] + shifts, np.full(len(shifts), pose[2])])]
+        for turn in (1, 2, 3) if turned else ():
+            there = self.aligned(pose, view, turn)
+            poses += [np.column_stack([there[:2] + shifts, np.full(len(shifts), there[2])]), there[None]]
+        return rival_from_tracked(np.concatenate(poses), pose)
+
+    def _misfit(self, pose: Array, view: Observations, turn: int) -> Array:
+        """(2,) in map, by how much a pose must move for what it sees of the lattice to lie on it."""
+        seen = view.xy_base_m[turned_type(view.crossing_type, turn) == self.crossing_type]
+        if not len(seen):
+            return np.zeros(2)
+        at = (seen @ rotation(float(pose[2])).T + pose[:2]) @ rotation(self.axis_rad)
+        off, tile = self.phase_m - _phase(at, self.tile_m), np.where(self.tile_m > 0, self.tile_m, np.inf)
+        off = np.where(self.tile_m > 0, off - np.round(off / tile) * self.tile_m, 0.0)
+        return np.asarray(off @ rotation(self.axis_rad).T)
 
 
-def tile_shifts(landmarks: Landmarks, map_axis_rad: float) -> Array:
-    """(K, 2) whole tiles along and across the map's axes, up to 3 away, K = 48, or 0 where the map shows no tiles."""
-    xy = landmarks.xy_map_m
-    if len(landmarks) < FEWEST_LANDMARKS:
-        return np.zeros((0, 2))
-    kinds, counts = np.unique(landmarks.crossing_type, return_counts=True)
-    same = xy[landmarks.crossing_type == kinds[np.argmax(counts)]]
-    if len(same) < FEWEST_LANDMARKS:
-        return np.zeros((0, 2))
-    apart = np.hypot(same[:, None, 0] - same[None, :, 0], same[:, None, 1] - same[None, :, 1])
-    apart[apart < SMALLEST_TILE_M] = np.inf  # itself, and the other edge of the same joint
-    nearest = np.min(apart, axis=1)
-    if not np.any(np.isfinite(nearest)):
-        return np.zeros((0, 2))
-    tile = float(np.median(nearest[np.isfinite(nearest)]))
-    reach = range(-REACH_TILES, REACH_TILES + 1)
-    steps = np.array([(i, j) for i in reach for j in reach if (i, j) != (0, 0)], np.float64)
-    return np.asarray(tile * steps @ rotation(map_axis_rad).T)
+def rival_from_tracked(poses: Array, tracked: Array) -> Array:
+    """(M, 3) transforms in map that take the tracked pose (3,) to poses (M, 3); they stay as the robot moves.
+
+    They turn by whole quarters, as the lines say; a small angle times the distance to the origin would be large.
+    """
+    turn = np.round((poses[:, 2] - tracked[2]) / _QUARTER) * _QUARTER
+    c, s = np.round(np.cos(turn)), np.round(np.sin(turn))
+    x, y = tracked[:2]
+    return np.column_stack([poses[:, 0] - (c * x - s * y), poses[:, 1] - (s * x + c * y), wrap_array(turn)])
+
+
+def rival_poses(rivals: Array, tracked: Array) -> Array:
+    """(M, 3) poses of rivals (M, 3) for a tracked pose (3,)."""
+    out = np.asarray(compose(rivals, np.broadcast_to(tracked, rivals.shape)))
+    out[:, 2] = wrap_array(out[:, 2])
+    return out
+
+
+def _period(at: Array) -> float:
+    """Median distance along the first axis from a landmark to the next in its row; 0 where there is none."""
+    order = np.lexsort([at[:, 0], np.round(at[:, 1] / (2.0 * ALIGNED_M))])
+    step = np.diff(at[order], axis=0)
+    good = (np.abs(step[:, 1]) < ALIGNED_M) & (step[:, 0] > SMALLEST_TILE_M) & (step[:, 0] < LARGEST_TILE_M)
+    return float(np.median(step[good, 0])) if np.count_nonzero(good) >= FEWEST_PAIRS else 0.0
+
+
+def _phase(at: Array, tile: Array) -> Array:
+    """(2,) circular mean of places in a tile."""
+    out = np.zeros(2)
+    for k in range(2):
+        if tile[k] > 0:
+            angle = at[:, k] * (2.0 * np.pi / tile[k])
+            out[k] = np.arctan2(np.mean(np.sin(angle)), np.mean(np.cos(angle))) * tile[k] / (2.0 * np.pi)
+    return out

@@ -1,45 +1,58 @@
-"""Which place on the map: doubts about the tracked pose, and the hypothesis that views confirm or replace.
-
-A hypothesis must not teach the map: what it does not explain would be learnt and then confirm it.
-"""
+"""Which place on the map: one belief over all that are possible, weighed by every view."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
-from ceilvo.daemon.relocalisation import view_score
-from ceilvo.daemon.relocalisation.hypothesis_test import PoseHypothesis, Source, convincing
-from ceilvo.daemon.relocalisation.lattice import FEWEST_LANDMARKS, tile_shifts
-from ceilvo.daemon.relocalisation.place_search import search_places
+from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.relocalisation.coverage import Coverage
+from ceilvo.daemon.relocalisation.doubts import Doubt
+from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence
+from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.map_survey import MapSurvey
+from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.slam.association import associate
-from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter
-from ceilvo.daemon.slam.spatial_index import IndexedMap
-from ceilvo.se2 import wrap
-from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Landmarks, Observations, Pose
+from ceilvo.daemon.slam.pose_filter import PoseFilter
+from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
+from ceilvo.se2 import transform, wrap, wrap_array
+from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 
-CLOSE_SIGMA_M = 0.12
-"""A pose given so closely is within a fraction of any tile (2.5 sigma of half a tile of 0.6 m)."""
-UNSURE_M, UNSURE_RAD = 0.15, 0.5
-"""A path that may be so far off (3 sigma) may have led to another tile (half of 0.3 m) or quarter turn (30 deg)."""
-SIGMAS = 3.0
-"""How many standard deviations a robot can be from where it is believed."""
-SLIP_FRACTION = 0.3
-"""Of a blind path, what wheels may have slipped in one direction; chosen."""
-REACH_M = 0.3
-"""Added to how far the robot can be: half a tile of 0.6 m."""
-JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
-"""[m, m, rad] of a pose that a search proposes: its raster is 0.1 m, its headings are the lines'."""
-MUCH_BETTER = 4
-"""Features that another place must explain more in one view to be tried when the hypothesis is hopeless; chosen."""
-CONTRADICTIONS = 2
-"""Views in a row that must contradict the map before the pose is in doubt; one may be a passing lamp."""
 VIEW_PERIOD_S = 0.1
-"""A standing robot that has to confirm its pose looks so often."""
+"""A standing robot whose place is in doubt looks so often."""
+CONTRADICTION = "what is seen contradicts the map"
+AMBIGUOUS = "ambiguous"
+"""Begins the reason while several places of the map are likely."""
+SPOT_VIEWS = 5
+"""Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
+MARGIN_PX = 50.0
+"""A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
+ALIKE = 0.05
+"""Share of the belief from which a place is named among those that look alike; chosen."""
+FEWEST_VIEWS = 3
+"""Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
+SURPRISE = -3.0
+"""Log-likelihood ratio of a view below which rivals of a place that was sure are weighed; 1 view in 100 (docs)."""
+FRESH_SPOTS = 12
+"""While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
+WATCH_M = 2.0
+"""How far those are looked for; chosen: three tiles, as a robot that jumps without a trace does not jump far."""
+HALF = 0.5
+"""A view of which the map explains less teaches nothing."""
+FEWEST_KNOWN = 10
+"""Features on known ground that it takes to say so; chosen."""
+CONVINCING = 0.85
+"""While the place is in doubt a view corrects the pose where so much of it is explained; chosen."""
+MOST_FOUND = 16_384
+"""Places that a view is found at; chosen for time."""
+PLACES_PER_M2 = 4.0 / 0.6**2
+"""Places of a map that a view may be from: four headings on every tile of 0.6 m."""
+JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
+"""[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 
 
 @dataclass(slots=True)
@@ -47,14 +60,28 @@ class RelocaliserState:
     """All that a Relocaliser remembers besides its filter's state.
 
     Attributes:
-        hypothesis: the pose is assumed, and this is how well; None while it is believed.
-        contradictions: views in a row that contradicted the map.
+        belief: over places.
+        pending: what may have happened since the last view that could be weighed.
+        reason: why the place is in doubt, "" while it is not.
+        views: weighed since the last doubt.
+        gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
+        looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
+        survey: of the map, to find a place on it.
+        schedule: when a view is news.
     """
 
-    hypothesis: PoseHypothesis | None = None
-    contradictions: int = 0
+    belief: PlaceBelief = field(default_factory=PlaceBelief)
+    pending: Doubt | None = None
+    reason: str = ""
+    views: int = 0
+    gapped: bool = False
+    jumped: bool = False
     map_axis_rad: float | None = None
+    looked: Coverage = field(default_factory=Coverage)
+    spots: int = 0
+    survey: MapSurvey = field(default_factory=MapSurvey)
+    schedule: ScheduleState = field(default_factory=ScheduleState)
 
 
 class Relocaliser:
@@ -64,133 +91,240 @@ class Relocaliser:
         self.filter = filter_
         self._calibration = calibration
         self._settings = config.filter
-        self._nis_high = config.states.nis_high
+        self._rate = config.states.false_place_rate
+        self._visible_m = visible_polygon(calibration, MARGIN_PX, config.features.max_view_deg)
+        self._schedule = UpdateSchedule(config.filter)
         self.state = RelocaliserState()
 
     @property
-    def hypothesis(self) -> PoseHypothesis | None:
-        return self.state.hypothesis
+    def state(self) -> RelocaliserState:
+        self._state.schedule = self._schedule.state
+        return self._state
+
+    @state.setter
+    def state(self, state: RelocaliserState) -> None:
+        self._state, self._schedule.state = state, state.schedule
+
+    # -- what it says
 
     @property
-    def view_period_s(self) -> float:
-        """How long after a view the next one is news to a robot that stands."""
-        h, period_s = self.state.hypothesis, self._settings.update_period_s
-        if h is None or h.close or h.source is Source.SEARCHED:
-            return period_s
-        return min(VIEW_PERIOD_S, period_s)
+    def sure(self) -> bool:
+        """Whether the tracked place may be called good."""
+        s = self.state
+        return s.pending is None and s.reason == ""
 
-    def start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None) -> None:
-        """Begin at a pose (3,); with landmarks it is a hypothesis, without them nothing contradicts it."""
+    @property
+    def doubt(self) -> str:
+        """Why the place is not sure, for people; "" while it is."""
+        s = self.state
+        if self.sure:
+            return ""
+        why = s.pending.reason if s.pending is not None else s.reason
+        alike = s.belief.alike(ALIKE)
+        if s.pending is None and alike > 1:
+            return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
+        return f"to be confirmed by landmarks: {why}"
+
+    @property
+    def _view_period_s(self) -> float:
+        """How long after a view the next one is news to a robot that stands."""
+        period_s = self._settings.update_period_s
+        return period_s if self.sure else min(VIEW_PERIOD_S, period_s)
+
+    # -- what happens to the robot
+
+    def start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, doubt: Doubt | None = None) -> None:
+        """Begin at a pose (3,); with landmarks it is a claim that views must bear out."""
         known = landmarks if landmarks is not None and len(landmarks) else None
+        s = self.state
         self.filter.reset(pose, cov, known)
-        self.state.contradictions = 0
+        self._schedule.restart()
+        s.belief, s.views, s.gapped, s.jumped = PlaceBelief(), 0, False, False
+        s.survey.measured_m = np.inf
         if known is None:
-            self.state.map_axis_rad, self.state.hypothesis = None, None
+            self.state = RelocaliserState()
             return
-        sigma_m = float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]))
-        source = Source.GIVEN_CLOSELY if sigma_m < CLOSE_SIGMA_M else Source.GIVEN
-        self.state.hypothesis = PoseHypothesis(source, reach_m=SIGMAS * sigma_m + REACH_M)
+        s.pending = doubt
+        s.reason = "" if doubt is None else doubt.reason
 
     def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float) -> None:
-        """Begin on a map of an earlier run; the robot may have driven on since the pose was stored."""
+        """Begin on a map of an earlier run; the robot may have been moved since the pose was stored."""
+        doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf)
+        self.start_at(pose, cov, landmarks, doubt)
         self.state.map_axis_rad = map_axis_rad
-        self.start_at(pose, cov, landmarks)
-        self.state.hypothesis = PoseHypothesis(Source.GIVEN)
+        self.survey_map()
 
-    def travelled(self, track: Track) -> None:
-        """After a blind path on which the robot may have got another tile off, landmarks must confirm the pose.
+    def survey_map(self) -> None:
+        """Survey a map that came without."""
+        self.state.survey = MapSurvey.of(self.filter.landmarks(), self.state.map_axis_rad or 0.0)
 
-        The motion that ends the gap proves nothing: on a grid it fits whole tiles and quarter turns off as well.
-        """
+    def travelled(self, track: Track, crossings: int) -> None:
+        """The robot went on; a gap in what vision measured of its way is a doubt."""
+        s = self.state
+        s.belief.moved(track.moved_m, track.turned_rad)
+        self._schedule.travelled(track.moved_m, track.turned_rad)
+        s.survey.measured_m += track.moved_m
+        if track.gap is not None:
+            s.gapped, s.jumped = True, s.jumped or crossings >= FEWEST_KNOWN
         if track.final is None:
             return
-        cov, blind_m = track.blind_cov, track.blind_m
-        drift_m = SIGMAS * float(np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0)))
-        turned_rad = SIGMAS * float(np.sqrt(max(cov[2, 2], 0.0)))
-        if drift_m + SLIP_FRACTION * blind_m <= UNSURE_M and turned_rad <= UNSURE_RAD:
-            return
-        usable = drift_m <= UNSURE_M and turned_rad <= UNSURE_RAD
-        reach_m = drift_m + blind_m + REACH_M
-        if self.state.hypothesis is not None:
-            self.state.hypothesis = self.state.hypothesis.after_gap(usable, reach_m)
-        elif len(self.filter.landmarks()) >= FEWEST_LANDMARKS:
-            self._end_search()
-            self.state.hypothesis = PoseHypothesis(Source.DEAD_RECKONED if usable else Source.BLIND, reach_m, blind_m)
+        self.filter.predict(track.final)
+        gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
+        s.gapped = s.jumped = False
+        if gapped or track.final.doubt > 0.0:
+            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped, track.final.doubt))
 
-    def _end_search(self) -> None:
-        """One search at a time: the filter's own waits for labels that a hypothesis gives and takes."""
-        pose, cov, health = self.filter.estimate()
-        if health.mode_weight < SURE:
-            self.filter.reset(pose, cov + np.diag(JUMP_SIGMA**2), self.filter.landmarks())
+    def suspect(self, reason: str, reach_m: float) -> None:
+        """Something says that the robot may have got elsewhere, at most so far."""
+        self._raise(Doubt(reason, elsewhere=doubts.JUMPED, reach_m=reach_m))
 
-    def see(self, crossings: Crossings) -> Observations:
-        """Crossings as observations of the map; their labels are left to a filter that is searching."""
-        if self.state.hypothesis is not None:
-            self._end_search()
-        pose, _, health = self.filter.estimate()
-        if self.state.map_axis_rad is None:
-            self.state.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
-        axis, landmarks = self.state.map_axis_rad, self.filter.landmarks()
-        noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
-        view = associate(crossings, noise, mount_xy_m, pose, landmarks, self._settings, axis)
-        if health.mode_weight >= SURE or self.state.hypothesis is not None:
-            return view
-        return replace(view, label=np.full(len(view), UNLABELLED))
+    def _raise(self, doubt: Doubt) -> None:
+        """Doubts of one gap after another: the largest of each."""
+        s = self.state
+        if s.pending is not None:
+            p = s.pending
+            elsewhere, reach_m = max(p.elsewhere, doubt.elsewhere), p.reach_m + doubt.reach_m
+            doubt = Doubt(doubt.reason, p.cov + doubt.cov, elsewhere, reach_m)
+        if self.filter.size() and not doubts.negligible(doubt, self._rate):
+            s.pending = doubt
 
-    def admit(self, view: Observations) -> Observations | None:
-        """What of a view may teach the filter; None for nothing of it."""
-        if self.state.hypothesis is None:
-            self._watch(view)
-        h = self.state.hypothesis
-        if h is None:
-            return None if self.state.contradictions else view
-        if h.close or convincing(int(np.count_nonzero(view.label >= 0)), len(view)):
-            return view.of(view.label != NO_LANDMARK)
-        return None
+    # -- a view
 
-    def _watch(self, view: Observations) -> None:
-        """A view that contradicts the map teaches nothing; where the next one does too, the pose is in doubt."""
-        pose, _, health = self.filter.estimate()
-        landmarks, s = self.filter.landmarks(), self.state
-        judged = health.mode_weight >= SURE and len(landmarks) >= FEWEST_LANDMARKS
-        contradicts = judged and view_score.contradicted(view, pose, landmarks)
-        s.contradictions = s.contradictions + 1 if contradicts else 0
-        if s.contradictions >= CONTRADICTIONS:
-            s.hypothesis, s.contradictions = PoseHypothesis(Source.CONTRADICTED), 0
+    def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
+        """Weigh what is seen, teach the filter what may be learnt from it; the view, None when it is no news.
 
-    def weigh(self, view: Observations) -> Pose | None:
-        """Judge an assumed pose by views from places that are a little apart; once is enough to believe it.
-
-        Returns:
-            The pose to try instead, None to go on with this one.
+        Where a view shows that the robot is elsewhere, the filter is put there.
         """
-        h = self.state.hypothesis
-        if h is None:
+        s = self.state
+        if not self._schedule.due(stamp_ns, self._view_period_s):
             return None
-        pose, _, health = self.filter.estimate()
-        landmarks = self.filter.landmarks()
-        shifts = np.zeros((0, 2)) if h.close else tile_shifts(landmarks, self.state.map_axis_rad or 0.0)
-        poses = np.tile(pose, (1 + len(shifts), 1))
-        poses[1:, :2] += shifts
-        counts = view_score.explained(IndexedMap(landmarks), poses, view, self._settings.association_gate_m)
-        place = None if h.close else search_places(landmarks, view, pose, h.region(pose))
-        elsewhere = int(np.max(counts[1:], initial=0.0) - counts[0]) if place is None else place.elsewhere - place.here
-        if h.weigh(counts, len(view), elsewhere, health.nis, self._nis_high):
-            self.state.hypothesis = None
-            return None
-        better = h.better()
-        alternative = Pose(pose if better is None else poses[1 + better])
-        if better is not None and (place is None or place.allows(alternative)):
-            return self._jump(h, pose, alternative)
-        if not h.hopeless:
-            return None
-        if place is not None and elsewhere > MUCH_BETTER and convincing(place.explained, len(view)):
-            return self._jump(h, pose, Pose(place.pose))
-        self.state.hypothesis = h.after_gap()
+        view = self._observed(crossings)
+        if self._weigh(view):
+            view = self._observed(crossings)
+        admitted = self._admitted(view)
+        if admitted is not None:
+            self.filter.update(admitted)
+            if self.sure and len(self._visible_m):
+                s.survey.learnt(self.filter, self._visible_m)
+        return view
+
+    def _observed(self, crossings: Crossings) -> Observations:
+        s = self.state
+        pose = self.filter.estimate()[0]
+        if s.map_axis_rad is None:
+            s.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
+        noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
+        near, axis = self.filter.landmarks_near, s.map_axis_rad
+        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, self._visible_m)
+
+    def _weigh(self, view: Observations) -> bool:
+        """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
+        s = self.state
+        self._arrive()
+        if s.pending is None and s.belief.spot_views >= SPOT_VIEWS:
+            return False
+        before = self.filter.estimate()[0]
+        reach_m = WATCH_M if s.pending is None else s.pending.search_m
+        around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0)
+        if s.pending is not None:
+            self._instantiate(s.pending, view, around)
+        evidence = ViewEvidence(view, around, self._worth(view))
+        pose = self.filter.estimate()[0]
+        if len(s.belief) == 1 and evidence.log_ratio(pose[None])[0] < SURPRISE:
+            self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around)
+        if not self.sure and not s.belief.spot_views:
+            self._search(view, pose)
+        s.belief.weigh(self._log_ratio(evidence, pose))
+        s.views += 1
+        return self._decided(pose) or bool(np.any(pose != before))
+
+    def _arrive(self) -> None:
+        """What is seen again from another spot is worth less: the same lamp twice is not two lamps."""
+        s = self.state
+        if not s.belief.at_another_spot:
+            return
+        s.belief.leave_spot()
+        s.looked.show(transform(Pose(self.filter.estimate()[0]), self._visible_m))
+        s.spots += 1
+        if self.sure and s.spots > FRESH_SPOTS:
+            s.looked, s.spots = Coverage(), 0
+
+    def _worth(self, view: Observations) -> Array:
+        at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+        return np.asarray(1.0 / (1.0 + self.state.looked.views(at)))
+
+    def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings) -> None:
+        """List the places where the robot may be after what happened, and how likely each is."""
+        s = self.state
+        if doubt.unmeasured:
+            s.belief.leave_spot()
+            s.looked, s.spots = Coverage(), 0
+        pose = self.filter.estimate()[0]
+        lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
+        if lattice is not None:
+            expected = pose
+            if doubt.unmeasured:
+                pose = lattice.aligned(expected, view)
+                self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
+            rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
+            off = rival_poses(rivals, pose) - expected
+            off[:, 2] = wrap_array(off[:, 2])
+            here = _off(pose, expected)
+            s.belief.add(rivals, doubt.log_odds(off, here))
+            unknown -= doubt.alignment(here, lattice.tile_m) if doubt.unmeasured else 0.0
+        s.belief.doubt_unknown(unknown)
+        s.pending = None
+        if s.belief.doubt() >= self._rate:
+            s.reason, s.views = doubt.reason, 0
+
+    def _search(self, view: Observations, pose: Array) -> None:
+        """List the places of the whole map that this view can be from, each with its part of what is not listed."""
+        s = self.state
+        found = s.survey.index.candidates(view, most=MOST_FOUND)
+        s.belief.cut = not found.complete
+        if not len(found):
+            return
+        poses = s.survey.index.refined(found.pose, view)
+        per_place = np.log(max(s.survey.coverage.area_m2, 1.0) * PLACES_PER_M2)
+        odds = s.belief.unknown - s.belief.log_weight[0] - per_place
+        s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
+
+    def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
+        """(P,) of all places; those far off are looked up in the index, and nothing is missing there."""
+        poses = rival_poses(self.state.belief.places, pose)
+        far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
+        out = np.empty(len(poses))
+        out[~far] = evidence.log_ratio(poses[~far])
+        if np.any(far):
+            out[far] = evidence.log_ratio_in(self.state.survey.index.grid, poses[far])
+        return out
+
+    def _decided(self, pose: Array) -> bool:
+        s = self.state
+        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
+        if winner is not None:
+            s.looked, s.spots = Coverage(), 0
+            self.filter.jump(Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
+        if s.belief.doubt() >= self._rate:
+            s.reason = s.reason or CONTRADICTION
+        elif s.views >= FEWEST_VIEWS:
+            s.reason = ""
+            s.belief.forget()
+        return winner is not None
+
+    def _admitted(self, view: Observations) -> Observations | None:
+        """What of a view may teach the filter; None for nothing of it."""
+        matched = view.label >= 0
+        if self.sure:
+            at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
+            known = self.state.survey.coverage.knows(at)
+            count = int(np.count_nonzero(known))
+            strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
+            return None if strange else view
+        if np.count_nonzero(matched) >= CONVINCING * len(view):
+            return replace(view.of(matched), visible_m=np.empty((0, 2)))  # what is missing here may be there
         return None
 
-    def _jump(self, h: PoseHypothesis, old: Array, pose: Pose) -> Pose:
-        """Another pose is a hypothesis like any other."""
-        self.filter.reset(pose, np.diag(JUMP_SIGMA**2), self.filter.landmarks())
-        self.state.hypothesis = h.jumped(old, pose)
-        return pose
+
+def _off(pose: Array, expected: Array) -> Array:
+    return np.array([pose[0] - expected[0], pose[1] - expected[1], wrap(float(pose[2] - expected[2]))])

@@ -149,8 +149,11 @@ _LANDMARKS: Mapping[str, tuple[str, type, tuple[int, ...]]] = {
     "cov_m2": ("cov_m2", np.float64, (-1, 2, 2)),
     "kind": ("crossing_type", np.int64, (-1,)),
     "sightings": ("sightings", np.int64, (-1,)),
+    "expected": ("expected", np.int64, (-1,)),
 }
 """Columns of a map by their key in JSON: field of Landmarks, dtype and shape."""
+_LATER = ("expected",)
+"""Columns that older recordings lack; Landmarks has defaults for them."""
 
 FrameOf = Callable[[int, int], Frame]
 
@@ -166,7 +169,9 @@ def _read_silence(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
 def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     m = body["landmarks"]
     columns: dict[str, Any] = {
-        name: np.array(m[key], dtype).reshape(shape) for key, (name, dtype, shape) in _LANDMARKS.items()
+        name: np.array(m[key], dtype).reshape(shape)
+        for key, (name, dtype, shape) in _LANDMARKS.items()
+        if key in m or key not in _LATER
     }
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")

@@ -23,8 +23,9 @@ from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.snapshot_v1 import is_v1, upgraded
 from ceilvo.errors import FileFormatError
 
-VERSION = 2
-"""Version 1 (ceilvo 0.1) named classes and private attributes; snapshot_v1 turns it into this one."""
+VERSION = 3
+"""Version 1 (ceilvo 0.1) named classes and private attributes; snapshot_v1 turns it into version 2, which had one
+hypothesis about the place, and a filter that searched by itself."""
 _BAD_TREE = (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError)
 _T = TypeVar("_T")
 
@@ -56,7 +57,10 @@ def restore(pipeline: Pipeline, tree: Any) -> None:
     try:
         method = pipeline.config.filter.method
         if is_v1(tree):
-            tree = {"version": VERSION, "method": method, "state": upgraded(tree)}
+            tree = {"version": 2, "method": method, "state": upgraded(tree)}
+        older = tree["version"] == 2
+        if older:
+            tree = {"version": VERSION, "method": tree["method"], "state": _from_v2(tree["state"])}
         if tree["version"] != VERSION:
             raise SnapshotError(f"pipeline state: version {tree['version']}, expected {VERSION}; use a newer ceilvo")
         if tree["method"] != method:
@@ -64,8 +68,19 @@ def restore(pipeline: Pipeline, tree: Any) -> None:
                 f"pipeline state: of filter.method {tree['method']}, expected {method}; replay it with that one"
             )
         pipeline.state = _read(tree["state"], PipelineState, pipeline.state)
+        if older:
+            pipeline.relocaliser.survey_map()
     except _BAD_TREE as e:
         raise SnapshotError(f"pipeline state: {type(e).__name__} {e}; of another version, or damaged") from e
+
+
+def _from_v2(state: Any) -> Any:
+    """A hypothesis becomes a place in doubt; what was counted for it is lost."""
+    old, filter_ = state["relocaliser"], state["filter"]
+    reason = "" if old["hypothesis"] is None else "a hypothesis in an older recording"
+    relocaliser = {"map_axis_rad": old["map_axis_rad"], "reason": reason, "schedule": state["schedule"]}
+    kept = {name: value for name, value in state.items() if name != "schedule"}
+    return {**kept, "relocaliser": relocaliser, "filter": filter_.get("tracker", filter_)}
 
 
 def value_json(value: object) -> bytes:

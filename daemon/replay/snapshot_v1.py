@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.hypothesis_test import Source
-
 Tree = dict[str, Any]
 
 
@@ -101,27 +99,6 @@ def _pipeline(f: Tree) -> Tree:
     }
 
 
-def _hypothesis(f: Tree) -> Tree:
-    why, blind_m = f["why"], 0.0
-    if f["found"]:
-        source = Source.SEARCHED
-    elif why.endswith("m driven blind"):
-        source, blind_m = Source.DEAD_RECKONED if f["carried"] else Source.BLIND, float(why.split()[0])
-    elif why:
-        source = Source.CONTRADICTED
-    else:
-        source = Source.GIVEN_CLOSELY if f["sure"] else Source.GIVEN
-    counts = {"seen": f["_seen"], "views": f["_views"], "elsewhere": f["_elsewhere"], "lead": f["_ahead_of_map"]}
-    return {
-        "source": source.value,
-        "reach_m": f["reach_m"],
-        "blind_m": blind_m,
-        "expected_from_assumed": f["home_from_map"],
-        "explained": f["_explained"],
-        **counts,
-    }
-
-
 def _joint_filter(f: Tree) -> Tree:
     return {
         "rng": f["_rng"],
@@ -139,19 +116,7 @@ def _joint_filter(f: Tree) -> Tree:
 def _pfcf(f: Tree) -> Tree:
     rule = _renamed(displacement_m="_way", travel_m="_reported_m", slipping="_slipping", white="_white")(f)
     rule["ess"], rule["fit_residual"] = f["_health"]
-    lattice = f["_tiles"]
-    if lattice is not None:
-        lattice = dict(zip(("size", "map", "belief"), lattice, strict=True))
-    return {
-        "tracker": _joint_filter(f) | {"rule": rule},
-        "refused": f["_refused"],
-        "surprised": f["_surprises"],
-        "chance": f["_chance"],
-        "settled": f["_settled"],
-        "lattice": lattice,
-        "search": f["_bank"],
-        "alternatives": f["_rivals"],
-    }
+    return _joint_filter(f) | {"rule": rule}
 
 
 def _fast_slam(f: Tree) -> Tree:
@@ -203,7 +168,7 @@ _CLASSES: Mapping[str, Callable[[Tree], Tree]] = {
         confirmed="_confirmed",
     ),
     "_Agreement": _renamed(count="_votes", holds="holds"),
-    "Confirmation": _hypothesis,
+    "Confirmation": _same,
     "Motion": _same,
     "Crossings": _typed,
     "Landmarks": _typed,
@@ -225,18 +190,7 @@ _CLASSES: Mapping[str, Callable[[Tree], Tree]] = {
     ),
     "KnownMap": _renamed(landmarks="landmarks", cell_m="_cell_m"),
     "Tiles": _same,
-    "Bank": _renamed(
-        map="_map",
-        reach_m="_reach",
-        region="_region",
-        convinced="_convinced",
-        champion="_champion",
-        fading="_told",
-        mean="mean",
-        cov="cov",
-        log_weight="log_weight",
-        explained="explained",
-    ),
+    "Bank": _same,
     "ParticleMaps": _renamed(
         **_ARRAYS,
         mean="_mean",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,9 +12,11 @@ from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
 from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.matching import mutual_nearest
-from ceilvo.se2 import transform, wrap
+from ceilvo.se2 import rotation, transform, wrap
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Ints, Landmarks, Observations, frozen
 
+Near = Callable[[Array, float], tuple[Ints, Landmarks]]
+"""Labels and landmarks within a reach of the box around points (M, 2), see PoseFilter.landmarks_near."""
 SIGMA_FLOOR_M = 1e-4
 """No curve is trusted below this."""
 VAR_FLOOR = 1e-12
@@ -27,8 +31,12 @@ DUPLICATE_FRACTION = 0.25
 """No landmark is born nearer to one of its kind than this fraction of the association gate."""
 EXPIRES_UPDATES = 20
 """A feature seen too rarely and not again for so many updates is forgotten; chosen."""
+MOST_FEATURES = 64
+"""Of one view that a filter is updated with, and that are born of it, whatever it shows; chosen: the golden drives show
+26 to 81, half of them more than 58 on the lap, and more of one view say little more (K features count as K^0.5)."""
 _GRID = 257
 """Samples of a noise curve between its radii; 256 steps over 3 m are 12 mm each."""
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def sigma(curves: NoiseCurves, r_m: Array) -> tuple[Array, Array]:
@@ -59,9 +67,10 @@ def associate(
     curves: NoiseCurves,
     mount_xy_m: Array,
     pose: Array,
-    landmarks: Landmarks,
+    near: Near,
     settings: Filter,
     map_axis_rad: float,
+    visible_m: Array | None = None,
 ) -> Observations:
     """Observations of one frame, labelled with the landmarks (their index) that explain them, else -1.
 
@@ -70,9 +79,10 @@ def associate(
         curves: noise of commissioning; the crossings' own covariance is added to it.
         mount_xy_m: (2,) camera in base, where r is counted from.
         pose: (3,) predicted map_from_base.
-        landmarks: the map as estimated.
+        near: of the map, see PoseFilter.landmarks_near.
         settings: association_gate_m is used.
         map_axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
+        visible_m: (V, 2) as in Observations; None: not known.
     """
     turns = quarter_turns(crossings.psi_rad + float(pose[2]), map_axis_rad)
     kind = turned_type(crossings.crossing_type, turns)
@@ -84,21 +94,19 @@ def associate(
         xy_base_m=crossings.xy_base_m,
         var_m2=frozen(variance),
         crossing_type=kind,
-        label=_associate(seen_at, kind, pose[:2], landmarks, settings.association_gate_m),
+        label=_associate(seen_at, kind, near, settings.association_gate_m),
         heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
         heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
         common_var_m2=0.5 * float(np.trace(crossings.common_cov_m2)),
+        visible_m=np.empty((0, 2)) if visible_m is None else visible_m,
     )
 
 
-def _associate(xy_map_m: Array, kind: Ints, centre_m: Array, landmarks: Landmarks, gate_m: float) -> Ints:
+def _associate(xy_map_m: Array, kind: Ints, near: Near, gate_m: float) -> Ints:
+    labels, there = near(xy_map_m, gate_m)
+    seen, which = mutual_nearest(xy_map_m, kind, there.xy_map_m, there.crossing_type, gate_m)
     label = np.full(len(kind), NO_LANDMARK, np.int64)
-    if not len(kind) or not len(landmarks):
-        return label
-    reach = np.max(np.hypot(*(xy_map_m - centre_m).T)) + gate_m
-    near = np.flatnonzero(np.hypot(*(landmarks.xy_map_m - centre_m).T) <= reach)
-    seen, which = mutual_nearest(xy_map_m, kind, landmarks.xy_map_m[near], landmarks.crossing_type[near], gate_m)
-    label[seen] = near[which]
+    label[seen] = labels[which]
     return label
 
 
@@ -111,15 +119,58 @@ def usable(obs: Observations, landmarks: int) -> Observations:
     repeated = label >= 0
     repeated[first] = False
     label[repeated] = NO_LANDMARK
-    return Observations(
-        obs.xy_base_m[good],
-        np.maximum(obs.var_m2[good], VAR_FLOOR),
-        obs.crossing_type[good],
-        label,
-        obs.heading_rad,
-        obs.heading_var_rad2,
-        obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
+    return replace(
+        obs.of(good),
+        var_m2=np.maximum(obs.var_m2[good], VAR_FLOOR),
+        label=label,
+        common_var_m2=obs.common_var_m2 if np.isfinite(obs.common_var_m2) else 0.0,
     )
+
+
+def spread_out(xy_m: Array, most: int, turn: int) -> Ints:
+    """So many of the points (N, 2) at most, in order, evenly over where they are; another turn takes others.
+
+    They are passed along in strips, to and fro, and every n-th is taken; what is left out takes its turn. Golden
+    sections of a step come near every point soonest.
+    """
+    if len(xy_m) <= most:
+        return np.arange(len(xy_m))
+    if most <= 0:
+        return np.empty(0, np.int64)
+    low, size = np.min(xy_m, axis=0), np.maximum(np.ptp(xy_m, axis=0), SIGMA_FLOOR_M)
+    strips = max(round(np.sqrt(most * size[0] / size[1])), 1)
+    strip = np.minimum(np.floor((xy_m[:, 0] - low[0]) / size[0] * strips), strips - 1)
+    along = np.where(strip % 2, -xy_m[:, 1], xy_m[:, 1])
+    step = len(xy_m) / most
+    at = (np.arange(most) + turn * _GOLDEN % 1.0) * step
+    return np.sort(np.lexsort((along, strip))[at.astype(np.int64)])
+
+
+def bounded(obs: Observations, turn: int) -> Observations:
+    """So many of the features with a landmark, and of those without, as a filter is updated with."""
+    parts = np.flatnonzero(obs.label >= 0), np.flatnonzero(obs.label < 0)
+    return obs.of(np.sort(np.concatenate([p[spread_out(obs.xy_base_m[p], MOST_FEATURES, turn)] for p in parts])))
+
+
+def near_landmarks(seen: Observations, pose: Array, pose_cov: Array, at: Array, cov: Array) -> Array:
+    """(K,) squared normalised distances of features to landmarks at (K, 2) with cov (K, 2, 2), the pose as uncertain.
+
+    What pose and landmarks have in common is not known here: the distances are rather too small.
+    """
+    r = rotation(float(pose[2]))
+    arm = seen.xy_base_m @ r.T
+    own = cov + np.asarray((r * seen.var_m2[:, None, :]) @ r.T, np.float64)
+    lever = np.zeros((len(arm), 2, 3))
+    lever[:, 0, 0] = lever[:, 1, 1] = 1.0
+    lever[:, 0, 2], lever[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    return chi2_of(pose[:2] + arm - at, own + lever @ pose_cov @ lever.transpose(0, 2, 1))
+
+
+def chi2_of(nu: Array, own: Array) -> Array:
+    """(K,) of innovations (K, 2) with covariances (K, 2, 2)."""
+    det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
+    x, y = nu[:, 0], nu[:, 1]
+    return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
 
 
 def independent(features: int, power: float, correlation: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ceilvo.daemon.slam.association import chi2_of
 from ceilvo.daemon.slam.joint_filter import View, noise_in_map
 from ceilvo.daemon.slam.joint_map import JITTER
 from ceilvo.se2 import rotation, wrap_array
@@ -124,13 +125,6 @@ def given_pose_chi2(view: View, pose: Array, mu: Array, cov: Array) -> Array:
     own += view.joint[3:, 3:].reshape(len(k), 2, len(k), 2)[k, :, k]
     nu = pose[:2] + view.xy @ rotation(float(pose[2])).T - view.landmark
     return chi2_of(nu - (off @ follow).reshape(-1, 2), own)
-
-
-def chi2_of(nu: Array, own: Array) -> Array:
-    """(K,) of innovations (K, 2) with covariances (K, 2, 2)."""
-    det = own[:, 0, 0] * own[:, 1, 1] - own[:, 0, 1] ** 2
-    x, y = nu[:, 0], nu[:, 1]
-    return np.asarray((own[:, 1, 1] * x * x - 2.0 * own[:, 0, 1] * x * y + own[:, 0, 0] * y * y) / det, np.float64)
 
 
 def root_of(cov: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A filter with one joint map: association, births and deaths of landmarks; an update rule does the arithmetic."""
+"""A filter with one joint map: association and the life of landmarks; an update rule does the arithmetic."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.slam import upkeep
 from ceilvo.daemon.slam.association import (
-    CANDIDATE_GATE_CHI2,
-    DUPLICATE_FRACTION,
-    EXPIRES_UPDATES,
+    MOST_FEATURES,
     VAR_FLOOR,
     independent,
+    near_landmarks,
+    spread_out,
     usable,
 )
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.daemon.slam.pose_filter import COUNTERS, checked_motion
-from ceilvo.daemon.slam.spatial_index import IndexedMap
+from ceilvo.daemon.slam.spatial_index import IndexedMap, unpacked
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import rotation, transform
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
-DUPLICATES_EVERY = 4
-"""Updates in which every landmark in view is looked at once, whether it is there twice; chosen, to share the cost."""
 ALL_LABELS = 1 << 60
 """More landmarks than any map has: labels of the joint map are not bounded by those that are shown."""
 Bools = NDArray[np.bool_]
@@ -102,6 +101,7 @@ class JointFilterState:
         nis, nis_dof, trimmed_nis: of the last view, see Innovations.
         counters: see pose_filter.COUNTERS.
         rule: of the update rule.
+        weighed_at: (3,) where the last view was from that said which landmarks are gone.
     """
 
     rng: np.random.Generator
@@ -113,6 +113,7 @@ class JointFilterState:
     trimmed_nis: float = 0.0
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     rule: Any = None
+    weighed_at: Array | None = None
 
 
 class UpdateRule(Protocol):
@@ -144,7 +145,7 @@ class JointFilter:
         self.settings = settings
         self._rule = rule
         self._state = JointFilterState(rng, JointMap.at(np.zeros(3), np.zeros((3, 3))))
-        self._summary: tuple[Ints, Landmarks] | None = None
+        self._summary: Landmarks | None = None
         self.reset(np.zeros(3), np.zeros((3, 3)))
 
     @property
@@ -154,6 +155,7 @@ class JointFilter:
     @state.setter
     def state(self, state: JointFilterState) -> None:
         self._state = state
+        self._state.counters = dict.fromkeys(COUNTERS, 0) | state.counters  # older states lack the later ones
         self._summary = None
 
     def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
@@ -190,18 +192,77 @@ class JointFilter:
         state.counters["updates"] += 1
         obs = self._associated(obs)
         matched = np.flatnonzero(obs.label >= 0)
-        found = self._rule.absorb(state, self._view(obs, matched), self._rows(obs.label[matched]))
+        used = self._used(obs, matched)
+        found = self._rule.absorb(state, self._view(obs, used), self._rows(obs.label[used]))
         state.nis, state.nis_dof, state.trimmed_nis = found.nis, found.nis_dof, found.trimmed_nis
-        self._count(len(matched), int(np.count_nonzero(found.inliers)))
+        believed = np.concatenate([used[found.inliers], self._also_there(obs, np.setdiff1d(matched, used))])
+        self._count(len(matched), len(believed))
         if state.known is None:
-            labels = obs.label[matched]
-            state.joint.seen_at[labels] = state.now
-            state.joint.sightings[labels[found.inliers]] += 1
-            self._confirm()
+            state.joint.seen_at[obs.label[matched]] = state.now
+            self._keep_up(obs, obs.label[believed], len(matched))
+            upkeep.settle(state.joint, state.now, self.settings.birth_sightings)
             self._be_born(obs, np.flatnonzero(obs.label == NO_LANDMARK))
-            self._merge_duplicates(labels[found.inliers])
             state.joint.bound()
         self._summary = None
+
+    def _used(self, obs: Observations, matched: Ints) -> Ints:
+        """A bounded number of the matched features, spread over the view.
+
+        Landmarks in the window come first: the others would come in as if they knew nothing of the pose's error, and
+        the filter would take its own drift for evidence.
+        """
+        if len(matched) <= MOST_FEATURES:
+            return matched
+        held = np.zeros(len(matched), bool)
+        if self._state.known is None:
+            held = self._state.joint.slot[obs.label[matched]] >= 0
+        first, rest = matched[held], matched[~held]
+        first = first[spread_out(obs.xy_base_m[first], MOST_FEATURES, self._state.now)]
+        rest = rest[spread_out(obs.xy_base_m[rest], MOST_FEATURES - len(first), self._state.now)]
+        return np.sort(np.concatenate([first, rest]))
+
+    def _also_there(self, obs: Observations, which: Ints) -> Ints:
+        """Features that the update was not made with and that are where their landmarks are."""
+        j, labels = self._state.joint, obs.label[which]
+        known = self._state.known
+        at, cov = (
+            (j.xy(labels), j.packed(labels))
+            if known is None
+            else (known.landmarks.xy_map_m[labels], known.packed[labels])
+        )
+        chi2 = near_landmarks(obs.of(which), j.pose, j.pose_cov, at, unpacked(cov))
+        return which[chi2 <= self.settings.gate_chi2]
+
+    def _keep_up(self, obs: Observations, seen: Ints, matched: int) -> None:
+        """Count what was seen and what should have been; drop what is gone, or one that is there twice.
+
+        A view most of whose features were refused says something of the pose, not of what is missing.
+        """
+        state, j = self._state, self._state.joint
+        missed = upkeep.count(j, seen, obs.visible_m if 2 * len(seen) >= matched else obs.visible_m[:0])
+        gone = np.empty(0, np.int64)
+        if state.weighed_at is None or np.hypot(*(j.pose - state.weighed_at)[:2]) > upkeep.APART_M:
+            gone, state.weighed_at = upkeep.gone(j, seen, missed), j.pose.copy()
+        if len(gone):
+            state.counters["faded"] += len(gone)
+            j.forget(gone)
+            return
+        pair = upkeep.duplicates(j, seen[:MOST_FEATURES], state.now, self.settings.association_gate_m)
+        if pair is not None:
+            state.counters["merges"] += int(j.merge(*pair, self.settings.gate_chi2))
+
+    def _be_born(self, obs: Observations, which: Ints) -> None:
+        state, j, cfg = self._state, self._state.joint, self.settings
+        which = which[spread_out(obs.xy_base_m[which], MOST_FEATURES, state.now)]
+        which = upkeep.fresh(j, obs, which, cfg.association_gate_m)
+        over = min(len(j) + len(which) - cfg.max_landmarks, len(which))
+        if over > 0:
+            which = which[: len(which) - over + upkeep.make_room(j, over, state.now)]
+            state.counters["map_full"] += over
+        if len(which):
+            j.give_birth(obs.xy_base_m[which], obs.var_m2[which], obs.crossing_type[which], state.now)
+            state.counters["births"] += len(which)
+            upkeep.settle(j, state.now, cfg.birth_sightings)
 
     def _count(self, matched: int, inliers: int) -> None:
         c = self._state.counters
@@ -218,20 +279,23 @@ class JointFilter:
     def particles(self) -> tuple[Array, Array]:
         return self._rule.particles(self._state)
 
+    def size(self) -> int:
+        return self._state.joint.size if self._state.known is None else len(self._state.known)
+
     def landmarks(self) -> Landmarks:
         if self._state.known is not None:
             return self._state.known.landmarks
-        return self._shown()[1]
-
-    def _shown(self) -> tuple[Ints, Landmarks]:
-        """Labels of the joint map that are confirmed, and they as seen from outside."""
         if self._summary is None:
-            labels = np.flatnonzero(self._state.joint.confirmed)
-            self._summary = labels, self._state.joint.summary(labels)
+            self._summary = self._state.joint.summary(np.arange(self.size()))
         return self._summary
 
-    def size(self) -> int:
-        return len(self._state.known) if self._state.known is not None else len(self._shown()[0])
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        j = self._state.joint
+        if self._state.known is not None:
+            return self._state.known.landmarks_near(xy_m, reach_m)
+        labels = upkeep.near_points(j, xy_m, reach_m)
+        labels = labels[labels < j.size]
+        return labels, j.summary(labels)
 
     def counters(self) -> Mapping[str, int]:
         return dict(self._state.counters)
@@ -239,40 +303,23 @@ class JointFilter:
     # -- association
 
     def _associated(self, obs: Observations) -> Observations:
-        """Labels of the joint map instead of those of landmarks(); unconfirmed landmarks and free features included."""
-        label = obs.label.copy()
-        if self._state.known is None:
-            given = label >= 0
-            label[given] = self._shown()[0][label[given]]
-        free = np.flatnonzero(label < 0)
-        if self._state.known is not None:
-            free = free[obs.label[free] == UNLABELLED]
-        label[free] = NO_LANDMARK
-        pose = self._state.joint.pose
-        xy = transform(pose, obs.xy_base_m[free])
-        gate = self.settings.association_gate_m
-        if self._state.known is not None:
-            near = self._state.known.near(xy, gate)
-            at, kind = self._state.known.landmarks.xy_map_m[near], self._state.known.landmarks.crossing_type[near]
+        """With landmarks for what has none: unconfirmed ones, or any for what the filter shall label itself."""
+        label, known, gate = obs.label.copy(), self._state.known, self.settings.association_gate_m
+        free = np.flatnonzero(label == UNLABELLED if known is not None else label < 0)
+        label[label < 0] = NO_LANDMARK
+        xy = transform(self._state.joint.pose, obs.xy_base_m[free])
+        if known is not None:
+            near = known.near(xy, gate)
+            at, kind = known.landmarks.xy_map_m[near], known.landmarks.crossing_type[near]
         else:
-            near = self._candidates_near(xy, gate, label, obs.label[free])
+            near = upkeep.near_points(self._state.joint, xy, gate)
+            if not np.any(obs.label == UNLABELLED):
+                near = near[near >= self._state.joint.size]
+            near = near[~np.isin(near, label)]
             at, kind = self._state.joint.xy(near), self._state.joint.crossing_type[near]
         seen, which = mutual_nearest(xy, obs.crossing_type[free], at, kind, gate)
         label[free[seen]] = near[which]
         return usable(replace(obs, label=label), ALL_LABELS)
-
-    def _candidates_near(self, xy: Array, gate: float, taken: Ints, given: Ints) -> Ints:
-        """Labels that features without a landmark may belong to: unconfirmed ones, and all if the labels are ours."""
-        if not len(xy):
-            return np.empty(0, np.int64)
-        open_ = (
-            ~self._state.joint.confirmed if not np.any(given == UNLABELLED) else np.ones(len(self._state.joint), bool)
-        )
-        open_[taken[taken >= 0]] = False
-        labels = np.flatnonzero(open_)
-        at = self._state.joint.xy(labels)
-        low, high = np.min(xy, axis=0) - gate, np.max(xy, axis=0) + gate
-        return labels[np.all((at >= low) & (at <= high), axis=1)]
 
     def _view(self, obs: Observations, matched: Ints) -> View:
         labels = obs.label[matched]
@@ -294,43 +341,3 @@ class JointFilter:
 
     def _rows(self, labels: Ints) -> Ints:
         return np.empty(0, np.int64) if self._state.known is not None else self._state.joint.rows(labels)
-
-    # -- landmarks
-
-    def _merge_duplicates(self, labels: Ints) -> None:
-        """At most one pair per update: two landmarks of one kind whose difference is zero within the gate are one."""
-        j = self._state.joint
-        labels = labels[labels < len(j)][self._state.now % DUPLICATES_EVERY :: DUPLICATES_EVERY]
-        xy, reach = j.xy(labels), DUPLICATE_FRACTION * self.settings.association_gate_m
-        near = self._candidates_near(xy, reach, np.empty(0, np.int64), np.array([UNLABELLED]))
-        apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
-        same = (apart < reach) & (j.crossing_type[labels][:, None] == j.crossing_type[near]) & (labels[:, None] != near)
-        pairs = np.argwhere(same)
-        if len(pairs):
-            a, b = int(labels[pairs[0, 0]]), int(near[pairs[0, 1]])
-            keep, drop = (a, b) if (j.sightings[a], b) >= (j.sightings[b], a) else (b, a)
-            self._state.counters["merges"] += int(j.merge(keep, drop, self.settings.gate_chi2))
-
-    def _confirm(self) -> None:
-        j, cfg = self._state.joint, self.settings
-        j.confirmed |= j.sightings >= cfg.birth_sightings
-        j.forget(np.flatnonzero(~j.confirmed & (self._state.now - j.seen_at > EXPIRES_UPDATES)))
-
-    def _be_born(self, obs: Observations, which: Ints) -> None:
-        j, cfg = self._state.joint, self.settings
-        xy, kind = transform(j.pose, obs.xy_base_m[which]), obs.crossing_type[which]
-        near = self._candidates_near(xy, cfg.association_gate_m, np.empty(0, np.int64), np.array([UNLABELLED]))
-        apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
-        apart[kind[:, None] != j.crossing_type[near]] = np.inf
-        fresh = np.min(apart, axis=1, initial=np.inf) > DUPLICATE_FRACTION * cfg.association_gate_m
-        if len(near):  # nor where it may be one that is known, seen badly
-            off = apart**2 / (np.max(obs.var_m2[which], axis=1)[:, None] + np.max(j.packed(near)[:, [0, 2]], axis=1))
-            fresh &= np.min(off, axis=1) > CANDIDATE_GATE_CHI2
-        which = which[fresh]
-        over = len(j) + len(which) - cfg.max_landmarks
-        if over > 0:
-            j.forget(np.sort(np.argsort(j.sightings, kind="stable")[:over]))
-        if len(which):
-            j.give_birth(obs.xy_base_m[which], obs.var_m2[which], kind[fresh], self._state.now)
-            self._state.counters["births"] += len(which)
-            self._confirm()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.slam.spatial_index import packed, unpacked
+from ceilvo.daemon.slam.spatial_index import ChangingIndex, in_box, packed, unpacked
 from ceilvo.se2 import compose, rotation, wrap
 from ceilvo.types import Array, Ints, Landmarks, Motion, frozen
 
@@ -17,12 +18,24 @@ JITTER = np.array([1e-12, 1e-12, 1e-12])
 """m^2, m^2, rad^2: added to a covariance so that it can be inverted; a micrometre and a microradian, squared."""
 
 
+_COLUMNS = (
+    *("ids", "crossing_type", "sightings", "expected", "doubt"),
+    *("seen_at", "confirmed", "slot", "table_xy", "table_packed"),
+)
+_ROOM = 64
+"""Rows by which a table grows at least, and by half of what it has; chosen."""
+
+
+def _no_ints() -> Ints:
+    return np.empty(0, np.int64)
+
+
 @dataclass(slots=True)
 class JointMap:
     """Mean (3 + 2 W,) and covariance of the pose and the W landmarks in the window, and a table of all L landmarks.
 
-    Labels are rows of the table. A row in the window has a slot; its place in the table is then out of date until it
-    leaves.
+    Labels are rows of the table; those that are confirmed come first. A row in the window has a slot; its place in the
+    table is then out of date until it leaves. What is done to some landmarks costs nothing for the others.
 
     Attributes:
         mean, cov: (3 + 2 W,), (3 + 2 W, 3 + 2 W) [m, m, rad, m, m, ...].
@@ -33,20 +46,36 @@ class JointMap:
         slot: (L,) its place in the window, -1 outside.
         table_xy, table_packed: (L, 2) means and (L, 3) covariances xx, xy, yy of those outside.
         next_id: for the next landmark that is born.
+        expected: (L,) as in Landmarks.
+        doubt: (L,) evidence that it is gone, see visibility.gone.
+        size: confirmed landmarks.
+        index: of those outside of the window.
     """
 
     mean: Array
     cov: Array
-    label_of: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    crossing_type: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    sightings: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    seen_at: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    label_of: Ints = field(default_factory=_no_ints)
+    ids: Ints = field(default_factory=_no_ints)
+    crossing_type: Ints = field(default_factory=_no_ints)
+    sightings: Ints = field(default_factory=_no_ints)
+    seen_at: Ints = field(default_factory=_no_ints)
     confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
-    slot: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    slot: Ints = field(default_factory=_no_ints)
     table_xy: Array = field(default_factory=lambda: np.empty((0, 2)))
     table_packed: Array = field(default_factory=lambda: np.empty((0, 3)))
     next_id: int = 0
+    expected: Ints = field(default_factory=_no_ints)
+    doubt: Array = field(default_factory=lambda: np.empty(0))
+    size: int = field(init=False)
+    index: ChangingIndex = field(init=False, repr=False, default_factory=ChangingIndex)
+
+    def __post_init__(self) -> None:
+        """States of older recordings have no counts, and confirmed landmarks anywhere."""
+        if len(self.expected) != len(self):
+            self.expected, self.doubt = self.sightings.copy(), np.zeros(len(self))
+        first = np.flatnonzero(self.confirmed)
+        self.size = 0
+        self.confirm(first)
 
     @staticmethod
     def at(pose: Array, cov: Array) -> JointMap:
@@ -108,22 +137,46 @@ class JointMap:
 
     def load(self, landmarks: Landmarks) -> None:
         """Append a map; its landmarks enter the window when they are seen."""
-        self._append(landmarks.crossing_type, landmarks.sightings, landmarks.ids, confirmed=True)
-        n = len(landmarks)
-        self.table_xy[-n:], self.table_packed[-n:] = landmarks.xy_map_m, packed(landmarks.cov_m2)
+        new = self._append(landmarks.crossing_type, landmarks.sightings, landmarks.ids)
+        self.expected[new] = landmarks.expected
+        self.table_xy[new], self.table_packed[new] = landmarks.xy_map_m, packed(landmarks.cov_m2)
+        self.index.add(new, self.table_xy[new])
+        self.confirm(new)
 
-    def _append(self, kind: Ints, sightings: Ints, ids: Ints | None, confirmed: bool) -> Ints:
-        n, old = len(kind), len(self)
-        ids = self.next_id + np.arange(n) if ids is None else ids
-        self.next_id = max(self.next_id, int(np.max(ids, initial=-1)) + 1)
-        self.ids, self.crossing_type = np.concatenate([self.ids, ids]), np.concatenate([self.crossing_type, kind])
-        self.sightings = np.concatenate([self.sightings, sightings])
-        self.seen_at = np.concatenate([self.seen_at, np.zeros(n, np.int64)])
-        self.confirmed = np.concatenate([self.confirmed, np.full(n, confirmed)])
-        self.slot = np.concatenate([self.slot, np.full(n, -1)])
-        self.table_xy = np.concatenate([self.table_xy, np.zeros((n, 2))])
-        self.table_packed = np.concatenate([self.table_packed, np.zeros((n, 3))])
-        return np.arange(old, old + n)
+    def _append(self, kind: Ints, sightings: Ints, ids: Ints | None = None) -> Ints:
+        """Unconfirmed landmarks at nowhere; returns their labels."""
+        old = len(self)
+        self._resize(old + len(kind))
+        new = slice(old, len(self))
+        self.ids[new] = self.next_id + np.arange(len(kind)) if ids is None else ids
+        self.next_id = max(self.next_id, int(np.max(self.ids[new], initial=-1)) + 1)
+        self.crossing_type[new], self.sightings[new], self.expected[new] = kind, sightings, sightings
+        self.doubt[new], self.seen_at[new], self.confirmed[new], self.slot[new] = 0.0, 0, False, -1
+        return np.arange(old, len(self))
+
+    def _resize(self, rows: int) -> None:
+        for name in _COLUMNS:
+            setattr(self, name, _resized(getattr(self, name), rows))
+
+    def _move(self, source: Ints, target: Ints) -> None:
+        """Rows `source` to `target`, all at once; what was there is among `source` or forgotten."""
+        out = self.slot[source] < 0
+        self.index.remove(source[out], self.table_xy[source[out]])
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            column[target] = column[source]
+        self.index.add(target[out], self.table_xy[target[out]])
+        self.label_of[self.slot[target[~out]]] = target[~out]
+
+    def confirm(self, labels: Ints) -> None:
+        """Let landmarks be shown; labels of unconfirmed ones change."""
+        labels = labels[labels >= self.size]
+        end = self.size + len(labels)
+        enter = labels[labels >= end]
+        leave = np.setdiff1d(np.arange(self.size, end), labels)
+        self._move(np.concatenate([enter, leave]), np.concatenate([leave, enter]))
+        self.confirmed[self.size : end] = True
+        self.size = end
 
     def _widen(self, labels: Ints, xy: Array, cross: Array, own: Array) -> None:
         """Into the window: means (K, 2), their covariance with the state (2 K, S) and with each other (2 K, 2 K)."""
@@ -148,6 +201,7 @@ class JointMap:
         own = np.zeros((2 * len(labels), 2 * len(labels)))
         for i, block in enumerate(unpacked(self.table_packed[labels])):
             own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block
+        self.index.remove(labels, self.table_xy[labels])
         self._widen(labels, self.table_xy[labels], np.zeros((2 * len(labels), len(self.mean))), own)
 
     def give_birth(self, xy_base: Array, var: Array, kind: Ints, now: int) -> Ints:
@@ -161,7 +215,7 @@ class JointMap:
         own = cross[:, :3] @ h.T
         for i, v in enumerate(var):
             own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += (r * v) @ r.T
-        labels = self._append(kind, np.ones(len(kind), np.int64), None, confirmed=False)
+        labels = self._append(kind, np.ones(len(kind), np.int64))
         self.seen_at[labels] = now
         self._widen(labels, self.mean[:2] + arm, cross, own)
         return labels
@@ -183,22 +237,28 @@ class JointMap:
         self.cov = 0.5 * (cov + cov.T)
         turn_about(self.cov, step)
         self.sightings[keep] += self.sightings[drop]
-        self.confirmed[keep] |= self.confirmed[drop]
+        self.expected[keep] = max(self.expected[keep], self.expected[drop], self.sightings[keep])
         self.forget(np.array([drop]))
         return True
 
     def forget(self, labels: Ints) -> None:
-        """Drop landmarks; labels above them move down."""
+        """Drop landmarks; the last ones take their labels."""
         if not len(labels):
             return
+        labels = np.unique(labels)
         self._narrow(labels[self.slot[labels] >= 0])
-        keep = np.ones(len(self), bool)
-        keep[labels] = False
-        moved = np.cumsum(keep) - 1
-        self.label_of = moved[self.label_of]
-        self.ids, self.crossing_type, self.sightings = self.ids[keep], self.crossing_type[keep], self.sightings[keep]
-        self.seen_at, self.confirmed, self.slot = self.seen_at[keep], self.confirmed[keep], self.slot[keep]
-        self.table_xy, self.table_packed = self.table_xy[keep], self.table_packed[keep]
+        self.index.remove(labels, self.table_xy[labels])
+        first = labels[labels < self.size]
+        begin, end = self.size - len(first), self.size
+        self._fill(first, end)
+        self.size = begin
+        self._fill(np.concatenate([np.arange(begin, end), labels[len(first) :]]), len(self))
+        self._resize(len(self) - len(labels))
+
+    def _fill(self, holes: Ints, end: int) -> None:
+        """Let the last landmarks of the rows before `end` move to rows without one."""
+        begin = end - len(holes)
+        self._move(np.setdiff1d(np.arange(begin, end), holes), holes[holes < begin])
 
     def _narrow(self, labels: Ints) -> None:
         """Out of the window, keeping their own covariance in the table."""
@@ -211,12 +271,24 @@ class JointMap:
         self.label_of = self.label_of[keep[3::2]]
         self.slot[labels] = -1
         self.slot[self.label_of] = np.arange(len(self.label_of))
+        self.index.add(labels, self.table_xy[labels])
 
     def bound(self, window: int = WINDOW) -> None:
-        """Let the landmarks that were seen least recently leave the window; an eighth at a time, for moving costs."""
+        """Let the landmarks that were seen least recently leave the window; an eighth at a time, for moving costs.
+
+        Of those that were seen at once the ones seen least often.
+        """
         if len(self.label_of) > window:
-            order = np.argsort(self.seen_at[self.label_of], kind="stable")
+            order = np.lexsort((self.sightings[self.label_of], self.seen_at[self.label_of]))
             self._narrow(self.label_of[order[: len(order) - window + window // 8]])
+
+    def near(self, low_m: Array, high_m: Array) -> Ints:
+        """Labels, in order, of the landmarks in a box."""
+        if not self.index.made:
+            out = np.flatnonzero(self.slot < 0)
+            self.index.make(out, self.table_xy[out])
+        labels = np.concatenate([self.index.near(low_m, high_m), self.label_of])
+        return np.sort(labels[in_box(self.xy(labels), low_m, high_m)])
 
     def summary(self, labels: Ints) -> Landmarks:
         return Landmarks(
@@ -225,7 +297,30 @@ class JointMap:
             cov_m2=frozen(unpacked(self.packed(labels))),
             crossing_type=self.crossing_type[labels],
             sightings=self.sightings[labels],
+            expected=self.expected[labels],
         )
+
+
+def _resized(column: NDArray[Any], rows: int) -> NDArray[Any]:
+    """A column with so many rows, those beyond its own not set: the beginning of a larger array that has room.
+
+    Where it is that already and the room is enough, nothing is copied.
+    """
+    whole = column.base
+    if (
+        isinstance(whole, np.ndarray)
+        and whole.base is None
+        and len(whole) >= rows
+        and whole.shape[1:] == column.shape[1:]
+        and whole.dtype == column.dtype
+        and whole.ctypes.data == column.ctypes.data
+    ):
+        return whole[:rows]
+    if rows <= len(column):
+        return column[:rows]
+    whole = np.empty((rows + max(_ROOM, len(column) // 2), *column.shape[1:]), column.dtype)
+    whole[: len(column)] = column
+    return whole[:rows]
 
 
 def along_the_turn(step: Array) -> Array:

@@ -29,6 +29,9 @@ class PoseFilter(Protocol):
         the pose is not known at all: the filter searches where the map explains what is seen.
         """
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        """Continue from a pose (3,) with covariance (3, 3) that owes nothing to the map; the map stays."""
+
     def predict(self, motion: Motion) -> None:
         """Move by the motion since the last call."""
 
@@ -38,8 +41,17 @@ class PoseFilter(Protocol):
     def estimate(self) -> tuple[Array, Array, FilterHealth]:
         """Pose, covariance and health."""
 
+    def size(self) -> int:
+        """How many landmarks there are, at no cost."""
+
     def landmarks(self) -> Landmarks:
-        """The map as estimated."""
+        """The map as estimated; costs its size after every update."""
+
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        """Labels, in order, as landmarks() has them, and landmarks within reach of the box around points (M, 2) in map.
+
+        Costs what is there.
+        """
 
     def particles(self) -> tuple[Array, Array]:
         """(N, 3) poses and (N,) weights that sum to one."""
@@ -63,10 +75,17 @@ COUNTERS = (
     "searches",
     "recoveries",
     "tile_slips",
+    "faded",
+    "map_full",
 )
 """Updates; observations matched to a landmark, and those of them that the gate refused; updates most of whose
 observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
-the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling."""
+the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling; landmarks
+dropped because they are no longer there; features not learnt and newborn landmarks forgotten as the map is full."""
+
+
+TINY = 1e-300
+"""In place of a chance of zero, whose logarithm there is not."""
 
 
 def checked_motion(motion: Motion) -> Motion:

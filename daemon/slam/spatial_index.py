@@ -1,17 +1,29 @@
-"""Landmarks with a spatial index, so that looking at a map costs what is in view."""
+"""Landmarks by where they are, so that looking at a map costs what is in view."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.types import Array, Ints, Landmarks
 
 CELL_M = 1.0
 """Side of a cell; chosen: a view of 2 m touches about ten."""
+CHANGING_CELL_M = 2.0
+"""Side of a cell of a map that changes; chosen: fewer cells to keep, and still a view touches about four."""
 _SIDE = 1 << 20
 """Cells are numbered row by row; no building is a million cells wide."""
+
+
+def _cells(xy: Array, cell_m: float) -> Ints:
+    return np.floor(np.clip(xy / cell_m, -_SIDE / 2, _SIDE / 2 - 1)).astype(np.int64) + _SIDE // 2
+
+
+def _numbers(cells: Ints) -> Ints:
+    return np.asarray(cells[..., 0] * _SIDE + cells[..., 1], np.int64)
 
 
 @dataclass(slots=True)
@@ -32,26 +44,19 @@ class IndexedMap:
 
     def __post_init__(self) -> None:
         self.packed = packed(self.landmarks.cov_m2)
-        cell = self._numbers(self._cells(self.landmarks.xy_map_m))
+        cell = _numbers(_cells(self.landmarks.xy_map_m, self.cell_m))
         self._order = np.argsort(cell, kind="stable").astype(np.int64)
         self._sorted = cell[self._order]
 
     def __len__(self) -> int:
         return len(self.landmarks)
 
-    def _cells(self, xy: Array) -> Ints:
-        return np.floor(np.clip(xy / self.cell_m, -_SIDE / 2, _SIDE / 2 - 1)).astype(np.int64) + _SIDE // 2
-
-    @staticmethod
-    def _numbers(cells: Ints) -> Ints:
-        return np.asarray(cells[..., 0] * _SIDE + cells[..., 1], np.int64)
-
     def near(self, xy_m: Array, reach_m: float) -> Ints:
         """Labels, in order, of all landmarks in cells within reach of the box around the points (M, 2)."""
         if not len(xy_m):
             return np.empty(0, np.int64)
-        low = self._cells(np.min(xy_m, axis=0) - reach_m)
-        high = self._cells(np.max(xy_m, axis=0) + reach_m)
+        low = _cells(np.min(xy_m, axis=0) - reach_m, self.cell_m)
+        high = _cells(np.max(xy_m, axis=0) + reach_m, self.cell_m)
         columns = np.arange(low[0], high[0] + 1)
         if len(columns) > len(self) + 1:
             return np.arange(len(self))
@@ -59,11 +64,16 @@ class IndexedMap:
         stop = np.searchsorted(self._sorted, columns * _SIDE + high[1], side="right")
         return np.sort(np.concatenate([self._order[a:b] for a, b in zip(start, stop, strict=True)]))
 
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        """near(), with the landmarks."""
+        labels = self.near(xy_m, reach_m)
+        return labels, self.landmarks.of(labels)
+
     def nearest(self, xy_m: Array, kind: Ints, reach_m: float) -> tuple[Ints, Array]:
         """For each point (Q, 2) the label of the nearest landmark of its kind (Q,), or -1, and its distance [m]."""
         best, label = np.full(len(xy_m), np.inf), np.full(len(xy_m), -1, np.int64)
         at, kinds = self.landmarks.xy_map_m, self.landmarks.crossing_type
-        low, high = self._cells(xy_m - reach_m), self._cells(xy_m + reach_m)
+        low, high = _cells(xy_m - reach_m, self.cell_m), _cells(xy_m + reach_m, self.cell_m)
         for column in range(int(np.max(high[:, 0] - low[:, 0], initial=-1)) + 1):
             x = np.minimum(low[:, 0] + column, high[:, 0]) * _SIDE
             start = np.searchsorted(self._sorted, x + low[:, 1], side="left")
@@ -80,6 +90,76 @@ class IndexedMap:
     def repeated(self, labels: Ints) -> tuple[Array, Array]:
         """(K, 2, 1) means and (K, 3, 1) covariances: the same for every particle."""
         return self.landmarks.xy_map_m[labels][:, :, None], self.packed[labels][:, :, None]
+
+
+class ChangingIndex:
+    """Labels of points by square cell, kept while points come and go at the cost of those that do.
+
+    It is made from all points when it is first asked; a copy begins anew.
+    """
+
+    __slots__ = ("_labels",)
+
+    def __init__(self) -> None:
+        self._labels: dict[int, Ints] | None = None
+
+    def __deepcopy__(self, memo: Any) -> ChangingIndex:
+        return ChangingIndex()
+
+    @property
+    def made(self) -> bool:
+        return self._labels is not None
+
+    def make(self, labels: Ints, xy_m: Array) -> None:
+        """Of points (N, 2) and their labels (N,), and of no others."""
+        number = _numbers(_cells(xy_m, CHANGING_CELL_M))
+        order = np.argsort(number, kind="stable")
+        cells, start = np.unique(number[order], return_index=True)
+        self._labels = dict(zip(cells.tolist(), np.split(labels[order], start[1:]), strict=False))
+
+    def add(self, labels: Ints, xy_m: Array) -> None:
+        """Points (N, 2) that are new."""
+        if self._labels is None:
+            return
+        for cell, label in zip(_numbers(_cells(xy_m, CHANGING_CELL_M)).tolist(), labels, strict=True):
+            here = self._labels.get(cell)
+            self._labels[cell] = np.array([label]) if here is None else np.append(here, label)
+
+    def remove(self, labels: Ints, xy_m: Array) -> None:
+        """Points (N, 2) where they were when they came."""
+        if self._labels is None:
+            return
+        for cell, label in zip(_numbers(_cells(xy_m, CHANGING_CELL_M)).tolist(), labels, strict=True):
+            left = self._labels[cell][self._labels[cell] != label]
+            if len(left):
+                self._labels[cell] = left
+            else:
+                del self._labels[cell]
+
+    def near(self, low_m: Array, high_m: Array) -> Ints:
+        """Labels, in any order, in the cells that a box touches."""
+        if not self._labels:
+            return np.empty(0, np.int64)
+        low, high = _cells(low_m, CHANGING_CELL_M), _cells(high_m, CHANGING_CELL_M)
+        if np.prod((high - low + 1).astype(np.float64)) > len(self._labels):
+            return np.concatenate(list(self._labels.values()))
+        cells = _numbers(np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), -1))
+        found = [self._labels[c] for c in cells.ravel().tolist() if c in self._labels]
+        return np.concatenate(found) if found else np.empty(0, np.int64)
+
+
+def in_box(at_m: Array, low_m: Array, high_m: Array) -> NDArray[np.bool_]:
+    """(N,) which points (N, 2) are in a box."""
+    return np.asarray(np.all((at_m >= low_m) & (at_m <= high_m), axis=1))
+
+
+def landmarks_near(landmarks: Landmarks, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+    """Of a map without an index: labels and landmarks within reach of the box around the points (M, 2)."""
+    if not len(xy_m):
+        return np.empty(0, np.int64), landmarks.of(np.empty(0, np.int64))
+    low, high = np.min(xy_m, axis=0) - reach_m, np.max(xy_m, axis=0) + reach_m
+    labels = np.flatnonzero(in_box(landmarks.xy_map_m, low, high))
+    return labels, landmarks.of(labels)
 
 
 def packed(cov: Array) -> Array:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.line_finder import LineFinder, LineFinderState
 from ceilvo.types import Array, Crossings, Frame, Lines
+
+_SAMPLES_A_SIDE = 32
+"""Of the picture's sample; chosen: 1024 grey levels tell noise from none, and are a fifth of what crossings take."""
 
 OnStageDone = Callable[[str], None]
 """Called with a stage's name when it has ended; the caller owns the clock."""
@@ -48,6 +54,14 @@ class CrossingFinder:
         """Crossings of a frame, None without lines; expected: (3,) predicted motion since the last frame."""
         lines = self._lines(frame.gray, expected, on_stage_done)
         crossings = None if lines is None else cross(lines, self._calibration, self._config)
+        if crossings is not None:
+            crossings = replace(crossings, sample_gray=_sample(frame.gray))
         on_stage_done("crossings")
         self.view = View(frame, lines, crossings)
         return crossings
+
+
+def _sample(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(_SAMPLES_A_SIDE^2,) grey levels on an even raster, the same places of every picture."""
+    rows, columns = (np.linspace(0, n - 1, _SAMPLES_A_SIDE + 2)[1:-1].astype(np.int64) for n in gray.shape)
+    return gray[np.ix_(rows, columns)].ravel()

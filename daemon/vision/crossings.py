@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.config import Features
 from ceilvo.crossing_types import crossing_type_of
 from ceilvo.daemon.vision import kernel
@@ -61,12 +61,6 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
         tilt_sigma_rad=lines.tilt_sigma_rad,
         common_cov_m2=common,
     )
-
-
-def to_ceiling(ceiling_from_level: Array, uv_px: Array) -> Array:
-    """(M, 2) metres on the ceiling in base for (M, 2) level pixels."""
-    s = np.column_stack([uv_px, np.ones(len(uv_px))]) @ ceiling_from_level.T  # eq. 7
-    return np.asarray(s[:, :2] / s[:, 2:], np.float64)
 
 
 def _normals(psi: float) -> Array:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
+from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix, visible_polygon
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -95,3 +95,48 @@ def test_a_degenerate_projection_is_refused_with_what_to_do() -> None:
     m[:, 0] = 1.0
     with pytest.raises(CalibrationError, match=r"projection: determinant.*expected non-zero.*again"):
         _ = Calibration(LENSES[0], m, NOISE).ceiling_height_m
+
+
+def inside(polygon: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """(N,) whether points (N, 2) are to the left of every side of a polygon."""
+    side = np.roll(polygon, -1, axis=0) - polygon
+    off = xy[:, None] - polygon[None]
+    return np.all(side[:, 0] * off[..., 1] - side[:, 1] * off[..., 0] >= 0.0, axis=1)
+
+
+def seen(c: Calibration, m: tuple, xy: np.ndarray, margin_px: float, max_view_deg: float) -> np.ndarray:
+    """(N,) whether rays from the camera to points (N, 2) of the ceiling end in the picture, by the lens alone."""
+    lens, yaw, roll, pitch, x, y, height = m
+    from_camera = np.column_stack([xy - [x, y], np.full(len(xy), height)])
+    uv = lens.pixels(from_camera @ mount_rotation(yaw, roll, pitch).T)
+    low, high = margin_px, np.array([lens.width_px, lens.height_px]) - 1 - margin_px
+    steep = np.hypot(*(xy - [x, y]).T) <= height * np.tan(np.radians(max_view_deg))
+    return np.asarray(np.all((uv >= low) & (uv <= high), axis=1) & steep)
+
+
+@given(mountings, st.floats(0.0, 60.0), st.sampled_from([40.0, 65.0]))
+def test_what_is_in_the_visible_polygon_is_in_the_picture(m: tuple, margin_px: float, max_view_deg: float) -> None:
+    c = calibration(*m)
+    polygon = visible_polygon(c, margin_px, max_view_deg)
+    reach = c.ceiling_height_m * np.tan(np.radians(max_view_deg))
+    xy = c.mount_xy_m + np.random.default_rng(5).uniform(-reach, reach, (4000, 2))
+    assert len(polygon) >= 3
+    assert np.all(seen(c, m, xy[inside(polygon, xy)], margin_px - 0.5, max_view_deg))
+    corners = polygon + 1e-6 * (np.mean(polygon, axis=0) - polygon)
+    assert np.all(inside(polygon, corners)), "convex and counter-clockwise"
+
+
+@pytest.mark.parametrize(("lens", "share"), [(LENSES[0], 0.9), (LENSES[1], 0.8)], ids=["pinhole", "fisheye"])
+def test_the_visible_polygon_wastes_little_of_the_picture(lens: CameraModel, share: float) -> None:
+    m = (lens, 0.3, np.radians(4.0), np.radians(-6.0), 0.1, -0.05, 2.2)
+    c = calibration(*m)
+    xy = np.random.default_rng(5).uniform(-6, 6, (40_000, 2))
+    there = seen(c, m, xy, 12.0, 65.0)
+    kept = np.count_nonzero(inside(visible_polygon(c, 12.0, 65.0), xy)) / np.count_nonzero(there)
+    print(f"{lens.kind}: {kept:.3f} of what is seen")
+    assert kept > share
+
+
+def test_a_picture_that_is_all_margin_shows_nothing() -> None:
+    c = calibration(LENSES[0], 0.0, 0.0, 0.0, 0.0, 0.0, 2.0)
+    assert visible_polygon(c, 240.0, 70.0).shape == (0, 2)

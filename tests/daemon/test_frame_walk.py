@@ -63,7 +63,7 @@ def test_a_frame_goes_forward_with_at_most_four_returns() -> None:
     pipeline, pictures = recorded()
     for k, gray in enumerate(pictures[:4]):
         steps = walk(pipeline, Frame(k, 10**9 + k * 4 * 10**8, gray))
-    assert ("daemon/relocalisation", "weigh") in steps, "the view of this frame is news"
+    assert ("daemon/relocalisation", "look") in steps, "the view of this frame is news"
     rooms = [room for k, (room, _) in enumerate(steps) if k == 0 or room != steps[k - 1][0]]
     floors = [house.floor_of(room) or 0 for room in rooms]
     returns = [rooms[k] for k in range(1, len(rooms)) if floors[k] < floors[k - 1]]

@@ -60,7 +60,7 @@ def test_a_file_that_cannot_be_used_is_set_aside_and_not_overwritten(
     raw = path.read_bytes()
     spoilt = {
         "cut": raw[: len(raw) // 2],
-        "changed": raw.replace(b"2.0", b"3.0", 1) if name == STATE_NAME else raw.replace(b"0.6", b"0.7", 1),
+        "changed": raw.replace(b"2.0", b"3.0", 1) if name == STATE_NAME else raw.replace(b"0.25", b"0.35", 1),
         "newer": json.dumps(json.loads(raw) | {"version": 99}).encode(),
         "empty": b"",
         "other": b"\x89PNG\r\n",

@@ -17,11 +17,12 @@ from ceilvo.daemon.slam.association import (
     NIS_CAP,
     OUTLIER_DENSITY_PER_M2,
     VAR_FLOOR,
+    bounded,
     independent,
     usable,
 )
 from ceilvo.daemon.slam.paper import curve_fit
-from ceilvo.daemon.slam.paper.particle_maps import Candidates, ParticleMaps, fused
+from ceilvo.daemon.slam.paper.particle_maps import Candidates, ParticleMaps, fused, turned
 from ceilvo.daemon.slam.pose_filter import (
     COUNTERS,
     checked_motion,
@@ -32,9 +33,9 @@ from ceilvo.daemon.slam.pose_filter import (
     spread,
     systematic,
 )
-from ceilvo.daemon.slam.spatial_index import IndexedMap, packed
+from ceilvo.daemon.slam.spatial_index import IndexedMap, landmarks_near, packed
 from ceilvo.errors import CeilvoError
-from ceilvo.se2 import rotation, transform, wrap_array
+from ceilvo.se2 import transform, wrap_array
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
 Redraw = Callable[[Array, Array, int, np.random.Generator], tuple[Array, float] | None]
@@ -113,7 +114,6 @@ class FastSlam:
             np.repeat(packed(landmarks.cov_m2)[:, :, None], n, axis=2),
             landmarks.crossing_type,
             landmarks.sightings,
-            self._settings.max_landmarks,
             landmarks.ids,
         )
         state.maps.refresh(state.weights, labels)
@@ -132,7 +132,7 @@ class FastSlam:
 
     def update(self, obs: Observations) -> None:
         """Weights by eq. 18 (the motion being the proposal, they grow by the likelihood), then map, then resampling."""
-        obs = self._labelled(usable(obs, self._size()))
+        obs = bounded(self._labelled(usable(obs, self.size())), self.state.counters["updates"])
         self.state.counters["updates"] += 1
         matched = np.flatnonzero(obs.label >= 0)
         likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
@@ -157,6 +157,12 @@ class FastSlam:
             s.mean, s.cov = mean_and_cov(s.poses, s.weights)
         return s.mean.copy(), s.cov.copy(), s.health
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        self.reset(pose, cov, self.landmarks(), known=self.state.known is not None)
+
+    def size(self) -> int:
+        return len(self.state.maps) if self.state.known is None else len(self.state.known)
+
     def landmarks(self) -> Landmarks:
         if self.state.known is not None:
             return self.state.known.landmarks
@@ -168,10 +174,11 @@ class FastSlam:
         return self.state.poses.copy(), self.state.weights.copy()
 
     def counters(self) -> Mapping[str, int]:
-        return dict(self.state.counters)
+        return dict.fromkeys(COUNTERS, 0) | self.state.counters
 
-    def _size(self) -> int:
-        return len(self.state.maps) if self.state.known is None else len(self.state.known)
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        known = self.state.known
+        return landmarks_near(self.landmarks(), xy_m, reach_m) if known is None else known.landmarks_near(xy_m, reach_m)
 
     def _labelled(self, obs: Observations) -> Observations:
         """Features whose landmark is left to the filter go to the nearest of their kind at the mean pose."""
@@ -180,13 +187,12 @@ class FastSlam:
             return obs
         pose, _ = mean_and_cov(self.state.poses, self.state.weights)
         xy, gate = transform(pose, obs.xy_base_m[free]), self._settings.association_gate_m
-        m = self.landmarks()
-        near = np.arange(len(m)) if self.state.known is None else self.state.known.near(xy, gate)
-        seen, which = mutual_nearest(xy, obs.crossing_type[free], m.xy_map_m[near], m.crossing_type[near], gate)
+        near, m = self.landmarks_near(xy, gate)
+        seen, which = mutual_nearest(xy, obs.crossing_type[free], m.xy_map_m, m.crossing_type, gate)
         label = obs.label.copy()
         label[free] = NO_LANDMARK
         label[free[seen]] = near[which]
-        return usable(replace(obs, label=label), self._size())
+        return usable(replace(obs, label=label), self.size())
 
     def _weigh_and_map(
         self, obs: Observations, matched: NDArray[np.intp]
@@ -266,7 +272,7 @@ class FastSlam:
         xy, kind = transform(pose, obs.xy_base_m[unknown]), obs.crossing_type[unknown]
         new = self._not_mapped(xy, kind)
         xy, kind, unknown = xy[new], kind[new], unknown[new]
-        cov = _turned(obs.var_m2[unknown], float(pose[2]))
+        cov = turned(obs.var_m2[unknown], float(pose[2]))
         gate = self._settings.association_gate_m
         seen, which = mutual_nearest(xy, kind, self.state.candidates.xy, self.state.candidates.crossing_type, gate)
         off = mahalanobis(xy[seen] - self.state.candidates.xy[which], cov[seen] + self.state.candidates.cov[which])
@@ -290,6 +296,9 @@ class FastSlam:
     def _give_birth(self, obs: Observations, which_obs: NDArray[np.intp], which: NDArray[np.intp], pose: Array) -> None:
         """Each particle places the feature from its own pose, corrected by what the earlier sightings averaged to."""
         candidates, n = self.state.candidates, len(self.state.weights)
+        room = max(self._settings.max_landmarks - self.size(), 0)
+        self.state.counters["map_full"] = self.counters()["map_full"] + max(len(which) - room, 0)
+        which_obs, which = which_obs[:room], which[:room]
         seen, _ = self._in_map(obs, which_obs)
         correction = candidates.xy[which] - transform(pose, obs.xy_base_m[which_obs])
         labels = self.state.maps.add(
@@ -297,7 +306,6 @@ class FastSlam:
             np.repeat(candidates.cov[which][:, :, None], n, axis=2),
             candidates.crossing_type[which],
             candidates.count[which],
-            self._settings.max_landmarks,
         )
         self.state.counters["births"] += len(labels)
         self.state.maps.refresh(self.state.weights, labels)
@@ -338,9 +346,3 @@ def mahalanobis(innovation: Array, cov: Array) -> Array:
     x, y = innovation[:, 0], innovation[:, 1]
     xx, xy, yy = cov[:, 0], cov[:, 1], cov[:, 2]
     return np.asarray((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy), np.float64)
-
-
-def _turned(var: Array, theta: float) -> Array:
-    """(M, 3) packed covariances in map from (M, 2) variances in base."""
-    r = rotation(theta)
-    return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])

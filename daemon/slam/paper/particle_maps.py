@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.slam.spatial_index import unpacked
+from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Landmarks, frozen
 
 _CHUNK = 64
@@ -69,27 +70,17 @@ class ParticleMaps:
         self.mean[labels], self.cov[labels] = mean, cov
         self.row[labels] = np.arange(self.row.shape[1], dtype=np.int32)
 
-    def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, limit: int, ids: Ints | None = None) -> Ints:
-        """Append landmarks (M, 2, N), (M, 3, N) and return their labels (M,).
-
-        Beyond `limit` each takes the place of the one seen least.
-        """
-        labels = np.empty(len(kind), np.int64)
-        for i in range(len(kind)):
-            label = labels[i] = self._free_slot(limit)
-            self.ids[label] = self.next_id if ids is None else ids[i]
-            self.next_id = max(self.next_id, int(self.ids[label]) + 1)
-            self.crossing_type[label], self.sightings[label] = kind[i], sightings[i]
-            self.scatter(labels[i : i + 1], mean[i], cov[i])
+    def add(self, mean: Array, cov: Array, kind: Ints, sightings: Ints, ids: Ints | None = None) -> Ints:
+        """Append landmarks (M, 2, N), (M, 3, N) and return their labels (M,)."""
+        labels = self.size + np.arange(len(kind))
+        self.size += len(kind)
+        if self.size > len(self.ids):
+            self._grow(max(_CHUNK, self.size // 2, len(kind)))
+        self.ids[labels] = self.next_id + np.arange(len(kind)) if ids is None else ids
+        self.next_id = max(self.next_id, int(np.max(self.ids[labels], initial=-1)) + 1)
+        self.crossing_type[labels], self.sightings[labels] = kind, sightings
+        self.scatter(labels, mean, cov)
         return labels
-
-    def _free_slot(self, limit: int) -> int:
-        if self.size >= limit:
-            return int(np.argmin(self.sightings[: self.size]))
-        if self.size == len(self.ids):
-            self._grow(max(_CHUNK, self.size // 2))
-        self.size += 1
-        return self.size - 1
 
     def _grow(self, more: int) -> None:
         n = self.row.shape[1]
@@ -194,3 +185,9 @@ def fused(mean: Array, cov: Array, innovation: Array, innovation_cov: Array) -> 
     new_mean = mean + np.stack([kxx * nx + kxy * ny, kyx * nx + kyy * ny], axis=1)
     new_cov = cov - np.stack([kxx * pxx + kxy * pxy, kxx * pxy + kxy * pyy, kyx * pxy + kyy * pyy], axis=1)
     return new_mean, new_cov
+
+
+def turned(var: Array, theta: float) -> Array:
+    """(M, 3) packed covariances in map from (M, 2) variances in base."""
+    r = rotation(theta)
+    return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])

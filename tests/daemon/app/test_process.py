@@ -149,6 +149,15 @@ def test_poses_reach_zenoh_and_base_and_the_end_is_orderly(world: World, base: S
     assert seqs == sorted(set(seqs))
 
 
+def test_a_full_map_is_said_once(world: World, base: SimBase) -> None:
+    config = config_of(world, base.port, free_port())
+    config = replace(config, filter=replace(config.filter, max_landmarks=10))
+    camera = SimCamera(World(WorldSpec(seed=SEED)), 15.0, realtime=False, duration_s=2.0)
+    daemon = Daemon(Plan(config, world.calibration, camera), Notifier({}))
+    assert daemon.run()["frames"] == 30
+    assert len([e for e in daemon.events if "filter.max_landmarks" in e]) == 1
+
+
 def test_second_start_uses_the_stored_map(world: World, base: SimBase, tmp_path: Path) -> None:
     for attempt in range(2):
         config = config_of(world, base.port, free_port(), tmp_path)

@@ -36,7 +36,7 @@ TURNED = replace(GOOD, heading_sigma_rad=0.2)
 STALE = replace(GOOD, nis=5.0)
 WRONG = replace(GOOD, nis=40.0)
 GONE = replace(GOOD, position_sigma_m=0.8)
-SEARCH = replace(GOOD, relocalising=True)
+SEARCH = replace(GOOD, in_doubt="stored pose")
 UNSEEN = replace(GOOD, landmarks_matched=0, nis_dof=0)
 
 
@@ -100,13 +100,13 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
     ),
     "landmarks agree again": ([WRONG] * 10 + [GOOD] * 10, ["INIT", "LOST", "DEGRADED"], "recovering"),
     "landmarks agree again, for good": ([WRONG] * 10 + [GOOD] * 15, ["INIT", "LOST", "DEGRADED", "TRACKING"], "5 good"),
-    "searching": ([WRONG] * 10 + [SEARCH], ["INIT", "LOST", "RELOCALISING"], "searching"),
+    "searching": ([WRONG] * 10 + [SEARCH], ["INIT", "LOST", "RELOCALISING"], "stored pose"),
     "the search forgets old innovations": (
-        [WRONG] * 10 + [SEARCH] + [replace(WRONG, relocalising=True)] * 50 + [GOOD] * 5,
+        [WRONG] * 10 + [SEARCH] + [replace(WRONG, in_doubt="stored pose")] * 50 + [GOOD] * 5,
         ["INIT", "LOST", "RELOCALISING", "TRACKING"],
         "5 good",
     ),
-    "no landmark confirms": ([SEARCH] * 3 + [UNSEEN] * 99, ["INIT", "RELOCALISING"], "searching"),
+    "no landmark confirms": ([SEARCH] * 3 + [UNSEEN] * 99, ["INIT", "RELOCALISING"], "stored pose"),
     "a landmark confirms": ([SEARCH] * 3 + [UNSEEN] * 9 + [GOOD], ["INIT", "RELOCALISING", "TRACKING"], "5 good"),
     "an old confirmation does not count": (
         [GOOD] * 9 + [SEARCH] + [UNSEEN] * 99,
@@ -201,7 +201,7 @@ def test_a_search_after_a_reset_says_why() -> None:
     machine.reset("stored pose")
     verdict = machine.step(SEARCH)
     assert (verdict.state, verdict.changed) == (State.RELOCALISING, True)
-    assert verdict.reason == "stored pose: a hypothesis until landmarks confirm it"
+    assert verdict.reason == "stored pose"
 
 
 def test_quality_is_half_at_each_threshold_alone() -> None:
@@ -245,7 +245,7 @@ anything: st.SearchStrategy[Evidence] = st.builds(
     nis_dof=st.sampled_from([0, 2, 40]),
     ess_ratio=st.floats(0, 1),
     landmarks_matched=st.integers(0, 20),
-    relocalising=st.sampled_from([False, False, False, True]),
+    in_doubt=st.sampled_from(["", "", "", "moved"]),
 )
 configs: st.SearchStrategy[States] = st.builds(
     States,
@@ -286,8 +286,8 @@ def test_what_always_holds(config: States, parts: Any) -> None:
         assert v.changed == (v.state is not state)
         assert v.reason
         assert "\n" not in v.reason
-        assert v.state is not State.TRACKING or (e.motion_ok and not e.relocalising)
-        assert v.state is State.RELOCALISING or not e.relocalising
+        assert v.state is not State.TRACKING or (e.motion_ok and not e.in_doubt)
+        assert v.state is State.RELOCALISING or not e.in_doubt
         assert v.quality == 0.0 or v.state not in (State.INIT, State.LOST, State.RELOCALISING)
         if e.position_sigma_m > config.lost_sigma_m:
             assert v.state not in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)

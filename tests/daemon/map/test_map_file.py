@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from map_texts import MAP_V1, MAP_V2, STATE_V1, edited, table
 
 from ceilvo.daemon.map import map_file
 from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_map, save_state
@@ -21,30 +20,18 @@ from ceilvo.types import Landmarks, State
 
 SEED = 7
 
-# Files as version 1 wrote them; they must load for as long as version 1 is supported.
-MAP_V1 = (
-    '{"format": "ceilvo-map", "version": 1, "sha256": '
-    '"546255ca890883bd371800c4e6ff4e739b983e8c18568988f55be0da34504165", "content": {"map_axis_rad": 0.25, '
-    '"landmarks": {"id": [3, 8], "xy_map_m": [[1.5, -2.0], [0.1, 4.0]], '
-    '"cov_xx_xy_yy_m2": [[0.0004, 0.0001, 0.0009], [0.01, 0.0, 0.02]], "kind": [4, 0], "sightings": [12, 3]}}}\n'
-)
-STATE_V1 = (
-    '{"format": "ceilvo-state", "version": 1, "sha256": '
-    '"1edde77ea6e1eb1fe532f61bfa4a2f83fdea66cb50ed95e0169876dfbc97ae8a", "content": {"pose_map_from_base": '
-    '{"x_m": 1.25, "y_m": -0.5, "theta_rad": 3.0}, "cov": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.001], [0.0, 0.001, 0.003]], '
-    '"state": "TRACKING", "stamp_ns": 123456789012345}}\n'
-)
-
 
 def landmarks(n: int, seed: int = SEED) -> Landmarks:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(n, 2, 2)) * 0.05
+    sightings = rng.integers(1, 1000, n)
     return Landmarks(
         ids=rng.permutation(10 * n)[:n].astype(np.int64),
         xy_map_m=rng.normal(size=(n, 2)) * 3.0,
         cov_m2=a @ np.swapaxes(a, 1, 2),
         crossing_type=rng.integers(0, 9, n),
-        sightings=rng.integers(1, 1000, n),
+        sightings=sightings,
+        expected=sightings + rng.integers(0, 100, n),
     )
 
 
@@ -56,6 +43,7 @@ def same(a: StoredMap, b: Landmarks, axis: float) -> bool:
         and np.array_equal(a.landmarks.cov_m2, b.cov_m2)
         and np.array_equal(a.landmarks.crossing_type, b.crossing_type)
         and np.array_equal(a.landmarks.sightings, b.sightings)
+        and np.array_equal(a.landmarks.expected, b.expected)
     )
 
 
@@ -98,6 +86,7 @@ def test_version_1_files_load(tmp_path: Path) -> None:
     assert stored.landmarks.ids.tolist() == [3, 8]
     assert stored.landmarks.cov_m2[0].tolist() == [[0.0004, 0.0001], [0.0001, 0.0009]]
     assert (stored.map_axis_rad, stored.landmarks.crossing_type.tolist()) == (0.25, [4, 0])
+    assert stored.landmarks.expected.tolist() == stored.landmarks.sightings.tolist() == [12, 3]
     assert state.pose.tolist() == [1.25, -0.5, 3.0]
     assert (state.state, state.stamp_ns) == (State.TRACKING, 123456789012345)
 
@@ -107,30 +96,15 @@ def test_no_file_is_no_map(tmp_path: Path) -> None:
     assert load_state(tmp_path / "nowhere" / "state") is None
 
 
-def signed(document: dict[str, Any]) -> str:
-    """A document with the checksum that its content calls for."""
-    text = json.dumps(document["content"], sort_keys=True, separators=(",", ":"))
-    return json.dumps({**document, "sha256": hashlib.sha256(text.encode()).hexdigest()})
-
-
-def edited(text: str, change: Callable[[dict[str, Any]], Any]) -> str:
-    document: dict[str, Any] = json.loads(text)
-    change(document)
-    return signed(document)
-
-
-def table(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
-    return lambda d: d["content"]["landmarks"].__setitem__(key, value)
-
-
 BAD_MAPS: dict[str, tuple[str, str]] = {
     "empty": ("", "damaged or cut short"),
     "cut short": (MAP_V1[:200], "damaged or cut short"),
     "not JSON": ("hello", "damaged or cut short"),
     "a list": ("[1]", "not a ceilvo-map file"),
     "the state file": (STATE_V1, "not a ceilvo-map file"),
-    "newer": (MAP_V1.replace('"version": 1', '"version": 2'), "version 2 was written by a newer ceilvo"),
-    "older": (MAP_V1.replace('"version": 1', '"version": 0'), "version is 0, expected a whole number from 1 to 1"),
+    "newer": (MAP_V1.replace('"version": 1', '"version": 3'), "version 3 was written by a newer ceilvo"),
+    "older": (MAP_V1.replace('"version": 1', '"version": 0'), "version is 0, expected a whole number from 1 to 2"),
+    "version 1 as 2": (MAP_V1.replace('"version": 1', '"version": 2'), "landmarks: missing keys ['expected']"),
     "version as text": (MAP_V1.replace('"version": 1', '"version": "1"'), "version is '1'"),
     "changed by hand": (MAP_V1.replace("1.5", "1.6"), "checksum does not match"),
     "NaN": (MAP_V1.replace("1.5", "NaN"), "NaN is not a number"),
@@ -192,11 +166,11 @@ def test_a_file_beyond_the_limit_is_not_read(tmp_path: Path) -> None:
         load_state(path)
 
 
-@given(st.data())
+@given(st.data(), st.sampled_from([MAP_V1, MAP_V2]))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=400)
-def test_mutated_bytes_give_the_same_map_or_an_error(tmp_path: Path, data: st.DataObject) -> None:
+def test_mutated_bytes_give_the_same_map_or_an_error(tmp_path: Path, data: st.DataObject, text: str) -> None:
     """Flipped, cut and inserted bytes: never another map, never another exception."""
-    raw = bytearray(MAP_V1.encode())
+    raw = bytearray(text.encode())
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(raw) - 1))
         how = data.draw(st.sampled_from(["flip", "set", "insert", "cut", "drop"]))
@@ -212,7 +186,7 @@ def test_mutated_bytes_give_the_same_map_or_an_error(tmp_path: Path, data: st.Da
             del raw[at:]
         raw = raw or bytearray(b"\n")
     path = tmp_path / "map"
-    path.write_text(MAP_V1)
+    path.write_text(text)
     original = load_map(path)
     assert original is not None
     path.write_bytes(raw)
@@ -232,12 +206,16 @@ json_values: st.SearchStrategy[Any] = st.recursive(
 )
 
 
-@given(st.sampled_from(["id", "xy_map_m", "cov_xx_xy_yy_m2", "kind", "sightings", ""]), json_values)
+@given(
+    st.sampled_from(["id", "xy_map_m", "cov_xx_xy_yy_m2", "kind", "sightings", "expected", ""]),
+    json_values,
+    st.sampled_from([MAP_V1, MAP_V2]),
+)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
-def test_any_signed_content_is_a_map_or_an_error(tmp_path: Path, key: str, value: Any) -> None:
+def test_any_signed_content_is_a_map_or_an_error(tmp_path: Path, key: str, value: Any, text: str) -> None:
     """A right checksum over wrong content gets past the first check, not past the second."""
     path = tmp_path / "map"
-    path.write_text(edited(MAP_V1, table(key, value) if key else lambda d: d.__setitem__("content", value)))
+    path.write_text(edited(text, table(key, value) if key else lambda d: d.__setitem__("content", value)))
     try:
         stored = load_map(path)
     except FileFormatError as e:
@@ -291,7 +269,7 @@ def test_a_folder_in_place_of_the_file_is_a_clear_error(tmp_path: Path) -> None:
 def test_a_large_map_stays_within_the_limit(tmp_path: Path) -> None:
     path = tmp_path / "map"
     save_map(path, landmarks(2000), 0.0)
-    assert path.stat().st_size * 50 < map_file.MAX_MAP_BYTES  # the configuration allows 100000 landmarks
+    assert path.stat().st_size * 1000 < map_file.MAX_MAP_BYTES  # the configuration allows 2000000 landmarks
     stored = load_map(path)
     assert stored is not None
     assert len(stored.landmarks) == 2000

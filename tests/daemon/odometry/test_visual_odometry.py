@@ -95,10 +95,10 @@ def test_covariance_grows_with_the_gap() -> None:
     vo, poses = VisualOdometry(Odometry()), circle(40)
     for p in poses[:5]:
         vo.step(seen_from(p), DT_S)
-    sigma = [float(np.sqrt(vo.step(None, DT_S).cov[0, 0])) for _ in range(30)]
+    sigma = [float(np.sqrt(vo.step(None, DT_S).cov[0, 0])) for _ in range(15)]
     assert np.all(np.diff(sigma) > 0)
     total = float(np.sqrt(np.sum(np.square(sigma))))
-    assert total == pytest.approx(0.5 * Odometry().coast_accel_mps2, rel=0.05)  # a t^2 / 2 after one second
+    assert total == pytest.approx(0.5**3 * Odometry().coast_accel_mps2, rel=0.12)  # a t^2 / 2 after half a second
 
 
 def test_wheels_carry_the_motion_when_vision_is_out() -> None:

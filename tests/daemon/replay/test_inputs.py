@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Frame, Landmarks, WheelMotion
+from ceilvo.types import Frame, Landmarks, Pose, WheelMotion
 
 floats = st.floats(allow_nan=False, allow_infinity=False)
 poses, covs = arrays(np.float64, 3, elements=floats), arrays(np.float64, (3, 3), elements=floats)
@@ -59,3 +61,12 @@ def test_any_bytes_are_an_input_or_our_error(data: bytes) -> None:
         read_input(data, lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
     except FileFormatError as e:
         assert "damaged" in str(e)
+
+
+@given(landmarks())
+def test_a_map_of_an_older_recording_has_not_counted_expectations(m: Landmarks) -> None:
+    body = json.loads(input_json(LoadMap(m, 0.0, Pose(np.zeros(3)), np.eye(3)), 0))
+    del body["landmarks"]["expected"]
+    _, again = read_input(json.dumps(body).encode(), lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
+    assert isinstance(again, LoadMap)
+    assert again.landmarks.expected.tolist() == m.sightings.tolist()

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
 from ceilvo.daemon.slam.association import associate, sigma
+from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import inverse, transform, wrap
 from ceilvo.types import Crossings, Landmarks
 
@@ -37,7 +38,8 @@ def landmarks(xy, kind):
 
 def label_of(xy, kind, known, pose=(0.0, 0.0, 0.0), axis=0.0, psi=0.0):
     pose = np.asarray(pose, float)
-    return associate(crossings(xy, kind, psi), CURVES, np.zeros(2), pose, known, Filter(), axis)
+    near = IndexedMap(known).landmarks_near
+    return associate(crossings(xy, kind, psi), CURVES, np.zeros(2), pose, near, Filter(), axis)
 
 
 def test_sigma_is_the_polynomial_inside_the_measured_radius():
@@ -62,13 +64,15 @@ def test_sigma_never_shrinks_with_r_and_is_positive(coefficients, low, high):
 
 def test_variance_is_sigma_squared_from_below_the_camera_plus_the_crossing_s_own():
     seen = crossings([[1.0, 0.5]], [4], cov=1e-6, common=4e-7)
-    obs = associate(seen, CURVES, np.array([0.1, 0.5]), np.zeros(3), landmarks([], []), Filter(), 0.0)
+    near, visible = IndexedMap(landmarks([], [])).landmarks_near, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    obs = associate(seen, CURVES, np.array([0.1, 0.5]), np.zeros(3), near, Filter(), 0.0, visible)
     r = 0.9
     np.testing.assert_allclose(
         obs.var_m2[0], [(0.002 + 0.001 * r**2) ** 2 + 1e-6, (0.003 + 0.002 * r) ** 2 + 1e-6], 1e-4
     )
     assert obs.common_var_m2 == pytest.approx(4e-7)
     assert obs.heading_var_rad2 == pytest.approx(2e-6)
+    assert obs.visible_m is visible
 
 
 def test_association_needs_equal_kind_and_the_gate():

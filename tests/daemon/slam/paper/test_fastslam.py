@@ -180,19 +180,22 @@ def test_no_duplicate_is_born_beside_a_landmark():
     assert len(f.landmarks()) == 2
 
 
-def test_the_landmark_seen_least_gives_way_when_the_map_is_full():
+def test_a_full_map_learns_nothing_and_says_so():
     known = replace(known_map(np.random.default_rng(SEED).uniform(-3, -1, (10, 2))), sightings=np.arange(2, 12))
-    f = make(replace(INDEPENDENT, birth_sightings=1, max_landmarks=10), known=known)
-    f.update(observations([[2.0, 2.0]], [-1]))
-    m = f.landmarks()
-    assert len(m) == 10
-    assert sorted(m.ids.tolist()) == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+    f = make(replace(INDEPENDENT, birth_sightings=1, max_landmarks=11), known=known)
+    assert f.counters()["map_full"] == 0
+    f.update(observations([[2.0, 2.0], [1.0, 2.0], [2.0, 1.0]], [-1, -1, -1]))
+    assert f.landmarks().ids.tolist() == list(range(11))
+    assert f.counters()["map_full"] == 2
+    f = make(replace(INDEPENDENT, max_landmarks=8), known=known)
+    assert len(f.landmarks()) == 10
 
 
 def test_maps_grow_beyond_a_chunk_and_follow_their_particles():
     f = make(replace(INDEPENDENT, birth_sightings=1, particles=20), cov=np.diag([1e-2, 1e-2, 1e-2]))
     g = np.stack(np.meshgrid(np.arange(15.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
-    f.update(observations(g, np.full(180, -1)))
+    for part in np.split(g, 3):
+        f.update(observations(part, np.full(60, -1)))
     before, _ = f.state.maps.gather(np.arange(180))
     ancestors = np.random.default_rng(SEED).integers(0, 20, 20)
     f.state.maps.resample(ancestors)

@@ -80,7 +80,7 @@ def drive(seed, method="pfcf_paper", outliers=0.0, heading=False, luck=1.0):
         measured = step + luck * sigma * rng.standard_normal(3)
         odometry = compose(odometry, measured)
         f.predict(Motion(measured, np.diag(sigma**2), 30, 0.001))
-        obs = associate(eye.see(truth), CURVES, np.zeros(2), f.estimate()[0], f.landmarks(), settings, 0.0)
+        obs = associate(eye.see(truth), CURVES, np.zeros(2), f.estimate()[0], f.landmarks_near, settings, 0.0)
         f.update(obs if heading else replace(obs, heading_var_rad2=np.inf))
         nis.append(f.estimate()[2].nis)
     pose, _, _ = f.estimate()

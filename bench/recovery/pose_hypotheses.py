@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.pose_search import poses_from_view
+from ceilvo.bench.recovery.pose_search import poses_from_view
 from ceilvo.daemon.slam.association import OUTLIER_DENSITY_PER_M2
 from ceilvo.daemon.slam.pose_filter import normalised
 from ceilvo.daemon.slam.spatial_index import IndexedMap

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
+from ceilvo.bench.recovery.tile_slips import SLIP_CHANCE, SLIP_CHANCE_3_SIGMA, LatticeBelief, neighbours, periods
+from ceilvo.bench.recovery.view_score import at_least, unexplained
 from ceilvo.config import Filter
-from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.relocalisation.lattice import SLIP_CHANCE, SLIP_CHANCE_3_SIGMA, LatticeBelief, neighbours, periods
-from ceilvo.daemon.relocalisation.view_score import at_least, unexplained
 from ceilvo.daemon.slam.pose_filter import SURE
 from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import compose, inverse, transform, wrap

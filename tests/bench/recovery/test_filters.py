@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
+from ceilvo.bench.recovery.recovering_filter import RecoveringFilter
 from ceilvo.config import Filter
-from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.relocalisation.recovering_filter import RecoveringFilter
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
 from ceilvo.daemon.slam.pose_filter import COUNTERS, chi_square_bounds

@@ -6,22 +6,14 @@ from math import comb
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.pose_hypotheses import OUTLIER
+from ceilvo.bench.recovery.pose_hypotheses import OUTLIER
 from ceilvo.daemon.slam.association import OUTLIER_DENSITY_PER_M2
 from ceilvo.daemon.slam.spatial_index import IndexedMap
-from ceilvo.se2 import rotation, transform, wrap
-from ceilvo.types import UNLABELLED, Array, Ints, Landmarks, Observations
+from ceilvo.se2 import rotation
+from ceilvo.types import UNLABELLED, Array, Ints, Observations
 
 CHANCE = 0.0228
 """What is less likely is no chance: one side beyond 2 sigma."""
-TURNED_RAD = 0.15
-"""Lines that lie so far off the expected heading contradict a pose; 9 deg is far beyond any heading sigma in use."""
-GROUND_M = 0.45
-"""Ground is mapped so near a landmark: less than a tile, so that a missing neighbour shows."""
-FEWEST_MAPPED = 10
-"""Features on mapped ground that it takes to contradict a pose; chosen."""
-HALF = 0.5
-"""A view contradicts where less than this fraction is known and less than this fraction of the map is seen."""
 
 
 def nearest_landmarks(known: IndexedMap, poses: Array, obs: Observations, reach_m: float) -> tuple[Ints, Array]:
@@ -64,26 +56,3 @@ def unexplained(known: IndexedMap, pose: Array, obs: Observations, reach_m: floa
 def at_least(k: int, n: int, p: float) -> float:
     """Chance of k or more of n, each with chance p."""
     return 1.0 - sum(comb(n, i) * p**i * (1.0 - p) ** (n - i) for i in range(k))
-
-
-def contradicted(observations: Observations, pose: Array, landmarks: Landmarks) -> bool:
-    """Whether a view cannot be from a pose: its lines lie otherwise, or mapped ground shows something else.
-
-    On mapped ground, less than half of what is seen is in the map, and less than half of what is in the map is seen.
-
-    Args:
-        observations: labelled as seen from that pose.
-    """
-    if abs(wrap(observations.heading_rad - float(pose[2]))) > TURNED_RAD:
-        return True
-    seen = transform(pose, observations.xy_base_m)
-    reach_m = float(np.max(np.hypot(*observations.xy_base_m.T), initial=0.0)) + GROUND_M
-    at = landmarks.xy_map_m[np.hypot(*(landmarks.xy_map_m - pose[:2]).T) < reach_m]
-    if not len(at):
-        return False
-    apart2 = np.min((seen[:, 0, None] - at[:, 0]) ** 2 + (seen[:, 1, None] - at[:, 1]) ** 2, axis=1)
-    mapped = apart2 < GROUND_M**2
-    known = int(np.count_nonzero(observations.label[mapped] >= 0))
-    within = np.all((at >= seen.min(axis=0)) & (at <= seen.max(axis=0)), axis=1)
-    surprising, missed = known < HALF * np.count_nonzero(mapped), known < HALF * np.count_nonzero(within)
-    return bool(np.count_nonzero(mapped) >= FEWEST_MAPPED and surprising and missed)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation import view_score
-from ceilvo.daemon.relocalisation.lattice import (
+from ceilvo.bench.recovery import view_score
+from ceilvo.bench.recovery.pose_hypotheses import PoseHypotheses
+from ceilvo.bench.recovery.tile_slips import (
     SLIP_CHANCE,
     SLIP_CHANCE_2_SIGMA,
     SLIP_CHANCE_3_SIGMA,
@@ -18,12 +19,11 @@ from ceilvo.daemon.relocalisation.lattice import (
     neighbours,
     periods,
 )
-from ceilvo.daemon.relocalisation.pose_hypotheses import PoseHypotheses
 from ceilvo.daemon.slam.association import independent, usable
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.pose_filter import SURE, chi_square_bounds, normalised, systematic
 from ceilvo.daemon.slam.spatial_index import IndexedMap
-from ceilvo.types import UNLABELLED, Array, FilterHealth, Landmarks, Motion, Observations
+from ceilvo.types import UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
 CARRIED_AWAY = 1e-3
 """Chance that a robot whose view does not fit is somewhere else; the view then speaks for itself; chosen."""
@@ -95,6 +95,10 @@ class RecoveringFilter:
         if not np.all(np.isfinite(cov)):
             self._begin_search()
 
+    def jump(self, pose: Array, cov: Array) -> None:
+        self._tracker.jump(pose, cov)
+        self._memory = RecoveringState(self._tracker.state)
+
     def predict(self, motion: Motion) -> None:
         self._tracker.predict(motion)
         for poses in (self._memory.search, self._memory.alternatives):
@@ -108,8 +112,14 @@ class RecoveringFilter:
             health = replace(health, nis=0.0, nis_dof=0)
         return pose, cov, replace(health, mode_weight=weight)
 
+    def size(self) -> int:
+        return self._tracker.size()
+
     def landmarks(self) -> Landmarks:
         return self._tracker.landmarks()
+
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        return self._tracker.landmarks_near(xy_m, reach_m)
 
     def particles(self) -> tuple[Array, Array]:
         search, n = self._memory.search, self._settings.particles

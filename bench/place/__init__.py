@@ -1,0 +1,1 @@
+"""Faults of a robot that should know its place, through the daemon's own path."""

@@ -1,0 +1,1 @@
+"""Ceilings of rooms and halls, and a fast eye that looks at them."""

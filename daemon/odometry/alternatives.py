@@ -1,0 +1,346 @@
+"""Which displacements lie between two views: on a ceiling of tiles many fit, and what is not periodic decides.
+
+Every displacement under which crossings of one type meet is a candidate. Its weight is its share of the prediction's
+probability times a likelihood ratio: how much likelier the two views are there than at a wrong place of the same
+ceiling. What a wrong place explains by chance is measured on the candidates themselves, type by type: where joints of
+tiles cross nearly any whole tile explains them, and a lamp's corner only the right one does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.crossing_types import CROSSING_TYPES, quarter_turns, turned_type
+from ceilvo.daemon.odometry.registration import MIN_AGREEING, view_size_m
+from ceilvo.se2 import rotation, wrap, wrap_array
+from ceilvo.types import Array, Crossings, Ints
+
+Bools = NDArray[np.bool_]
+
+CELL_M = 0.01
+"""Side of a cell of the pictures that crossings are looked up in; chosen: residuals are 1 mm, at worst 10 mm."""
+_REACH_CELLS = 2
+"""Crossings of one type that lie so many cells apart are one: 0.02 to 0.03 m, half of a joint's or a lamp's edges."""
+_BIN_M = 0.02
+"""Differences are counted in bins of this side, three by three together; chosen: above the largest residual."""
+_NEIGHBOURS = np.ones((5, 5), np.uint8)
+"""Bins around one that must not have more votes."""
+_SAME_M, _SAME_RAD = 3.0 * _BIN_M, 0.1
+"""Displacements that differ by less are one: the bins that were counted together."""
+_FEWEST = 3
+"""Crossings that make a candidate; fewer meet by chance."""
+_MOST_VOTERS = 160
+"""Crossings of a view that vote, those of rare types first; chosen for time, which grows with this number."""
+_MOST_CANDIDATES = 192
+"""Kept, those with most votes; chosen: more than whole tiles of 0.3 m in a view of 3 m."""
+_MISSED = np.array([0.01, 0.05, 0.15, 0.35, 0.6])
+"""Fractions of the crossings that both views must show but only one does."""
+_MISSED_CHANCE = np.array([0.4, 0.3, 0.17, 0.1, 0.03])
+"""How likely each is; chosen: laps had 0.03 in most conditions, 0.15 at worst (make bench-vision)."""
+_INDEPENDENCE = 0.5
+"""Worth of a crossing among those of a view, which share lines; chosen, docs/method.md has the error rates found."""
+_ALIKE = 0.5
+"""A candidate that explains this fraction of the crossings shows what tiles explain by chance, ..."""
+_SMALLEST_TILE_M = 0.28
+"""Displacements that differ by less are no two places: the smallest tiles made are 0.3 m, but slats of a vent ..."""
+_ALIKE_MET = 0.25
+"""... if it explains this fraction of as many as any other: a few crossings meet anywhere; both chosen."""
+_LEAST_CHANCE = 0.02
+"""Bound of that chance, for a type is seen a few times only."""
+_MISTAKEN = 0.5
+"""Where so many crossings are missing, this times as many more are seen as of another type; chosen."""
+_UNSEEN, _UNSEEN_WEIGHT = np.array([0.25, 0.25, 0.5, 0.5]), 2.0
+"""The same before anything was seen of a type, and for how many crossings that counts; chosen."""
+_OTHER = np.array([0.04, 0.38, 0.04, 0.38, 0.01, 0.38, 0.04, 0.38, 0.04])
+"""Chance that a crossing is seen as one of another type, by its type: an edge that crosses a joint often is, for the
+joint's nearer edge may be all that is found of it; counted on 7000 crossings in pairs of views up to 0.8 s apart."""
+_TILE_M2 = 0.36
+"""Area that one candidate stands for; chosen: an office tile of 0.6 m. It enters by its logarithm only."""
+_FAR = 0.7
+"""A robot that moved by more than this fraction of a view shares too little with it to be compared; chosen."""
+_NODES = np.linspace(-3.5, 3.5, 15)
+"""Of a normal distribution, in standard deviations, at which its part beyond a distance is summed up."""
+_TINY = 1e-300
+"""In place of a probability of zero, whose logarithm there is not."""
+_HOPELESS = 18.0
+"""Candidates whose weight is less by so much are left out: 1e-8, far below any rate of error."""
+_QUARTER_RAD = 0.5 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of ref_from_curr before the views are compared.
+
+    Attributes:
+        mean: (3,) [m, m, rad].
+        cov: (3, 3).
+        carried: chance that neither holds, because somebody moved the robot.
+    """
+
+    mean: Array
+    cov: Array
+    carried: float
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Displacements that are possible, the likeliest first.
+
+    Attributes:
+        ref_from_curr: (K, 3).
+        log_ratio: (K,) logarithm of how much likelier the views are there than at a wrong place.
+        log_weight: (K,) the same times the prior's share: of the probability, up to a common factor.
+        log_elsewhere: the weight of all displacements at which the views share too little, by the prediction.
+        log_carried: the weight of those to which somebody may have moved the robot.
+    """
+
+    ref_from_curr: Array
+    log_ratio: Array
+    log_weight: Array
+    log_elsewhere: float
+    log_carried: float
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    def is_first(self, ref_from_curr: Array) -> bool:
+        """Whether a displacement (3,) found otherwise is the first."""
+        off = self.ref_from_curr[0] - ref_from_curr
+        return bool(np.max(np.abs(off[:2])) < _SAME_M and abs(wrap(float(off[2]))) < _SAME_RAD)
+
+    def others(self, rate: float) -> Ints:
+        """(A,) which besides the first may be right at this rate of error, all of them together."""
+        less = self.log_weight[1:] - self.log_weight[0]
+        return np.asarray(1 + np.flatnonzero(less > math.log(rate / max(len(less), 1))))
+
+    def doubt(self) -> float:
+        """Probability that the first candidate is wrong."""
+        if not len(self):
+            return 1.0
+        others = np.append(self.log_weight[1:], self.log_elsewhere) - self.log_weight[0]
+        against = float(np.sum(np.exp(np.minimum(others, 50.0))))
+        return against / (1.0 + against)
+
+
+def find_candidates(
+    ref: Crossings, curr: Crossings, turn_rad: float, prior: Prior, known: Array | None = None
+) -> Candidates:
+    """All displacements that explain at least three crossings.
+
+    Args:
+        turn_rad: ref_from_curr rotation from the lines' direction, of which whole quarter turns are not known.
+        known: (3,) a displacement that was found otherwise, by the same turn.
+    """
+    far_m = _FAR * view_size_m(ref)
+    before, now = _Sight.of(ref), _Sight.of(curr)
+    found = []
+    for quarter in range(4):
+        turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
+        quarters = quarter_turns(curr.psi_rad + turn, ref.psi_rad)
+        shifts = _votes(before, now.turned(turn, quarters), far_m)
+        if known is not None and quarter == 0:
+            shifts = np.concatenate([known[None, :2], shifts])
+        if len(shifts):
+            found.append(_Matched.of(before, now, shifts, turn, quarters))
+    return _weighed(found, far_m, prior)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """Crossings with what is needed to look them up.
+
+    Attributes:
+        xy, types: (N, 2) m, and (N,).
+        low: (2,) cell of the picture's corner; bits: which types are within reach of each cell.
+        normals, offsets: (V, 2), (V,) the convex hull: inside, normals . xy <= offsets.
+    """
+
+    xy: Array
+    types: Ints
+    low: Ints
+    bits: NDArray[np.uint16]
+    normals: Array
+    offsets: Array
+
+    @staticmethod
+    def of(crossings: Crossings) -> _Sight:
+        xy, types = crossings.xy_base_m, crossings.crossing_type
+        pad = _REACH_CELLS + 1
+        cell = np.floor(xy / CELL_M).astype(np.int64)
+        low = cell.min(axis=0) - pad
+        width, height = (cell.max(axis=0) - low + pad + 1).tolist()
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _REACH_CELLS + 1, 2 * _REACH_CELLS + 1))
+        bits = np.zeros((height, width), np.uint16)
+        column, row = (cell - low).T
+        for t in np.unique(types).tolist():
+            picture = np.zeros((height, width), np.uint16)
+            of = types == t
+            picture[row[of], column[of]] = 1 << t
+            bits |= np.asarray(cv2.dilate(picture, disc), np.uint16)
+        return _Sight(xy, types, low, bits, *_hull(xy))
+
+    def turned(self, turn_rad: float, quarters: int) -> tuple[Array, Ints]:
+        """Its crossings (N, 2) and types (N,) seen from axes that are turned back."""
+        return self.xy @ rotation(turn_rad).T, turned_type(self.types, quarters)
+
+    def at(self, xy: Array) -> NDArray[np.uint16]:
+        """(...,) the types of the crossings within reach of points (..., 2), as bits."""
+        cell = np.floor(xy * (1.0 / CELL_M)).astype(np.int64) - self.low
+        height, width = self.bits.shape
+        column, row = cell[..., 0], cell[..., 1]
+        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        bits = self.bits.reshape(-1)[np.where(inside, row * width + column, 0)]
+        return np.asarray(np.where(inside, bits, np.uint16(0)))
+
+    def shows(self, xy: Array) -> Bools:
+        """(...,) whether a place (..., 2) lies among the crossings, so that one there would be seen."""
+        return np.asarray(np.all(xy @ self.normals.T <= self.offsets, axis=-1))
+
+
+def _hull(xy: Array) -> tuple[Array, Array]:
+    corners = cv2.convexHull(xy.astype(np.float32))[:, 0].astype(np.float64)
+    edge = np.roll(corners, -1, axis=0) - corners
+    normals = np.column_stack([edge[:, 1], -edge[:, 0]])
+    inside = xy.mean(axis=0)
+    normals *= np.where(np.sum(normals * (inside - corners), axis=1) > 0.0, -1.0, 1.0)[:, None]
+    return normals, np.sum(normals * corners, axis=1)
+
+
+def _votes(before: _Sight, now: tuple[Array, Ints], far_m: float) -> Array:
+    """(K, 2) shifts from points of now to those before that at least three of one type share, most votes first."""
+    xy, types = now
+    ref, ref_types = before.xy, before.types
+    which = _rare_first(types)[:_MOST_VOTERS]
+    i, j = np.nonzero(types[which, None] == ref_types[None])
+    off = ref[j] - xy[which[i]]
+    off = off[np.max(np.abs(off), axis=1) < far_m]
+    half = int(far_m / _BIN_M) + 2
+    size = 2 * half + 1
+    cell = np.floor(off * (1.0 / _BIN_M)).astype(np.int64) + half
+    flat = cell[:, 1] * size + cell[:, 0]
+    sums = [np.bincount(flat, w, size * size).reshape(size, size) for w in (None, off[:, 0], off[:, 1])]
+    single = sums[0].astype(np.float64)
+    votes, sum_x, sum_y = (cv2.boxFilter(s, -1, (3, 3), normalize=False, borderType=0) for s in (single, *sums[1:]))
+    # in the middle of its votes a peak is higher, and of equal neighbours the last is
+    height = votes + 0.1 * single + np.linspace(0.0, 0.01, size * size).reshape(size, size)
+    row, column = np.nonzero((votes > _FEWEST - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
+    order = np.argsort(-votes[row, column], kind="stable")[:_MOST_CANDIDATES]
+    row, column = row[order], column[order]
+    return np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
+
+
+def _rare_first(types: Ints) -> Ints:
+    count = np.bincount(types, minlength=CROSSING_TYPES)
+    return np.asarray(np.argsort(count[types], kind="stable"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Matched:
+    """What displacements (K, 3) explain.
+
+    Attributes:
+        counts: (K, 4, 9) by type: crossings of now where there was one of the same type, only one of another type, or
+            none though it would have been seen; and crossings before where now there is none though it would be seen.
+    """
+
+    at: Array
+    counts: Array
+
+    @staticmethod
+    def of(before: _Sight, now: _Sight, shifts: Array, turn_rad: float, quarters: int) -> _Matched:
+        xy, types = now.turned(turn_rad, quarters)
+        there = xy + shifts[:, None]
+        bits = before.at(there)
+        same = (bits >> types.astype(np.uint16)) & np.uint16(1) > 0
+        back = (before.xy - shifts[:, None]) @ rotation(turn_rad)
+        lost = now.shows(back) & (now.at(back) == 0)
+        one, other = np.eye(CROSSING_TYPES)[types], np.eye(CROSSING_TYPES)[before.types]
+        gone = before.shows(there) & (bits == 0)
+        counts = np.stack([same @ one, ((bits > 0) & ~same) @ one, gone @ one, lost @ other], axis=1)
+        at = np.column_stack([shifts, np.full(len(shifts), turn_rad)])
+        return _Matched(at, counts)
+
+
+def _weighed(found: list[_Matched], far_m: float, prior: Prior) -> Candidates:
+    beyond = math.log(_far_share(prior, far_m) + _TINY), math.log(prior.carried + _TINY)
+    if not found:
+        return Candidates(np.zeros((0, 3)), np.zeros(0), np.zeros(0), *beyond)
+    at = np.concatenate([m.at for m in found])
+    ratio = _log_ratio(at, np.concatenate([m.counts for m in found]))
+    weight = ratio + np.log(_prior_share(at, prior, far_m))
+    order = np.argsort(-weight, kind="stable")
+    order = _apart(at, order[weight[order] > weight[order[0]] - _HOPELESS])
+    return Candidates(at[order], ratio[order], weight[order], *beyond)
+
+
+def _apart(at: Array, order: Ints) -> Ints:
+    """The order without those that are one with an earlier one: its neighbouring bins."""
+    at = at[order]
+    near = np.max(np.abs(at[:, None] - at[None]), axis=2) < _SAME_M
+    return np.asarray(order[~np.any(np.tril(near, -1), axis=1)])
+
+
+def _log_ratio(at: Array, counts: Array) -> Array:
+    """(K,) of _Matched, against a wrong place; the other candidates show what chance explains there."""
+    chance = _chance(at, counts)[:, None]  # (K, 1, 4, 9)
+    missed = np.repeat(_MISSED[:, None], CROSSING_TYPES, axis=1)
+    other = np.minimum(_OTHER + _MISTAKEN * missed, 0.5)
+    right = np.stack([(1.0 - missed) * (1.0 - other), (1.0 - missed) * other, missed, missed], axis=1)
+    gain = np.log(right / chance)
+    gain[:, :, 2:] = np.minimum(gain[:, :, 2:], 0.0)  # what is missing proves no place
+    score = _INDEPENDENCE * np.einsum("kct,kqct->kq", counts, gain) + np.log(_MISSED_CHANCE)
+    top = np.max(score, axis=1)
+    ratio = top + np.log(np.sum(np.exp(score - top[:, None]), axis=1))
+    return np.asarray(np.where(_agreeing(counts) < MIN_AGREEING, -np.inf, ratio))
+
+
+def _agreeing(counts: Array) -> Array:
+    """(K,) fraction of the crossings that both views must show which both do."""
+    met, all_of_them = np.sum(counts[:, :2], axis=(1, 2)), np.sum(counts, axis=(1, 2))
+    return np.asarray(met / np.maximum(all_of_them, 1.0))
+
+
+def _chance(at: Array, counts: Array) -> Array:
+    """(K, 4, 9) the same as fractions, at the other candidates: where tiles meet, or anywhere if they do not."""
+    met = np.sum(counts[:, :2], axis=(1, 2))
+    alike = (_agreeing(counts) >= _ALIKE) & (met >= _ALIKE_MET * np.max(met))
+    elsewhere = np.max(np.abs(at[:, None] - at[None]), axis=2) > _SMALLEST_TILE_M
+    others = alike[None, :] & elsewhere
+    others[~np.any(others, axis=1)] = True
+    others &= elsewhere
+    found = np.tensordot(others.astype(np.float64), counts, axes=1)
+    now = np.sum(found[:, :3], axis=1, keepdims=True)
+    before = found[:, 3:] + np.sum(found[:, :2], axis=1, keepdims=True)  # what is there now was there before
+    tried = np.concatenate([np.repeat(now, 3, axis=1), before], axis=1)
+    chance = np.maximum((found + _UNSEEN[:, None] * _UNSEEN_WEIGHT) / (tried + _UNSEEN_WEIGHT), _LEAST_CHANCE)
+    chance[:, 0] = np.minimum(chance[:, 0], 1.0 - _OTHER)  # no place explains more than the right one
+    return np.asarray(chance)
+
+
+def _prior_share(at: Array, prior: Prior, far_m: float) -> Array:
+    """(K,) of the prior's probability that each candidate (K, 3) stands for."""
+    cov = prior.cov[:2, :2] + CELL_M**2 * np.eye(2)
+    off = at[:, :2] - prior.mean[:2]
+    distance2 = np.einsum("ki,ij,kj->k", off, np.linalg.inv(cov), off)
+    density = np.exp(-0.5 * distance2) / (2.0 * np.pi * np.sqrt(np.linalg.det(cov)))
+    quarters = at[:, 2:] - prior.mean[2] + _QUARTER_RAD * np.arange(4)
+    log_turn = -0.5 * wrap_array(quarters) ** 2 / (float(prior.cov[2, 2]) + _SAME_RAD**2)
+    of_turn = np.exp(log_turn[:, 0] - np.logaddexp.reduce(log_turn, axis=1))
+    own = np.minimum(_TILE_M2 * density, 1.0) * of_turn
+    anywhere = min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0
+    return np.asarray((1.0 - prior.carried) * own + prior.carried * anywhere + _TINY)
+
+
+def _far_share(prior: Prior, far_m: float) -> float:
+    """How much of the prediction's probability is further away than views can be compared."""
+    values, vectors = np.linalg.eigh(prior.cov[:2, :2])
+    x, y = (np.sqrt(max(v, 0.0)) * _NODES for v in values)
+    at = prior.mean[:2] + x[:, None, None] * vectors[:, 0] + y[None, :, None] * vectors[:, 1]
+    weight = np.exp(-0.5 * _NODES**2)
+    weight = np.outer(weight, weight)
+    return float(np.sum(weight[np.hypot(at[..., 0], at[..., 1]) > far_m]) / np.sum(weight))

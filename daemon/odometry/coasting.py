@@ -1,0 +1,93 @@
+"""Prediction without vision: the last twist fades, and what is not known of it grows.
+
+A robot that nobody watches may stop, speed up or turn. Its twist is then off by an unknown constant acceleration, until
+it is off by as much as twists of such a robot differ at all.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.types import Array, Displacement
+
+_DECAY_S = 1.0
+"""Time constant of the twist while vision is out; chosen: a robot that hears that its pose is bad stops in about it."""
+_SPREAD = 1.0 / 6.0
+"""Standard deviation of the twist after a while, over the largest plausible one; chosen: robots drive at half of that,
+and what their last twist, fading, does not explain is a third of it."""
+_CURVATURE_PM = 1.2
+"""Standard deviation of a path's curvature: half of a corner's of 0.4 m radius; chosen."""
+_CURVATURE_RATE_PM2 = 4.0
+"""The same of its change in a metre: in that corner, eased over 0.4 m, it is 10 at most; chosen. It lets a fast robot
+turn more abruptly than a slow one."""
+_SPIN_PS = 3.0
+"""By which the angular acceleration grows with the turn rate: a robot that turns stops turning within a few tenths of a
+second; chosen."""
+_ACCEL_PM = 0.5
+"""By which the acceleration grows with the square of the speed, for a robot that is seen to be fast can do more:
+0.7 m/s^2 at 1.2 m/s; chosen."""
+_STEP_S = 0.1
+"""Longest step of which the covariance is linear in the heading; chosen."""
+_SMALL_S = 1e-6
+"""A step is not divided because it is longer by less: stamps are whole nanoseconds."""
+_SMALL_RAD = 1e-9
+"""An arc that turns by less is straight."""
+
+
+@dataclass(frozen=True, slots=True)
+class LastTwist:
+    """A twist (3,) [m/s, m/s, rad/s], the mean over span_s, which ended since_s ago; span_s None: it is not known."""
+
+    twist: Array
+    span_s: float | None
+    since_s: float
+
+
+def coast(config: Odometry, last: LastTwist, dt_s: float) -> tuple[Displacement, Array]:
+    """prev_from_curr (3,) over the next dt_s, with its covariance (3, 3).
+
+    The covariance is its share of what has been unknown since the twist was measured: those of a gap's steps add up to
+    the whole, for the acceleration is the same in all of them.
+    """
+    steps = max(math.ceil(dt_s / _STEP_S - _SMALL_S), 1)
+    ends_s = np.linspace(last.since_s, last.since_s + dt_s, steps + 1).tolist()
+    moved, cov = np.zeros(3), np.zeros((3, 3))
+    for start_s, end_s in pairwise(ends_s):
+        step, step_cov = _arc(last.twist, start_s, end_s), _cov(config, last, start_s, end_s)
+        moved, cov = se2.compose(moved, step), se2.compose_cov(moved, cov, step, step_cov)
+    return Displacement(moved), cov
+
+
+def _arc(twist: Array, start_s: float, end_s: float) -> Array:
+    """The way of a twist that fades."""
+    lasts_s = _DECAY_S * (math.exp(-start_s / _DECAY_S) - math.exp(-end_s / _DECAY_S))
+    vx, vy, w = (twist * lasts_s).tolist()
+    if abs(w) < _SMALL_RAD:
+        return np.array([vx, vy, w])
+    along, across = math.sin(w) / w, (1.0 - math.cos(w)) / w
+    return np.array([along * vx - across * vy, across * vx + along * vy, w])
+
+
+def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float) -> Array:
+    vx, vy, w = last.twist.tolist()
+    speed = math.hypot(vx, vy)
+    accel = math.hypot(config.coast_accel_mps2, _ACCEL_PM * speed**2)
+    turn_accel = math.hypot(config.coast_turn_radps2, _CURVATURE_RATE_PM2 * speed**2, _SPIN_PS * w)
+    turn = math.hypot(_SPREAD * config.max_turn_radps, _CURVATURE_PM * speed)
+    xy, theta = (accel, _SPREAD * config.max_speed_mps, last.span_s), (turn_accel, turn, last.span_s)
+    var_xy, var_theta = (_off(*a, end_s) ** 2 - _off(*a, start_s) ** 2 for a in (xy, theta))
+    return np.diag([var_xy, var_xy, var_theta])
+
+
+def _off(accel: float, most: float, span_s: float | None, t_s: float) -> float:
+    """Standard deviation of the way after t_s: the integral of a twist's error that grows from accel * span / 2 on."""
+    if span_s is None:
+        return most * t_s
+    growing_s = min(max(most / accel - 0.5 * span_s, 0.0), t_s)
+    return 0.5 * accel * growing_s * (growing_s + span_s) + most * (t_s - growing_s)

@@ -1,0 +1,119 @@
+"""What is known of a motion before its view is looked at, and which motions no robot makes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.daemon.odometry.registration import MIN_AGREEING, Registration
+from ceilvo.daemon.odometry.rigid import RigidFit
+from ceilvo.types import Array
+
+_COURSE_SIGMAS = 5.0
+"""Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
+_WHEELS_CHI2 = 21.1
+"""Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Prediction of ref_from_curr, from the last good view to the one at hand.
+
+    Attributes:
+        guess: (3,) [m, m, rad].
+        cov: (3, 3).
+        elapsed_s: since the last good view; step_s: since the view before this one.
+        twist: (3,) [m/s, m/s, rad/s] at the last good view, the mean over span_s; None where it is not known.
+        by_wheels: the prediction is the wheels' all the way.
+        refused: (3,) ref_from_prev, when the view before this one was refused as a motion that no robot makes.
+    """
+
+    guess: Array
+    cov: Array
+    elapsed_s: float
+    step_s: float
+    twist: Array | None
+    span_s: float
+    by_wheels: bool
+    refused: Array | None
+
+    def reach_m(self, sigmas: float) -> float:
+        """How far off its prediction the robot can be."""
+        return sigmas * math.sqrt(max(float(np.linalg.eigvalsh(self.cov[:2, :2])[-1]), 0.0))
+
+    def reach_rad(self, sigmas: float) -> float:
+        return sigmas * math.sqrt(max(float(self.cov[2, 2]), 0.0))
+
+
+def contradicted(found: Registration, config: Odometry) -> str:
+    """Why the view itself does not bear out the motion, "" when it does."""
+    off = abs(se2.wrap(float(found.fit.b_from_a[2]) - found.turn_rad))
+    if off > config.heading_gate_rad:
+        return f"rotation of points and of lines differ by {off:.3f} rad"
+    if found.agreeing < MIN_AGREEING * found.expected:
+        return f"{found.agreeing} of {found.shown} crossings moved alike"
+    return ""
+
+
+def off_course(fit: RigidFit, sure: bool, course: Course, config: Odometry) -> str:
+    """A jump that is consistent in itself, but that no robot makes: neighbouring lines that change places, an old
+    picture, a tile too many. Why it is one, "" when it is none.
+
+    What the wheels say is no jump, nor is it one when a second view in a row says the same and nothing else fits.
+
+    Args:
+        sure: nothing else fits.
+    """
+    if course.by_wheels and _within(fit, course):
+        return ""
+    jump = _jumped(fit, course, config)
+    return "" if jump and sure and _repeated(fit, course, config) else jump
+
+
+def _within(fit: RigidFit, course: Course) -> bool:
+    off = fit.b_from_a - course.guess
+    off[2] = se2.wrap(float(off[2]))
+    return float(off @ np.linalg.solve(course.cov + fit.cov, off)) < _WHEELS_CHI2
+
+
+def _jumped(fit: RigidFit, course: Course, config: Odometry) -> str:
+    moved, t = fit.b_from_a, course.elapsed_s
+    twist = np.zeros(3) if course.twist is None else course.twist
+    if course.twist is not None:
+        off = moved - twist * t
+        slack_s2 = 0.5 * t * (t + course.span_s)  # the twist is the mean over span_s
+        off_m, off_rad = float(np.hypot(off[0], off[1])), abs(se2.wrap(float(off[2])))
+        if off_m > config.max_accel_mps2 * slack_s2 + _noise_m(fit):
+            return f"jumped {off_m:.3f} m off its course within {t:.3f} s"
+        if off_rad > config.max_turn_accel_radps2 * slack_s2 + _noise_rad(fit):
+            return f"turned {off_rad:.3f} rad off its course within {t:.3f} s"
+    # a robot that is that fast already was believed to be
+    travel, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
+    if float(np.hypot(twist[0], twist[1])) <= config.max_speed_mps < (travel - _noise_m(fit)) / t:
+        return f"moved {travel:.3f} m in {t:.3f} s"
+    if abs(float(twist[2])) <= config.max_turn_radps < (turn - _noise_rad(fit)) / t:
+        return f"turned {turn:.3f} rad in {t:.3f} s"
+    return ""
+
+
+def _repeated(fit: RigidFit, course: Course, config: Odometry) -> bool:
+    """Whether the robot stands or drives on from where the view before saw it: at a plausible twist or the same."""
+    if course.refused is None:
+        return False
+    step, t = se2.between(course.refused, fit.b_from_a), course.step_s
+    on = step - course.refused * (t / max(course.elapsed_s - t, t))
+    slow = np.hypot(step[0], step[1]) <= config.max_speed_mps * t and abs(step[2]) <= config.max_turn_radps * t
+    steady_m = np.hypot(on[0], on[1]) <= config.max_accel_mps2 * t**2 + _noise_m(fit)
+    return bool(slow or (steady_m and abs(on[2]) <= config.max_turn_accel_radps2 * t**2 + _noise_rad(fit)))
+
+
+def _noise_m(fit: RigidFit) -> float:
+    return _COURSE_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
+
+
+def _noise_rad(fit: RigidFit) -> float:
+    return _COURSE_SIGMAS * math.sqrt(fit.cov[2, 2])

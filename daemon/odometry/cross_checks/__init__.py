@@ -1,0 +1,1 @@
+"""Whether picture, wheels and clock tell the same story."""

@@ -1,0 +1,203 @@
+"""Evidence against the eyes: picture, wheels and stamps must tell the same story, and where they do not it is said.
+
+`admit` says before odometry what of a frame may be used. `step` takes the frame in, with the motion that came of it,
+and says what is suspected from then on. No clock, no randomness: all memory is in one state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.config import Config
+from ceilvo.daemon.odometry.cross_checks.delay import Delay, DelayState
+from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
+from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
+from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
+from ceilvo.daemon.odometry.cross_checks.standing import Standing, StandingState
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion, Suspicions
+from ceilvo.daemon.odometry.cross_checks.turned_camera import TurnedCamera, TurnedCameraState
+from ceilvo.types import Array, Crossings, Displacement, Motion, Pose, WheelMotion
+
+_KNOWN_DELAY_S = 0.1
+"""By how much a known delay may still be off; chosen: three frames at 30 Hz."""
+_STANDS_S = 0.3
+"""So long wheels must stand before they vouch for a picture that stands; chosen: pictures may come later."""
+_STANDS_M, _STANDS_RAD = 0.002, 0.003
+"""Motion of wheels that stand; chosen: a count or two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Admitted:
+    """What of a frame may be used: crossings or None with the reason, wheels or None."""
+
+    crossings: Crossings | None
+    wheels: WheelMotion | None
+    missing: str = ""
+
+
+@dataclass(slots=True)
+class CrossChecksState:
+    """All that the checks remember; counters: how often each kind became active."""
+
+    paths: PathsState = field(default_factory=PathsState)
+    pictures: PicturesState = field(default_factory=PicturesState)
+    standing: StandingState = field(default_factory=StandingState)
+    reversal: ReversalState = field(default_factory=ReversalState)
+    turned_camera: TurnedCameraState = field(default_factory=TurnedCameraState)
+    delay: DelayState = field(default_factory=DelayState)
+    active: list[str] = field(default_factory=list)
+    counters: dict[str, int] = field(default_factory=lambda: {kind.value: 0 for kind in Kind})
+
+
+class CrossChecks:
+    """All checks of one robot."""
+
+    def __init__(self, config: Config) -> None:
+        self._max_delay_s = config.odometry.max_delay_s
+        self._refuse_repeats = config.camera.refuse_repeats
+        self._paths, self._pictures = Paths(), Pictures()
+        self._standing, self._delay = Standing(config.odometry.match_radius_m), Delay()
+        self._reversal, self._turned_camera = Reversal(), TurnedCamera()
+        self._active: list[str] = []
+        self._counters = {kind.value: 0 for kind in Kind}
+
+    @property
+    def state(self) -> CrossChecksState:
+        """All that is remembered; setting it continues from there."""
+        return CrossChecksState(
+            self._paths.state,
+            self._pictures.state,
+            self._standing.state,
+            self._reversal.state,
+            self._turned_camera.state,
+            self._delay.state,
+            self._active,
+            self._counters,
+        )
+
+    @state.setter
+    def state(self, state: CrossChecksState) -> None:
+        self._paths.state, self._pictures.state, self._delay.state = state.paths, state.pictures, state.delay
+        self._standing.state, self._reversal.state = state.standing, state.reversal
+        self._turned_camera.state = state.turned_camera
+        self._active, self._counters = state.active, state.counters
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """How often each kind of suspicion became active, by its name."""
+        return dict(self._counters)
+
+    def restart(self) -> None:
+        """Begin anew after a reset: what is known of the camera stays, and the counters."""
+        old = self.state
+        self.state = CrossChecksState(pictures=old.pictures, delay=old.delay, counters=old.counters)
+
+    def admit(self, crossings: Crossings | None, wheels: WheelMotion | None, elapsed_s: float) -> Admitted:
+        """What of a frame odometry may use; changes nothing.
+
+        Args:
+            wheels: what the base reports since the frame before.
+            elapsed_s: time since then.
+        """
+        repeat = self._repeat(crossings, wheels)
+        if repeat is not None:
+            return Admitted(None, self.usable_wheels(wheels, elapsed_s), repeat.reason)
+        return Admitted(crossings, self.usable_wheels(wheels, elapsed_s))
+
+    def usable_wheels(self, wheels: WheelMotion | None, elapsed_s: float) -> WheelMotion | None:
+        """The wheels' motion between the moments that the last two pictures show; None while they are not believed."""
+        if wheels is None or Kind.WHEELS_REVERSED.value in self._active:
+            return None
+        late_s = self._delay.known_s
+        if late_s <= 0.0 or elapsed_s <= 0.0:
+            return wheels
+        now_s = self._paths.state.time_s
+        if late_s >= elapsed_s:
+            return self._paths.wheel_motion(now_s - late_s, now_s - late_s + elapsed_s) or wheels
+        before = self._paths.wheel_motion(now_s - late_s, now_s)
+        return wheels if before is None else _joined(before, _part(wheels, 1.0 - late_s / elapsed_s))
+
+    def ahead(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
+        """A pose (3,) with cov (3, 3) of the moment that the last picture shows, moved on to its stamp by wheels."""
+        late_s, now_s = self._delay.known_s, self._paths.state.time_s
+        moved = self._paths.wheel_motion(now_s - late_s, now_s) if late_s > 0.0 else None
+        if moved is None or Kind.WHEELS_REVERSED.value in self._active:
+            return pose, cov
+        there = Pose(se2.compose(pose, moved.prev_from_curr))
+        return there, se2.compose_cov(pose, cov, moved.prev_from_curr, moved.cov)
+
+    def step(
+        self,
+        stamp_ns: int,
+        crossings: Crossings | None,
+        motion: Motion,
+        wheels: WheelMotion | None,
+        elapsed_s: float,
+    ) -> Suspicions:
+        """Take a frame in.
+
+        Args:
+            stamp_ns: of the frame, for messages only; time is elapsed_s.
+            crossings: as vision found them, whatever admit() said of them.
+            motion: what odometry made of them.
+            wheels: as the base reports them, whatever admit() made of them.
+            elapsed_s: time since the frame before, 0 for the first.
+        """
+        repeat = self._repeat(crossings, wheels)
+        if crossings is not None:
+            self._pictures.add(crossings, motion)
+        self._paths.add(motion, wheels, elapsed_s)
+        self._delay.step(self._paths)
+        known_s = self._delay.known_s
+        late_s = self._max_delay_s if self._delay.state.steady_s is None else max(known_s, 0.0) + _KNOWN_DELAY_S
+        found = [] if repeat is None else [repeat]
+        found += self._standing.step(self._paths, late_s)
+        against = self._reversal.step(self._paths, max(known_s, 0.0))
+        found += against + self._turned_camera.step(self._paths, max(known_s, 0.0), bool(against))
+        found += self._late()
+        return self._count(found)
+
+    def _repeat(self, crossings: Crossings | None, wheels: WheelMotion | None) -> Suspicion | None:
+        if crossings is None or not self._refuse_repeats:
+            return None
+        return self._pictures.judge(crossings, self._wheels_stand(wheels))
+
+    def _wheels_stand(self, wheels: WheelMotion | None) -> bool:
+        """Now and for a while."""
+        if wheels is None:
+            return False
+        moved = [wheels.prev_from_curr]
+        since_s = self._paths.state.time_s - _STANDS_S
+        if len(self._paths) and since_s > self._paths.time_s[0]:
+            moved.append(self._paths.wheels[-1] - self._paths.wheels_at(since_s))
+        return all(np.hypot(m[0], m[1]) < _STANDS_M and abs(m[2]) < _STANDS_RAD for m in moved)
+
+    def _late(self) -> list[Suspicion]:
+        steady_s = self._delay.state.steady_s
+        if steady_s is None or abs(steady_s) <= self._max_delay_s:
+            return []
+        what = "pictures come" if steady_s > 0.0 else "wheel odometry comes"
+        why = f"{what} {abs(steady_s):.2f} s late, more than odometry.max_delay_s = {self._max_delay_s:g} s"
+        return [Suspicion(Kind.LATE, why, Severity.DEGRADED)]
+
+    def _count(self, found: list[Suspicion]) -> Suspicions:
+        now = sorted({f.kind.value for f in found})
+        for kind in now:
+            self._counters[kind] = self._counters.get(kind, 0) + (kind not in self._active)
+        self._active = now
+        return Suspicions(tuple(sorted(found, key=lambda f: -f.severity)))
+
+
+def _part(wheels: WheelMotion, share: float) -> WheelMotion:
+    """The first part of a motion at constant speed."""
+    x, y, turned = (share * wheels.prev_from_curr).tolist()
+    return WheelMotion(Displacement(np.array([x, y, turned])), share * wheels.cov)
+
+
+def _joined(first: WheelMotion, then: WheelMotion) -> WheelMotion:
+    moved = se2.compose(first.prev_from_curr, then.prev_from_curr)
+    cov = se2.compose_cov(first.prev_from_curr, first.cov, then.prev_from_curr, then.cov)
+    return WheelMotion(Displacement(moved), cov)

@@ -1,0 +1,157 @@
+"""Pictures that have been seen before: a ring of old buffers, or one buffer with noise that no camera has.
+
+A live camera has noise of its own in every picture. Two pictures that differ by clearly less than that are one picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
+from ceilvo.types import Array, Crossings, Ints, Motion
+
+RING = 8
+"""Pictures compared with; chosen: drivers have 2 to 8 buffers."""
+_CALM_SHARE = 0.75
+"""Of the samples, those that differ least: the others lie on edges, which move with the robot; chosen."""
+_FEWEST_SAMPLES = 128
+"""Neither black nor glaring ones that a comparison needs; chosen: the mean of 3/4 of them is known to 8 %."""
+_BLACK, _GLARE = 2, 253
+"""Grey levels beyond which a sensor shows no noise."""
+_QUIET = 0.5
+"""Of a standing camera's difference, below which two pictures are one. 20 standing pictures had 0.93 to 1.1 of their
+mean, at noise 0.3 to 3 times the simulator's; one picture with its last bit random 0.29, at 1 times; measured with
+tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
+_EQUAL_GREY = 0.02
+"""Grey levels of difference that are none: one sample in 50 by one level; without noise known, only these count."""
+_EQUAL_SIGMAS = 0.01
+"""Of the crossings' own error, rms, that is none where there are no samples: standing pictures had 0.056 at the least
+(noise 0.1 times the simulator's), one picture with one random bit 0.002."""
+_LIGHT_CHANGED = 0.05
+"""Relative change of brightness from one standing picture to the next after which noise is learnt anew; chosen."""
+_DIMMER = 0.7
+"""Of the brightness at which noise was learnt: darker pictures have less noise; chosen."""
+_STANDS_M, _STANDS_RAD = 0.0005, 0.0003
+"""Motion of a standing picture, five times the noise of one frame; chosen."""
+_MOVES_M, _MOVES_RAD = 0.002, 0.002
+"""Motion that proves that the pictures are live; chosen."""
+_LEARNT_FRAMES = 5
+"""Standing pictures that tell the noise; chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """What is kept of a picture: samples (S,) of its grey levels, crossings (M, 2) m with their types (M,)."""
+
+    sample: NDArray[np.uint8]
+    xy_base_m: Array
+    crossing_type: Ints
+    sigma_m: float
+
+
+@dataclass(slots=True)
+class PicturesState:
+    """Pictures of the last frames and the camera's noise.
+
+    Attributes:
+        last: oldest first, RING at most.
+        noise_grey: mean difference of two standing pictures, the calm share of the samples; 0 = not known.
+        noise_mean_grey: mean brightness then.
+        candidate_grey, candidate_frames: the least difference of this stand and its pictures; they count once the
+            picture has moved, which a frozen one does not.
+    """
+
+    last: list[Picture] = field(default_factory=list)
+    noise_grey: float = 0.0
+    noise_mean_grey: float = 0.0
+    candidate_grey: float = 0.0
+    candidate_frames: int = 0
+
+
+class Pictures:
+    """Compares a picture with the last ones."""
+
+    def __init__(self) -> None:
+        self.state = PicturesState()
+
+    def judge(self, crossings: Crossings, wheels_stand: bool) -> Suspicion | None:
+        """Whether a picture is one of the last ones; changes nothing.
+
+        Args:
+            wheels_stand: they say that the robot does not move, so two pictures in a row may be alike.
+        """
+        new, s = _picture(crossings), self.state
+        if not s.last or not len(crossings):
+            return None
+        if self._same(new, s.last[-1]):
+            if wheels_stand:
+                return None
+            return Suspicion(Kind.FROZEN, "the picture is the last one again: the camera is frozen", Severity.UNUSABLE)
+        for period in range(2, len(s.last) + 1):
+            if self._same(new, s.last[-period]):
+                why = f"the picture is the one {period} frames before again: the camera repeats old buffers"
+                return Suspicion(Kind.REPEATS, why, Severity.UNUSABLE)
+        return None
+
+    def add(self, crossings: Crossings, motion: Motion) -> None:
+        """Keep a picture, refused ones as well, and learn the camera's noise from pictures that stand."""
+        new, s = _picture(crossings), self.state
+        if s.last:
+            self._learn(new, s.last[-1], motion)
+        s.last = [*s.last[-RING + 1 :], new]
+
+    def _learn(self, new: Picture, before: Picture, motion: Motion) -> None:
+        s = self.state
+        moved_m, turned_rad = float(np.hypot(*motion.prev_from_curr[:2])), abs(float(motion.prev_from_curr[2]))
+        difference = _difference(new, before)
+        if difference is None or not motion.ok:
+            s.candidate_frames = 0
+        elif moved_m > _MOVES_M or turned_rad > _MOVES_RAD:
+            if s.candidate_frames >= _LEARNT_FRAMES:
+                s.noise_grey, s.noise_mean_grey = s.candidate_grey, float(new.sample.mean())
+            s.candidate_frames = 0
+        elif moved_m < _STANDS_M and turned_rad < _STANDS_RAD:
+            self._stand(new, before, difference)
+
+    def _stand(self, new: Picture, before: Picture, difference: float) -> None:
+        s, mean, last_mean = self.state, float(new.sample.mean()), float(before.sample.mean())
+        if abs(mean - last_mean) > _LIGHT_CHANGED * last_mean:
+            s.candidate_frames, s.noise_grey = 0, 0.0
+            return
+        s.candidate_grey = min(difference, s.candidate_grey) if s.candidate_frames else difference
+        s.candidate_frames += 1
+
+    def _same(self, a: Picture, b: Picture) -> bool:
+        difference = _difference(a, b)
+        if difference is None:
+            return _same_crossings(a, b)
+        known = self.state.noise_grey > 0.0 and float(a.sample.mean()) > _DIMMER * self.state.noise_mean_grey
+        return difference <= max(_EQUAL_GREY, _QUIET * self.state.noise_grey if known else 0.0)
+
+
+def _picture(crossings: Crossings) -> Picture:
+    own = crossings.cov_base_m2 - crossings.common_cov_m2
+    sigma_m = float(np.sqrt(np.mean(own[:, [0, 1], [0, 1]]))) if len(crossings) else 0.0
+    return Picture(crossings.sample_gray, crossings.xy_base_m, crossings.crossing_type, sigma_m)
+
+
+def _difference(a: Picture, b: Picture) -> float | None:
+    """Mean absolute difference, grey levels, of the calm share of the samples; None without enough of them."""
+    if len(a.sample) != len(b.sample):
+        return None
+    clear = (a.sample > _BLACK) & (a.sample < _GLARE) & (b.sample > _BLACK) & (b.sample < _GLARE)
+    off = np.abs(a.sample[clear].astype(np.int64) - b.sample[clear])
+    if len(off) < _FEWEST_SAMPLES:
+        return None
+    calm = round(_CALM_SHARE * len(off))
+    return float(np.partition(off, calm - 1)[:calm].mean())
+
+
+def _same_crossings(a: Picture, b: Picture) -> bool:
+    if len(a.xy_base_m) != len(b.xy_base_m) or not np.array_equal(a.crossing_type, b.crossing_type):
+        return False
+    rms_m = float(np.sqrt(np.mean((a.xy_base_m - b.xy_base_m) ** 2)))
+    return rms_m <= _EQUAL_SIGMAS * a.sigma_m

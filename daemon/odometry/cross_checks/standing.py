@@ -1,0 +1,175 @@
+"""Wheels that turn while the picture stands, a picture that moves while they stand, and blindness on the spot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.odometry.cross_checks.paths import Paths, displacement
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
+from ceilvo.types import Array, Displacement, Ints
+
+_MOVED_M, _MOVED_RAD = 0.02, 0.03
+"""Least motion that counts; chosen: gears and belts of a few millimetres of play turn motors before wheels."""
+_STILL_SHARE = 0.15
+"""Of that, what still counts as none; chosen: above the noise of a standing picture (0.1 mm) and of whole counts."""
+_SIGMAS = 6.0
+"""Of the wheels' own error, that a motion must exceed: noise does so once in 10^9 windows, 10^4 h at 30 Hz."""
+_HOLE_S = 0.5
+"""Longest time without a measured motion within one window; chosen: longer ones are gaps, with rules of their own."""
+_IN_DOUBT_M, _IN_DOUBT_RAD = 0.15, 0.1
+"""A pose that may be further off is in doubt; chosen: half of the smallest tile, 0.3 m, and 5.7 deg."""
+_MARGIN = 1.1
+"""On a bound that wheels gave; chosen: their scale may be off by so much."""
+CARRY_MPS, CARRY_RADPS = 15.0, 15.0
+"""A robot that is carried or thrown is not moved faster; chosen: far above a hand's 4 m/s."""
+_BLIND_S, _SILENT_S = 0.09, 0.5
+"""Shortest time without a motion in which a robot may have been moved: frames that showed none, no frames at all.
+Chosen: a tile in 0.1 s is 6 m/s; a busy computer leaves frames out for some tenths."""
+_SURE_STEP = 0.5
+"""Of the radius in which features are matched: a longer step on a ceiling of tiles may be another; chosen."""
+
+
+@dataclass(slots=True)
+class StandingState:
+    """What the last frames left.
+
+    Attributes:
+        stood_wheels, stood_eye: (3,) both paths where the picture began to stand under turning wheels; None otherwise.
+        sight_s, sight_wheels: time and (3,) wheels' path of the last measured motion; None before the first.
+        failed: frames since then.
+    """
+
+    stood_wheels: Array | None = None
+    stood_eye: Array | None = None
+    sight_s: float = 0.0
+    sight_wheels: Array | None = None
+    failed: int = 0
+
+
+class Standing:
+    """One check a question; all take their windows from the same paths."""
+
+    def __init__(self, match_radius_m: float) -> None:
+        self._sure_step_m = _SURE_STEP * match_radius_m
+        self.state = StandingState()
+
+    def restart(self) -> None:
+        """The paths begin anew."""
+        self.state = StandingState()
+
+    def step(self, paths: Paths, late_s: float) -> list[Suspicion]:
+        """After a frame was added to the paths; late_s is by how much the picture may lag behind the wheels."""
+        if not len(paths):
+            self.restart()
+            return []
+        found = (self._stands(paths, late_s), self._lifted(paths), self._moves(paths, late_s))
+        return [s for s in found if s is not None]
+
+    def _stands(self, paths: Paths, late_s: float) -> Suspicion | None:
+        s = self.state
+        if s.stood_eye is not None and _size(displacement(s.stood_eye, paths.eye[-1])) > 1.0 and paths.good[-1]:
+            s.stood_wheels = s.stood_eye = None
+        if s.stood_wheels is None:
+            start = _stood_since(paths)
+            if start is None or not _moved(paths, float(paths.time_s[start]), float(paths.time_s[-1]) - late_s):
+                return None
+            s.stood_wheels, s.stood_eye = paths.wheels[start].copy(), paths.eye[start].copy()
+        away = displacement(s.stood_wheels, paths.wheels[-1])
+        m, rad = float(np.hypot(away[0], away[1])), abs(float(away[2]))
+        far = m > _IN_DOUBT_M or rad > _IN_DOUBT_RAD
+        return Suspicion(
+            Kind.STANDS,
+            f"wheels moved {m:.2f} m and {math.degrees(rad):.1f} deg while the picture stood: wheels slip, or the "
+            "picture is frozen",
+            Severity.IN_DOUBT if far else Severity.DEGRADED,
+            _MARGIN * m,
+            _MARGIN * rad,
+            away,
+        )
+
+    def _lifted(self, paths: Paths) -> Suspicion | None:
+        """Vision is back after a gap in which the wheels stood, which a robot's in the air do as well."""
+        s, now_s = self.state, float(paths.time_s[-1])
+        if not paths.good[-1]:
+            s.failed += 1
+            return None
+        before, gap_s, failed = s.sight_wheels, now_s - s.sight_s, s.failed
+        s.sight_s, s.sight_wheels, s.failed = now_s, paths.wheels[-1].copy(), 0
+        if before is None or gap_s < (_BLIND_S if failed else _SILENT_S):
+            return None
+        if _size(displacement(before, paths.wheels[-1])) > _STILL_SHARE:
+            return None
+        return Suspicion(
+            Kind.LIFTED,
+            f"no motion measured for {gap_s:.2f} s while the wheels stood: the robot may have been carried",
+            Severity.IN_DOUBT,
+            CARRY_MPS * gap_s,
+            min(CARRY_RADPS * gap_s, math.pi),
+        )
+
+    def _moves(self, paths: Paths, late_s: float) -> Suspicion | None:
+        """A picture that moves steadily is measured well, whoever pushes; one that leaps may have leapt a tile more."""
+        seen = _seen_since_wheels_stand(paths, late_s)
+        if len(seen) < 2:
+            return None
+        moved = displacement(paths.eye[seen[0]], paths.eye[-1])
+        if _size(moved) < 1.0:
+            return None
+        step = paths.eye[-1] - paths.eye[seen[-2]]
+        step_m, gap_s = float(np.hypot(step[0], step[1])), float(paths.time_s[-1] - paths.time_s[seen[-2]])
+        if step_m > self._sure_step_m:
+            why = f"the picture moved by {step_m:.2f} m in {gap_s:.2f} s while the wheels stood: carried, or a tile off"
+            return Suspicion(Kind.JUMPED, why, Severity.IN_DOUBT, CARRY_MPS * gap_s, CARRY_RADPS * gap_s)
+        m, deg = float(np.hypot(moved[0], moved[1])), math.degrees(abs(float(moved[2])))
+        why = f"the picture moved by {m:.2f} m and {deg:.1f} deg while the wheels stood: pushed, carried, or they slide"
+        return Suspicion(Kind.MOVES, why, Severity.NOTED)
+
+
+def _seen_since_wheels_stand(paths: Paths, late_s: float) -> Ints:
+    """Rows with a measured motion since the wheels stand, but for what a late picture may still show of before."""
+    start = _trailing(_still(paths.wheels - paths.wheels[-1]))
+    stood = paths.time_s >= paths.time_s[start] + late_s
+    stood[:start] = False
+    seen = np.flatnonzero(stood & (paths.good > 0.0) & (paths.piece == paths.piece[-1]))
+    return seen if len(seen) and seen[-1] == len(paths) - 1 else seen[:0]
+
+
+def _still(off: Array) -> NDArray[np.bool_]:
+    """(N,) which of the distances (N, 3) to a row of a path are none."""
+    near = np.hypot(off[:, 0], off[:, 1]) < _STILL_SHARE * _MOVED_M
+    return np.asarray(near & (np.abs(off[:, 2]) < _STILL_SHARE * _MOVED_RAD))
+
+
+def _stood_since(paths: Paths) -> int | None:
+    """Row since which the picture stands, with no gap; None when the last frame measured nothing."""
+    if not paths.good[-1]:
+        return None
+    seen = np.flatnonzero((paths.good > 0.0) & (paths.piece == paths.piece[-1]))
+    still = _still(paths.eye[seen] - paths.eye[-1])
+    still[:-1] &= np.diff(paths.time_s[seen]) < _HOLE_S
+    return int(seen[_trailing(still)])
+
+
+def _moved(paths: Paths, from_s: float, to_s: float) -> bool:
+    """Whether the wheels moved between two times, beyond their error."""
+    if to_s <= from_s:
+        return False
+    moved = displacement(paths.wheels_at(from_s), paths.wheels_at(to_s))
+    var_xy, var_turn = paths.wheel_variance(from_s, to_s)
+    far = float(np.hypot(moved[0], moved[1])) > max(_MOVED_M, _SIGMAS * math.sqrt(var_xy))
+    return far or abs(float(moved[2])) > max(_MOVED_RAD, _SIGMAS * math.sqrt(var_turn))
+
+
+def _trailing(holds: NDArray[np.bool_]) -> int:
+    """Where the run of True begins that lasts to the end; the last one is True."""
+    breaks = np.flatnonzero(~holds)
+    return int(breaks[-1]) + 1 if len(breaks) else 0
+
+
+def _size(moved: Displacement) -> float:
+    """A displacement in units of the least that counts."""
+    return max(float(np.hypot(moved[0], moved[1])) / _MOVED_M, abs(float(moved[2])) / _MOVED_RAD)

@@ -1,0 +1,101 @@
+"""Two views laid on each other near a guess: matched, cleaned by a homography and by the residuals of the rigid fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.crossing_types import quarter_turns, turned_type
+from ceilvo.daemon.odometry.homography import consistent
+from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion
+from ceilvo.robust import median
+from ceilvo.types import Array, Crossings, Ints
+
+MIN_AGREEING = 1.0 / 3.0
+"""Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
+_MIN_VIEW_M = 1e-9
+"""Crossings all in one place: not divided by 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """One view on another.
+
+    Attributes:
+        fit: ref_from_curr by the points.
+        seen, before: (N, 2) m, the matched points in both views; fit.used says which of them count.
+        turn_rad: ref_from_curr rotation by the lines.
+        shown: crossings of the view that has fewer.
+        expected: how many of them both views must show, by their overlap.
+    """
+
+    fit: RigidFit
+    seen: Array
+    before: Array
+    turn_rad: float
+    shown: int
+    expected: float
+
+    @property
+    def agreeing(self) -> int:
+        """Crossings that move alike."""
+        return int(np.count_nonzero(self.fit.used))
+
+
+def register(
+    ref: Crossings, crossings: Crossings, guess: Array, radius_m: float, config: Odometry
+) -> tuple[Registration | None, str]:
+    """ref_from_curr by matching near the guess (3,), whose rotation is the lines'; or None, and why."""
+    turn = float(guess[2])
+    kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
+    i, j = mutual_nearest(se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, radius_m)
+    if len(i) < config.min_inliers:
+        return None, f"{len(i)} of {len(crossings)} crossings matched, {config.min_inliers} needed"
+    good = consistent(crossings.uv_px[i], ref.uv_px[j], config.ransac_px)
+    i, j = i[good], j[good]
+    seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
+    fit = None
+    if len(i):
+        fit = robust_rigid_motion(
+            seen,
+            before,
+            config.residual_sigmas,
+            config.residual_max_m,
+            config.min_inliers,
+            [median_translation(seen, before, turn, ref.psi_rad)],
+            _independent_sigma_m(crossings, i) + _independent_sigma_m(ref, j),
+        )
+    if fit is None:
+        return None, "too few consistent correspondences"
+    shown = min(len(crossings), len(ref))
+    return Registration(fit, seen, before, turn, shown, shown * _overlap(fit, ref)), ""
+
+
+def direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
+    """ref_from_curr rotation from the change of dominant direction: the branch modulo 90 deg nearest the prediction."""
+    change = psi_ref - psi_curr
+    branch = np.round((predicted - change) / (0.5 * np.pi))
+    return float(change + branch * 0.5 * np.pi)
+
+
+def view_size_m(crossings: Crossings) -> float:
+    """About the diameter of what a view shows: twice the median distance from its centre."""
+    xy = crossings.xy_base_m
+    return 2.0 * float(np.median(np.hypot(*(xy - xy.mean(axis=0)).T)))
+
+
+def _overlap(fit: RigidFit, ref: Crossings) -> float:
+    """About the part of the view that both show."""
+    return max(1.0 - float(np.hypot(*fit.b_from_a[:2])) / max(view_size_m(ref), _MIN_VIEW_M), 0.0)
+
+
+def _independent_sigma_m(crossings: Crossings, which: Ints) -> float:
+    """Median standard deviation of the crossings `which`, m, without the part that all of a frame share."""
+    cov, common = crossings.cov_base_m2, crossings.common_cov_m2
+    own = cov[which, 0, 0] + cov[which, 1, 1] - (common[0, 0] + common[1, 1])
+    return math.sqrt(max(0.5 * median(own), 0.0))

@@ -1,0 +1,114 @@
+"""Which ground the map knows: only there is a feature without a landmark, or a landmark not seen, evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.types import Array, Ints, Landmarks
+
+CELL_M = 0.25
+"""Side of a cell; chosen: smaller than any tile, so that a row of tiles that was not seen yet is not known."""
+_SIDE = 32
+"""Cells along a block, 8 m; chosen: a view touches one to four."""
+_OFFSET = 1 << 20
+"""Blocks are numbered from so far below zero; no building is a million blocks wide."""
+VIEWS = 8
+"""Views that must have shown a cell before it counts as known: of the joints between tiles, 1 in 1000 is not in the map
+then (two rooms, first laps, seeds 501 and 502)."""
+_MOST = 255
+"""Views of a cell are counted up to here."""
+_GAP_TILES = 0.75
+"""Of a map that came without coverage, ground is known between landmarks that are so many tiles apart at most: a tile's
+diagonal is 1.41, half of it 0.71."""
+GAP_M = 0.45
+"""The same where there are no tiles; chosen."""
+
+
+@dataclass(slots=True)
+class Coverage:
+    """How often each cell of the ceiling was shown while the place was sure.
+
+    Attributes:
+        block: (B,) numbers of the blocks there are, rising.
+        shown: (B, 32, 32) views of each cell.
+    """
+
+    block: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    shown: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, _SIDE, _SIDE), np.uint8))
+
+    @staticmethod
+    def of(landmarks: Landmarks, tile_m: float) -> Coverage:
+        """Of a map that came without: the ground between its landmarks, but none outside of them.
+
+        Each landmark says how often it should have been seen; tile_m: side of a tile, 0 where there are none.
+        """
+        out = Coverage()
+        if not len(landmarks):
+            return out
+        reach = int(np.ceil(max(_GAP_TILES * tile_m, GAP_M) / CELL_M))
+        cell = _cells(landmarks.xy_map_m)
+        low = np.min(cell, axis=0) - reach
+        shape = (np.max(cell, axis=0) - low + reach + 1)[::-1]
+        views, there = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        column, row = (cell - low).T
+        np.maximum.at(views, (row, column), np.minimum(landmarks.expected, _MOST).astype(np.uint8))
+        there[row, column] = 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+        inside = np.nonzero(cv2.morphologyEx(there, cv2.MORPH_CLOSE, disc))
+        out._add(np.column_stack(inside[::-1]) + low, np.asarray(cv2.dilate(views, disc), np.int64)[inside])
+        return out
+
+    def show(self, corners_m: Array) -> None:
+        """One more view of the convex polygon (V, 2) in map."""
+        if len(corners_m) < 3:
+            return
+        low = np.floor(np.min(corners_m, axis=0) / CELL_M).astype(np.int64)
+        high = np.floor(np.max(corners_m, axis=0) / CELL_M).astype(np.int64)
+        picture = np.zeros((high - low + 1)[::-1], np.uint8)
+        cv2.fillConvexPoly(picture, np.round(corners_m / CELL_M - 0.5 - low).astype(np.int32), 1)
+        row, column = np.nonzero(picture)
+        self._add(np.column_stack([column, row]) + low, 1)
+
+    def views(self, xy_m: Array) -> Ints:
+        """(...,) views that showed the ground at points (..., 2)."""
+        cell = _cells(xy_m.reshape(-1, 2))
+        out = np.zeros(len(cell), np.int64)
+        if len(self.block):
+            number, inside = _numbered(cell)
+            at = np.minimum(np.searchsorted(self.block, number), len(self.block) - 1)
+            shown = self.shown.reshape(len(self.block), -1)[at, inside]
+            out = np.where(self.block[at] == number, shown, 0)
+        return np.asarray(out.reshape(xy_m.shape[:-1]), np.int64)
+
+    def knows(self, xy_m: Array) -> NDArray[np.bool_]:
+        """(...,) whether the map should know what is at points (..., 2)."""
+        return self.views(xy_m) >= VIEWS
+
+    @property
+    def area_m2(self) -> float:
+        return float(np.count_nonzero(self.shown >= VIEWS)) * CELL_M**2
+
+    def _add(self, cell: Ints, views: Ints | int) -> None:
+        number, inside = _numbered(cell)
+        fresh = np.setdiff1d(number, self.block)
+        if len(fresh):
+            at = np.searchsorted(self.block, fresh)
+            self.block = np.insert(self.block, at, fresh)
+            self.shown = np.insert(self.shown, at, np.uint8(0), axis=0)
+        flat = self.shown.reshape(len(self.block), -1)
+        at = np.searchsorted(self.block, number)
+        flat[at, inside] = np.minimum(flat[at, inside].astype(np.int64) + views, _MOST)
+
+
+def _cells(xy_m: Array) -> Ints:
+    return np.floor(xy_m / CELL_M).astype(np.int64)
+
+
+def _numbered(cell: Ints) -> tuple[Ints, Ints]:
+    """(N,) number of the block of each cell (N, 2), and of the cell in it."""
+    block, inside = cell // _SIDE + _OFFSET, cell % _SIDE
+    return block[:, 0] * (2 * _OFFSET) + block[:, 1], inside[:, 0] * _SIDE + inside[:, 1]

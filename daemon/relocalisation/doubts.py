@@ -1,0 +1,118 @@
+"""What may have happened to a robot while nobody looked, and how likely it is to be elsewhere then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ceilvo.daemon.relocalisation.lattice import SMALLEST_TILE_M
+from ceilvo.daemon.relocalisation.place_belief import LEAST
+from ceilvo.daemon.slam.pose_filter import TINY
+from ceilvo.types import Array
+
+LIFT_S = 0.2
+"""Nobody lifts a robot and puts it half a tile further in less: 0.15 m there and to rest at 15 m/s^2; chosen."""
+LIFTED, CARRY_S = 0.02, 2.0
+"""Chance that a robot which saw nothing for so long was lifted meanwhile; chosen: it happens, but seldom. In less time
+fewer places are near enough, as its square."""
+JUMPED = 0.5
+"""The same where it did see, but no motion of a robot explains what: chosen, it is as likely as a fault of vision."""
+CARRY_MPS = 2.0
+"""How fast a person carries it."""
+ANYWHERE_M = 6.0
+"""One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
+OFF_MAP = 0.2
+"""Of those that were moved, how many stand where the map does not know; chosen."""
+PLACED_SIGMA = np.array([0.05, 0.05, 0.05])
+"""[m, m, rad] that a pose which somebody gives or stores is worse than it says; chosen."""
+STORED_WRONG, GIVEN_WRONG, RESET_WRONG = 0.05, 0.2, 0.9
+"""Chance that a robot was moved while it was off; that a person mistakes the tile; that a robot whose pose is thrown
+away does not stand where it is told to begin. Chosen."""
+_SIGMA_2_RAD2 = 0.05**2
+"""Added to the variance of a heading that rivals are judged by, rad^2."""
+_SIGMA_2_M2 = 0.05**2
+"""The same of a position, m^2."""
+MOST_ALIGNED = 6.0
+"""Log-likelihood ratio at most of tiles that lie as expected; chosen: a robot is put down along the tiles, too."""
+_NEIGHBOURS = 8
+"""Tiles around one."""
+
+
+@dataclass(slots=True)
+class Doubt:
+    """One thing that may have moved the robot without being measured.
+
+    Attributes:
+        reason: for people.
+        cov: (3, 3) of the pose as it is believed to be.
+        elsewhere: probability that this covariance does not hold, because somebody moved the robot.
+        reach_m: how far it can have been moved.
+    """
+
+    reason: str
+    cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    elsewhere: float = 0.0
+    reach_m: float = 0.0
+
+    @property
+    def unmeasured(self) -> bool:
+        """Whether the robot may be off by a part of a tile; else its path is known but for whole tiles."""
+        return self.elsewhere > 0.0 or bool(np.any(self.cov))
+
+    @property
+    def anywhere(self) -> bool:
+        return self.reach_m > ANYWHERE_M
+
+    @property
+    def search_m(self) -> float:
+        """How far off rivals are looked for one by one."""
+        drift_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(self.cov[:2, :2])[-1], 0.0)))
+        return min(max(drift_m, self.reach_m if self.elsewhere > 0.0 else 0.0), ANYWHERE_M)
+
+    def log_odds(self, off: Array, here: Array) -> Array:
+        """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
+        inverse = np.linalg.inv(self.cov + np.diag([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]))
+        moved = np.log(max((1.0 - OFF_MAP) * self.elsewhere, TINY) / (len(off) + 1))
+        stayed = np.log1p(-self.elsewhere)
+        there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
+        return np.asarray(np.maximum(there - near, LEAST))
+
+    def alignment(self, here: Array, tile_m: Array) -> float:
+        """Log-likelihood ratio of tiles that lie as the pose says, off by `here` (3,), against tiles that lie anyhow.
+
+        A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle.
+        """
+        var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
+        period = np.array([*tile_m, 0.5 * np.pi])
+        fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
+        return float(np.clip(np.sum(fits[period > 0.0]), -MOST_ALIGNED, MOST_ALIGNED))
+
+    @property
+    def unknown(self) -> float:
+        """Log-odds of standing where the map does not know, or where no rival was listed."""
+        share = 1.0 if self.anywhere else OFF_MAP
+        return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
+
+
+def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float) -> Doubt:
+    """After a stretch without motions from vision.
+
+    Args:
+        blind_cov: (3, 3) of what prediction alone knew of it.
+        blind_s: how long it was.
+        jumped: pictures there were, but they did not fit.
+        other: probability that the motion which ended it is another one that fits as well.
+    """
+    lifted = LIFTED * min(1.0, (blind_s / CARRY_S) ** 2) if blind_s > LIFT_S else 0.0
+    elsewhere = max(JUMPED if jumped else lifted, min(other, JUMPED))
+    why = "the picture jumped" if jumped else f"{blind_s:.1f} s without vision"
+    return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
+
+
+def negligible(doubt: Doubt, rate: float) -> bool:
+    """Whether the doubt cannot bring the tracked place below a chance of 1 - rate, on the smallest tiles."""
+    sigma2 = float(np.linalg.eigvalsh(doubt.cov[:2, :2])[-1]) + _SIGMA_2_M2
+    by_chance = _NEIGHBOURS * float(np.exp(-0.5 * SMALLEST_TILE_M**2 / sigma2))
+    by_chance += _NEIGHBOURS * float(np.exp(-0.5 * (0.5 * np.pi) ** 2 / (doubt.cov[2, 2] + _SIGMA_2_RAD2)))
+    return doubt.elsewhere + by_chance < rate

@@ -1,0 +1,68 @@
+"""What must be known of a map to find a place on it: its ground, its index, and how often chance explains a feature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ceilvo.daemon.relocalisation.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence import Surroundings, chance_matches
+from ceilvo.daemon.relocalisation.lattice import Lattice
+from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
+from ceilvo.daemon.slam.pose_filter import PoseFilter
+from ceilvo.se2 import transform
+from ceilvo.types import Array, Landmarks, Observations, Pose
+
+MEASURED_M = 6.0
+"""How often chance explains a feature is measured on the map so far around the robot; chosen."""
+MEASURE_AGAIN_M = 1.0
+"""And again after so much of the way."""
+INDEXED_M = 2.5
+"""What a view may change of the map lies so near the robot; most cameras see less."""
+
+
+@dataclass(slots=True)
+class MapSurvey:
+    """Grows with the filter's map.
+
+    Attributes:
+        coverage: ground that the map knows.
+        index: of the whole map.
+        chance: (2, 9) how often chance explains a feature of each type; measured_m: way since it was measured.
+    """
+
+    coverage: Coverage = field(default_factory=Coverage)
+    index: PlaceIndex = field(default_factory=PlaceIndex)
+    chance: Array = field(default_factory=lambda: np.full((2, 9), 0.5))
+    measured_m: float = np.inf
+
+    @staticmethod
+    def of(landmarks: Landmarks, axis_rad: float) -> MapSurvey:
+        """Of a map that came without."""
+        lattice = Lattice.of(landmarks, axis_rad)
+        tile_m = 0.0 if lattice is None else float(np.max(lattice.tile_m))
+        return MapSurvey(Coverage.of(landmarks, tile_m), PlaceIndex.of(landmarks))
+
+    def around(
+        self, filter_: PoseFilter, view: Observations, pose: Array, reach_m: float, axis_rad: float
+    ) -> Surroundings:
+        """The part of the map that a view is weighed on at poses within reach of a pose (3,)."""
+        seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
+        near = filter_.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
+        out = Surroundings.of(near, self.coverage, self.chance, reach_m)
+        if self.measured_m < MEASURE_AGAIN_M:
+            return out
+        lattice = Lattice.of(near, axis_rad)
+        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
+        self.chance, self.measured_m = chance_matches(near, out.raster, self.coverage, shifts), 0.0
+        return Surroundings(near, out.raster, self.coverage, self.chance, reach_m)
+
+    def learnt(self, filter_: PoseFilter, visible_m: Array) -> None:
+        """The filter has learnt from a view that showed a polygon (V, 2) in base."""
+        pose = Pose(filter_.estimate()[0])
+        self.coverage.show(transform(pose, visible_m))
+        near = filter_.landmarks_near(pose[None, :2], INDEXED_M)[1]
+        self.index.sync(near)
+        there = self.index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
+        self.index.remove(np.setdiff1d(there, near.ids))

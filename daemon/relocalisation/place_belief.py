@@ -1,0 +1,186 @@
+"""The belief over places: the tracked pose, its rivals on the map, and a place that the map does not know.
+
+A sequential test (Wald 1945): every view adds the logarithm of its likelihood ratio to each rival's odds against the
+tracked place, and the tracked place is sure while all others together are less likely than the stated rate of error.
+Views from one spot show the same things and err alike, so they count as one: their mean is what is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ceilvo.daemon.relocalisation.lattice import rival_poses
+from ceilvo.se2 import compose, inverse
+from ceilvo.types import Array, Ints
+
+LEAST = -18.0
+"""Log-odds against the likeliest place below which none falls: 1.5e-8, the chance per spot that a robot moved whole
+tiles without a trace in any sensor; chosen. It also bounds how long a move that did happen is overlooked."""
+LEAST_UNKNOWN = -20.0
+"""The same for ground that the map does not know: 2e-9; chosen."""
+SPOT_M, SPOT_RAD = 0.25, 0.25
+"""A robot that has moved or turned so far sees other things, or the same ones with other errors; chosen."""
+SPOT_CAP = 25.0
+"""What one spot may add to log-odds, either way; chosen: no single view is surer than that."""
+_CELL_M, _CELLS = 0.05, 2
+"""Places that are no more cells apart are one: 0.1 to 0.15 m, half the smallest tile at most."""
+MOST_PLACES = 20_000
+"""Places kept: of a hall of 15,000 m^2 whose lamps hang in a pattern some 7,000 look alike; chosen for time."""
+
+
+def _tracked() -> Array:
+    return np.zeros((1, 3))
+
+
+@dataclass(slots=True)
+class PlaceBelief:
+    """Log-weights of places.
+
+    Attributes:
+        places: (P, 3) place_from_tracked, transforms in map; the first is the tracked place, zero.
+        log_weight: (P,) from spots that were left; the largest of all is zero.
+        unknown: the same of ground that the map does not know.
+        spot: (P,) sum of the views' log-likelihood ratios from this spot, against ground that is not known; nan of a
+            place that no view was weighed at yet.
+        spot_views: views from this spot.
+        spot_m, spot_rad: moved and turned since the spot began.
+        cut: places were left out that may be right.
+    """
+
+    places: Array = field(default_factory=_tracked)
+    log_weight: Array = field(default_factory=lambda: np.zeros(1))
+    unknown: float = LEAST_UNKNOWN
+    spot: Array = field(default_factory=lambda: np.zeros(1))
+    spot_views: int = 0
+    spot_m: float = 0.0
+    spot_rad: float = 0.0
+    cut: bool = False
+
+    def __len__(self) -> int:
+        """Places, the tracked one included."""
+        return len(self.places)
+
+    # -- what it says
+
+    def weights(self) -> tuple[Array, float]:
+        """(P,) log-weights of the places and of the unknown one, this spot included; the largest is zero."""
+        share = np.clip(np.nan_to_num(self.spot) / max(self.spot_views, 1), -SPOT_CAP, SPOT_CAP)
+        weight = self.log_weight + share
+        top = max(float(np.max(weight)), self.unknown)
+        return np.maximum(weight - top, LEAST), max(self.unknown - top, LEAST_UNKNOWN)
+
+    def shares(self) -> tuple[Array, float]:
+        """(P,) probabilities of the places, and that of the unknown one."""
+        weight, unknown = (np.exp(w) for w in self.weights())
+        total = float(np.sum(weight) + unknown)
+        return weight / total, float(unknown / total)
+
+    def doubt(self) -> float:
+        """Probability that the robot is not at the tracked place."""
+        share, unknown = self.shares()
+        return float(np.sum(share[1:]) + unknown)
+
+    def winner(self, rate: float) -> int | None:
+        """The place but for the tracked one beside which all others together are less likely than the rate."""
+        share, unknown = self.shares()
+        best = int(np.argmax(share))
+        rest = unknown + float(np.sum(share)) - float(share[best])
+        return best if best > 0 and rest < rate and not self.cut else None
+
+    def alike(self, least: float) -> int:
+        """How many places have at least this share of the belief."""
+        return int(np.count_nonzero(self.shares()[0] >= least))
+
+    # -- what changes it
+
+    def moved(self, moved_m: float, turned_rad: float) -> None:
+        self.spot_m += moved_m
+        self.spot_rad += turned_rad
+
+    @property
+    def at_another_spot(self) -> bool:
+        return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
+
+    def weigh(self, log_ratio: Array) -> None:
+        """Take in a view: (P,) log-likelihood ratios of the places against ground that is not known."""
+        if not self.spot_views:
+            self.spot_m = self.spot_rad = 0.0
+        before = np.where(np.isnan(self.spot), self.spot_views * log_ratio, self.spot)
+        self.spot = before + log_ratio
+        self.spot_views += 1
+
+    def leave_spot(self) -> None:
+        """What this spot says is settled; the next view is from another. Places that have lost are dropped."""
+        self.forget()
+        self._settle()
+
+    def _settle(self) -> None:
+        self.log_weight, self.unknown = self.weights()
+        self.spot, self.spot_views = np.zeros(len(self)), 0
+        self.spot_m = self.spot_rad = 0.0
+
+    def add(self, places: Array, log_odds: Array) -> None:
+        """More places (N, 3) with log-odds (N,) against the tracked one; of one that is there they are added up.
+
+        What this spot has shown before is taken to speak for them as the next view will.
+        """
+        at = {key: i for i in range(len(self) - 1, -1, -1) for key in _keys(self.places[i])}
+        fresh: list[int] = []
+        weight = log_odds + self.log_weight[0]
+        for n, g in enumerate(places):
+            i = at.get(_key(g))
+            if i is None:
+                at.update(dict.fromkeys(_keys(g), len(self) + len(fresh)))
+                fresh.append(n)
+            elif 0 < i < len(self):
+                self.log_weight[i] = np.logaddexp(self.log_weight[i], weight[n])
+        self.places = np.concatenate([self.places, places[fresh]])
+        self.log_weight = np.concatenate([self.log_weight, weight[fresh]])
+        self.spot = np.concatenate([self.spot, np.full(len(fresh), np.nan)])
+        self._keep(_best(self.log_weight, MOST_PLACES))
+
+    def _keep(self, which: Ints) -> None:
+        dropped = np.delete(self.log_weight, which)
+        self.cut |= bool(np.max(dropped, initial=LEAST) > LEAST)
+        self.places, self.log_weight, self.spot = self.places[which], self.log_weight[which], self.spot[which]
+
+    def doubt_unknown(self, log_odds: float) -> None:
+        """Something happened after which the robot may be anywhere, with these log-odds against the tracked place."""
+        self.unknown = float(np.logaddexp(self.unknown, log_odds + self.log_weight[0]))
+
+    def forget(self) -> None:
+        """Drop places that have lost; the tracked one alone is left when it is sure."""
+        keep = self.weights()[0] > LEAST
+        keep[0] = True
+        self.places, self.log_weight, self.spot = self.places[keep], self.log_weight[keep], self.spot[keep]
+        self.cut &= len(self) > 1
+
+    def jump(self, winner: int, tracked: Array) -> Array:
+        """The winner becomes the tracked place; returns its pose (3,) for the tracked pose (3,)."""
+        self._settle()
+        there: Array = rival_poses(self.places[winner : winner + 1], tracked)[0]
+        back = inverse(self.places[winner])
+        order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
+        self.places = np.asarray(compose(self.places[order], np.broadcast_to(back, self.places.shape)))
+        self.places[0], self.log_weight = 0.0, self.log_weight[order]
+        return there
+
+
+def _best(weight: Array, most: int) -> Ints:
+    """The heaviest, the first always among them, in order."""
+    if len(weight) <= most:
+        return np.arange(len(weight))
+    return np.sort(np.append(0, 1 + np.argsort(-weight[1:], kind="stable")[: most - 1]))
+
+
+def _key(g: Array) -> tuple[int, int, int]:
+    """Cell of a transform; they turn by whole quarters, so that translations of one turn can be compared."""
+    return round(float(g[0]) / _CELL_M), round(float(g[1]) / _CELL_M), round(float(g[2]) / (0.5 * np.pi)) % 4
+
+
+def _keys(g: Array) -> list[tuple[int, int, int]]:
+    """Cells of all transforms that are the same as this one."""
+    x, y, turn = _key(g)
+    return [(x + i, y + j, turn) for i in range(-_CELLS, _CELLS + 1) for j in range(-_CELLS, _CELLS + 1)]

@@ -1,0 +1,121 @@
+"""What a view teaches a map besides positions: sightings, births, merges, and what is no longer there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.slam.association import CANDIDATE_GATE_CHI2, DUPLICATE_FRACTION, EXPIRES_UPDATES
+from ceilvo.daemon.slam.joint_map import JointMap
+from ceilvo.se2 import inverse, transform
+from ceilvo.types import Array, Ints, Observations
+
+DUPLICATES_EVERY = 4
+"""Updates in which every landmark in view is looked at once, whether it is there twice; chosen, to share the cost."""
+GONE_RATE = 1e-4
+"""Chance per view that a landmark which is there is taken for gone; chosen: a lap of a room is some 300 views."""
+CHANCE_SIGHTING = 0.05
+"""How often a landmark that is gone seems to be seen: something of its type near enough; chosen."""
+USEFUL, SUREST = 0.3, 0.9
+"""Bounds of the visibility that a landmark is held to. One seen more seldom than the first is of little use; above the
+second misses come in runs, for what hides a landmark hides it for a while; chosen."""
+VIEW_WORTH = 1.0 / 3.0
+"""Of independent evidence in a view: what hides a landmark often hides it 5 cm further on as well; chosen."""
+APART_M = 0.04
+"""Views nearer to the last one show the same again; chosen: less than filter.update_travel_m."""
+
+
+def count(j: JointMap, seen: Ints, visible_m: Array) -> Ints:
+    """Count a view: landmarks that were seen, and those that should have been; returns the labels of the latter.
+
+    Args:
+        seen: labels of landmarks that are where they should be.
+        visible_m: (V, 2) as in Observations; empty: what was not seen says nothing.
+    """
+    j.sightings[seen] += 1
+    j.expected[seen] += 1
+    if not len(visible_m):
+        return np.empty(0, np.int64)
+    corners = transform(j.pose, visible_m)
+    near = j.near(np.min(corners, axis=0), np.max(corners, axis=0))
+    missed = near[inside(visible_m, transform(inverse(j.pose), j.xy(near))) & ~np.isin(near, seen)]
+    j.expected[missed] += 1
+    return missed
+
+
+def gone(j: JointMap, seen: Ints, missed: Ints) -> Ints:
+    """Weigh a view; returns the labels of confirmed landmarks that are no longer there.
+
+    Page's test ("Continuous inspection schemes", 1954) of each landmark: the log-likelihood ratio of "gone, seen by
+    chance only" against "there, seen as often as before" is summed and never falls below 0, so that the latest views
+    decide, however often it was seen before. At log(1 / GONE_RATE) it is gone: one that is there comes to that less
+    than once in 1 / GONE_RATE independent views (Lorden 1971). A picture that shows few of all landmarks (dim,
+    blurred, covered) is held to show each more seldom.
+    """
+    was = (j.sightings + 1.0) / (j.expected + 2.0)
+    share = min((len(seen) + 1.0) / (np.sum(was[seen]) + np.sum(was[missed]) + 1.0), 1.0)
+    for labels, shown in ((seen, True), (missed, False)):
+        p = np.maximum(np.clip(was[labels], USEFUL, SUREST) * share, CHANCE_SIGHTING)
+        step = np.log(CHANCE_SIGHTING / p) if shown else np.log((1.0 - CHANCE_SIGHTING) / (1.0 - p))
+        j.doubt[labels] = np.maximum(j.doubt[labels] + VIEW_WORTH * step, 0.0)
+    out: Ints = missed[(missed < j.size) & (j.doubt[missed] >= -np.log(GONE_RATE))]
+    return out
+
+
+def inside(polygon: Array, xy: Array) -> NDArray[np.bool_]:
+    """(N,) whether points (N, 2) are in a convex polygon (V, 2), counter-clockwise."""
+    side = np.roll(polygon, -1, axis=0) - polygon
+    off = xy[:, None] - polygon[None]
+    return np.asarray(np.all(side[:, 0] * off[..., 1] >= side[:, 1] * off[..., 0], axis=1))
+
+
+def near_points(j: JointMap, xy: Array, reach_m: float) -> Ints:
+    """Labels, in order, of the landmarks within reach of the box around points (M, 2)."""
+    if not len(xy):
+        return np.empty(0, np.int64)
+    return j.near(np.min(xy, axis=0) - reach_m, np.max(xy, axis=0) + reach_m)
+
+
+def duplicates(j: JointMap, seen: Ints, now: int, gate_m: float) -> tuple[int, int] | None:
+    """Two landmarks of one type, one of them in `seen`, that are so near that they may be one; the better one first."""
+    labels = seen[now % DUPLICATES_EVERY :: DUPLICATES_EVERY]
+    xy, reach = j.xy(labels), DUPLICATE_FRACTION * gate_m
+    near = near_points(j, xy, reach)
+    apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
+    same = (apart < reach) & (j.crossing_type[labels][:, None] == j.crossing_type[near]) & (labels[:, None] != near)
+    pairs = np.argwhere(same)
+    if not len(pairs):
+        return None
+    a, b = int(labels[pairs[0, 0]]), int(near[pairs[0, 1]])
+    return (a, b) if (j.sightings[a], j.ids[b]) >= (j.sightings[b], j.ids[a]) else (b, a)
+
+
+def settle(j: JointMap, now: int, birth_sightings: int) -> None:
+    """Show the newborn landmarks that were seen often enough, and forget those that were not for too long."""
+    newborn = np.arange(j.size, len(j))
+    j.confirm(newborn[j.sightings[newborn] >= birth_sightings])
+    newborn = np.arange(j.size, len(j))
+    j.forget(newborn[now - j.seen_at[newborn] > EXPIRES_UPDATES])
+
+
+def make_room(j: JointMap, most: int, now: int) -> int:
+    """Forget the least certain newborn landmarks that are not in view, so many at most; returns how many there were."""
+    newborn = np.arange(j.size, len(j))
+    newborn = newborn[j.seen_at[newborn] < now]
+    gone = newborn[np.lexsort((j.seen_at[newborn], j.sightings[newborn]))][:most]
+    j.forget(gone)
+    return len(gone)
+
+
+def fresh(j: JointMap, obs: Observations, which: Ints, gate_m: float) -> Ints:
+    """Those of the features `which` that are far enough from all landmarks of their type to be others."""
+    xy, kind = transform(j.pose, obs.xy_base_m[which]), obs.crossing_type[which]
+    near = near_points(j, xy, gate_m)
+    apart = np.hypot(*(xy[:, None] - j.xy(near)[None]).transpose(2, 0, 1))
+    apart[kind[:, None] != j.crossing_type[near]] = np.inf
+    new = np.min(apart, axis=1, initial=np.inf) > DUPLICATE_FRACTION * gate_m
+    if len(near):  # nor where it may be one that is known, seen badly
+        off = apart**2 / (np.max(obs.var_m2[which], axis=1)[:, None] + np.max(j.packed(near)[:, [0, 2]], axis=1))
+        new &= np.min(off, axis=1) > CANDIDATE_GATE_CHI2
+    out: Ints = which[new]
+    return out

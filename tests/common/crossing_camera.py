@@ -1,0 +1,149 @@
+"""A camera under a simulated ceiling that sees crossings, not pictures: exact truth, with misses and mistakes added.
+
+It is a hundred times faster than rendering. What it misses and mistakes is what was counted in rendered pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.crossing_types import crossing_type_of, quarter_turns, turned_type
+from ceilvo.sim.ceiling.arrangement import make_layout
+from ceilvo.sim.ceiling.spec import CeilingSpec
+from ceilvo.types import Crossings, LineKind
+
+HALF_VIEW_M = np.array([1.65, 1.2])
+"""Of the simulated rig's picture on a ceiling 2.2 m high, without its rim."""
+_NEAR_M = 0.03
+"""By which lines are prolonged to meet: corners of lamps are not sharp."""
+
+
+@dataclass(frozen=True)
+class Flaws:
+    """Shares of lines and crossings that are not seen, of edges that are taken for another kind, and noise."""
+
+    lines: float = 0.02
+    crossings: float = 0.02
+    kinds: float = 0.05
+    noise_m: float = 3e-4
+    noise_rad: float = 2e-4
+
+
+@dataclass(frozen=True)
+class CrossingCamera:
+    """Looks up from a robot anywhere below one ceiling."""
+
+    xy_m: np.ndarray
+    kind: np.ndarray  # (N, 2) of both lines
+    line: np.ndarray  # (N, 2) which lines
+    flaws: Flaws = field(default_factory=Flaws)
+
+    @staticmethod
+    def under(spec: CeilingSpec, seed: int, flaws: Flaws | None = None) -> CrossingCamera:
+        lines = make_layout(spec, np.random.default_rng([seed, 0xCE11])).lines()
+        first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
+        x, y = lines.segments[first, 0, 0], lines.segments[second, 0, 1]
+        reach = np.array([-_NEAR_M, _NEAR_M])
+        y_from, y_to = (np.sort(lines.segments[first, :, 1], axis=1) + reach).T
+        x_from, x_to = (np.sort(lines.segments[second, :, 0], axis=1) + reach).T
+        meet = (y > y_from[:, None]) & (y < y_to[:, None]) & (x[:, None] > x_from) & (x[:, None] < x_to)
+        i, j = np.nonzero(meet)
+        kind = np.column_stack([lines.kind[first[i]], lines.kind[second[j]]])
+        return CrossingCamera(
+            np.column_stack([x[i], y[j]]), kind, np.column_stack([first[i], second[j]]), flaws or Flaws()
+        )
+
+    def sees(self, pose: np.ndarray, seed: int) -> Crossings:
+        """The view from map_from_base (3,), with the axes named as the line fit names them."""
+        rng, f = np.random.default_rng([seed, 0xE7E]), self.flaws
+        base = se2.transform(se2.inverse(pose), self.xy_m)
+        seen = np.all(np.abs(base) < HALF_VIEW_M, axis=1)
+        lost = rng.random(int(self.line.max()) + 1) < f.lines
+        seen &= ~np.any(lost[self.line], axis=1) & (rng.random(len(seen)) > f.crossings)
+        kind = np.where(rng.random(self.kind.shape) < f.kinds, _mistaken(self.kind, rng), self.kind)[seen]
+        psi = float((-pose[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+        turns = quarter_turns(psi + float(pose[2]), 0.0)
+        xy = base[seen] + rng.normal(0.0, f.noise_m, (int(seen.sum()), 2))
+        return Crossings(
+            uv_px=186.0 * xy + [320, 240],
+            xy_base_m=xy,
+            cov_base_m2=np.tile(np.eye(2) * 1e-6, (len(xy), 1, 1)),
+            crossing_type=turned_type(crossing_type_of(kind[:, 0], kind[:, 1]), -turns),
+            psi_rad=psi + float(rng.normal(0.0, f.noise_rad)),
+            psi_sigma_rad=2e-4,
+            tilt_rad=np.zeros(2),
+            tilt_sigma_rad=np.zeros(2),
+            common_cov_m2=np.zeros((2, 2)),
+        )
+
+
+def _mistaken(kind: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """An edge beside a joint is taken for the joint, a joint seldom for an edge."""
+    edge = rng.choice([int(LineKind.FALLING), int(LineKind.RISING)], kind.shape)
+    joint = int(LineKind.GROOVE)
+    return np.where(kind == joint, np.where(rng.random(kind.shape) < 0.1, edge, kind), joint)
+
+
+@dataclass(frozen=True)
+class Wander:
+    """What a driver wants of a robot: to stand, to turn on the spot, to drive straight, to take a corner, at random.
+
+    A slow robot's fastest is 0.15 to 0.6 m/s, a fast one's 0.2 to 1.3 m/s.
+    """
+
+    seed: int
+    fast: bool = False
+    _LASTS_S = 60.0
+
+    @cached_property
+    def limits(self) -> tuple[float, float]:
+        """m/s^2 and rad/s^2."""
+        rng = np.random.default_rng([self.seed, 0xACC])
+        return (float(rng.uniform(0.8, 2.0)), 12.0) if self.fast else (float(rng.uniform(0.4, 1.5)), 4.0)
+
+    @cached_property
+    def plan(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) when a wish begins, and (N, 2) speed m/s and turn rate rad/s."""
+        rng, t, begin, wish = np.random.default_rng([self.seed, 0x901]), 0.0, [], []
+        top = rng.uniform(0.2, 1.3) if self.fast else rng.uniform(0.15, 0.6)
+        while t < self._LASTS_S:
+            lasts, what, v, r = (
+                rng.uniform(1.0, 4.0),
+                rng.integers(5),
+                top * rng.uniform(0.5, 1.0),
+                rng.uniform(0.4, 1.5),
+            )
+            side = rng.choice([-1.0, 1.0])
+            begin.append(t)
+            if what == 0:
+                wish.append((0.0, 0.0))
+            elif what == 1:
+                wish.append((0.0, side * rng.uniform(0.5, 1.5)))
+            elif what == 2:
+                wish.append((v, side * v / r))
+                lasts = min(lasts, 0.5 * np.pi * r / v)
+            else:
+                wish.append((v, 0.0))
+            t += lasts
+        return np.array(begin), np.array(wish)
+
+    def at(self, t_s: float) -> np.ndarray:
+        begin, wish = self.plan
+        return wish[np.searchsorted(begin, t_s, side="right") - 1]
+
+
+def driven(wander: Wander, start: np.ndarray, seconds: float, rate_hz: float) -> Iterator[np.ndarray]:
+    """Poses (3,) at the rate of a robot that does what is wanted as fast as it can."""
+    fine, twist, pose = 20, np.zeros(2), np.array(start, float)
+    dt = 1.0 / (rate_hz * fine)
+    most = np.array(wander.limits) * dt
+    for k in range(round(seconds * rate_hz)):
+        yield pose
+        for j in range(fine):
+            twist = twist + np.clip(wander.at((k + j / fine) / rate_hz) - twist, -most, most)
+            pose = se2.compose(pose, np.array([twist[0] * dt, 0.0, twist[1] * dt]))

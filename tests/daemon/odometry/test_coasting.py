@@ -1,0 +1,77 @@
+"""Prediction without vision: it does not depend on how a gap is cut into steps, and its covariance holds."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from crossing_camera import Wander, driven
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.daemon.odometry.coasting import LastTwist, coast
+
+RATE_HZ = 10.0
+TWISTS = st.tuples(st.floats(-1.5, 1.5), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0))
+GAPS_S = (0.2, 0.5, 1.0, 2.0, 4.0)
+
+
+def after(twist: np.ndarray, cuts_s: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Where a robot is predicted to be after all of the cuts, and with what covariance."""
+    moved, cov = np.zeros(3), np.zeros((3, 3))
+    for start_s, end_s in pairwise(cuts_s):
+        step, step_cov = coast(Odometry(), LastTwist(twist, 0.1, start_s), end_s - start_s)
+        moved, cov = se2.compose(moved, step), se2.compose_cov(moved, cov, step, step_cov)
+    return moved, cov
+
+
+@settings(max_examples=60, deadline=None)
+@given(twist=TWISTS, cuts=st.lists(st.floats(0.01, 0.99), max_size=6), gap_s=st.floats(0.1, 4.0))
+def test_a_gap_is_the_same_whether_frames_fail_in_it_or_do_not_come(
+    twist: tuple[float, ...], cuts: list[float], gap_s: float
+) -> None:
+    whole, cov = after(np.array(twist), [0.0, gap_s])
+    parts, cov_parts = after(np.array(twist), [0.0, *sorted({gap_s * c for c in cuts}), gap_s])
+    assert np.abs(se2.between(whole, parts)).max() < 1e-9
+    assert cov_parts[2, 2] == pytest.approx(cov[2, 2], rel=1e-9)
+    sigma, sigma_parts = (np.sqrt(np.trace(c[:2, :2])) for c in (cov, cov_parts))
+    assert sigma_parts == pytest.approx(sigma, rel=0.15)  # the lever of the heading is summed in steps
+
+
+@settings(max_examples=60, deadline=None)
+@given(twist=TWISTS, early_s=st.floats(0.0, 3.9), more_s=st.floats(0.01, 1.0))
+def test_what_is_not_known_grows_with_time(twist: tuple[float, ...], early_s: float, more_s: float) -> None:
+    _, before = after(np.array(twist), [0.0, early_s])
+    _, later = after(np.array(twist), [0.0, early_s + more_s])
+    assert later[2, 2] > before[2, 2]
+    assert np.trace(later[:2, :2]) > np.trace(before[:2, :2])
+
+
+def test_a_twist_that_is_not_known_is_worse_than_one_that_is() -> None:
+    slow = np.array([0.1, 0.0, 0.0])
+    for dt_s in (0.03, 0.3, 3.0):
+        known, unknown = (coast(Odometry(), LastTwist(slow, span_s, 0.0), dt_s)[1] for span_s in (0.03, None))
+        assert np.all(np.diag(unknown) > np.diag(known))
+
+
+@pytest.mark.parametrize("fast", [False, True], ids=["slow", "fast"])
+def test_covariance_holds_over_drives_that_stop_and_turn_and_speed_up(fast: bool) -> None:
+    """Normalised errors squared per degree of freedom, of all gaps in drives of 40 s."""
+    drives = [np.array(list(driven(Wander(40 + seed, fast), np.zeros(3), 40.0, RATE_HZ))) for seed in range(6)]
+    for gap_s in GAPS_S:
+        nees = []
+        ahead = round(gap_s * RATE_HZ)
+        for poses in drives:
+            for k in range(20, len(poses) - ahead, 7):
+                twist = se2.between(poses[k - 1], poses[k]) * RATE_HZ
+                guess, cov = coast(Odometry(), LastTwist(twist, 1.0 / RATE_HZ, 0.0), gap_s)
+                off = se2.between(poses[k], poses[k + ahead]) - guess
+                off[2] = se2.wrap(off[2])
+                nees.append(float(off @ np.linalg.solve(cov, off)) / 3.0)
+        mean, rare, most = float(np.mean(nees)), float(np.quantile(nees, 0.99)), float(np.max(nees))
+        print(f"{'fast' if fast else 'slow'} {gap_s} s: NEES/3 mean {mean:.2f}, p99 {rare:.1f}, max {most:.1f}")
+        assert 0.03 < mean < 1.0
+        assert rare < 16.3 / 3.0  # chi squared with 3 degrees of freedom: 1 in 1000

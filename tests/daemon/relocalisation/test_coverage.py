@@ -1,0 +1,58 @@
+"""Which ground a map knows."""
+
+import numpy as np
+
+from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
+from ceilvo.types import Landmarks
+
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+def test_ground_is_known_once_enough_views_have_shown_it() -> None:
+    coverage = Coverage()
+    points = np.array([[100.0, -50.0], [100.7, -49.3], [101.5, -50.0], [99.2, -50.6]])
+    for k in range(VIEWS):
+        assert not np.any(coverage.knows(points)), k
+        coverage.show(SQUARE + np.array([100.0, -50.0]))
+    assert coverage.knows(points).tolist() == [True, True, False, True]
+    assert coverage.views(points).tolist() == [VIEWS, VIEWS, 0, VIEWS]
+    assert abs(coverage.area_m2 - 4.0) < 1.5
+    assert coverage.knows(points.reshape(2, 2, 2)).shape == (2, 2)
+
+
+def test_blocks_are_kept_apart_however_far_they_are() -> None:
+    coverage = Coverage()
+    for x in (-3000.0, 7.9, 4000.0, -8.1):
+        for _ in range(300):
+            coverage.show(SQUARE + np.array([x, x]))
+    at = np.array([[-3000.0, -3000.0], [7.9, 7.9], [4000.0, 4000.0], [-8.1, -8.1], [50.0, 50.0]])
+    assert coverage.views(at).tolist() == [255, 255, 255, 255, 0]
+    assert np.all(np.diff(coverage.block) > 0)
+
+
+def tiles(missing: tuple[float, float] | None = None) -> Landmarks:
+    xy = 0.6 * np.array([(i, j) for i in range(12) for j in range(8)], float)
+    if missing is not None:
+        xy = xy[np.hypot(*(xy - missing).T) > 1.4]
+    n = len(xy)
+    return Landmarks(np.arange(n), xy, np.tile(np.eye(2), (n, 1, 1)), np.full(n, 4), np.full(n, 20))
+
+
+def test_of_a_map_that_came_without_the_ground_between_landmarks_is_known_and_none_outside() -> None:
+    coverage = Coverage.of(tiles(), 0.6)
+    rng = np.random.default_rng(3)
+    inside = rng.uniform([0.5, 0.5], [6.1, 3.7], (500, 2))
+    assert np.all(coverage.knows(inside))
+    around = np.concatenate(
+        [
+            inside + np.array([7.2, 0.0]),
+            inside - np.array([7.2, 0.0]),
+            inside + np.array([0.0, 4.8]),
+            inside - np.array([0.0, 4.8]),
+        ]
+    )
+    outside = np.any((around < -0.3) | (around > [6.9, 4.5]), axis=1)
+    assert not np.any(coverage.knows(around[outside]))
+    hole = Coverage.of(tiles((3.0, 2.4)), 0.6)
+    assert not hole.knows(np.array([3.0, 2.4]))
+    assert not np.any(Coverage.of(tiles().of(np.arange(0)), 0.6).knows(inside))

@@ -1,0 +1,145 @@
+"""What a view says of poses: against ceilings whose every feature is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ceilvo.crossing_types import turned_type
+from ceilvo.daemon.relocalisation.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence import Surroundings, TypeRaster, ViewEvidence, chance_matches
+from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
+from ceilvo.se2 import inverse, transform, wrap
+from ceilvo.types import Array, Landmarks, Observations
+
+SQUARE = 1.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+HERE = np.array([5.2, 4.9, 0.3])
+
+
+def ceiling(seed: int, raster: bool = False) -> Landmarks:
+    """Tiles of 0.6 m; one in five is a lamp of four corners, at random or every fourth by third."""
+    rng = np.random.default_rng(seed)
+    xy, kinds = [], []
+    for i in range(18):
+        for j in range(18):
+            xy.append((0.6 * i, 0.6 * j))
+            kinds.append(4)
+            if (i % 4 == 0 and j % 3 == 0) if raster else rng.random() < 0.2:
+                for dx, dy, kind in ((0.1, 0.1, 0), (0.5, 0.1, 2), (0.1, 0.5, 6), (0.5, 0.5, 8)):
+                    xy.append((0.6 * i + dx, 0.6 * j + dy))
+                    kinds.append(kind)
+    n = len(xy)
+    seen = np.full(n, 50)
+    return Landmarks(np.arange(n), np.array(xy), np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.array(kinds), seen)
+
+
+def view_from(landmarks: Landmarks, pose: Array, turns: int = 0) -> Observations:
+    xy = transform(inverse(pose), landmarks.xy_map_m)
+    near = np.all(np.abs(xy) < 1.5, axis=1)
+    n = int(near.sum())
+    kinds = turned_type(landmarks.crossing_type[near], -turns)
+    heading = wrap(float(pose[2]) + 0.5 * np.pi * turns)
+    return Observations(xy[near], np.full((n, 2), 1e-5), kinds, np.full(n, -1), heading, 1e-6, 0.0, SQUARE)
+
+
+def around(landmarks: Landmarks, chance: Array | None = None) -> Surroundings:
+    chance = np.full((2, 9), 0.2) if chance is None else chance
+    chance[:, 4] = 0.98
+    return Surroundings.of(landmarks, Coverage.of(landmarks, 0.6), chance, 3.0)
+
+
+def ratio(landmarks: Landmarks, view: Observations, poses: Array) -> Array:
+    return ViewEvidence(view, around(landmarks), np.ones(len(view))).log_ratio(poses)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("turns", range(4))
+def test_the_true_pose_is_likelier_than_any_whole_tile_or_quarter_turn_off(seed: int, turns: int) -> None:
+    landmarks = ceiling(seed)
+    view = view_from(landmarks, HERE, turns)
+    shifts = [(i, j) for i in range(-3, 4) for j in range(-3, 4) if (i, j) != (0, 0)]
+    poses = np.array([HERE, *(HERE + np.array([0.6 * i, 0.6 * j, 0.0]) for i, j in shifts)])
+    found = ratio(landmarks, view, poses)
+    assert found[0] > 3.0
+    assert np.all(found[1:] < found[0] - 9.0)
+    assert np.all(
+        ratio(landmarks, view, np.array([HERE + np.array([0, 0, q * 0.5 * np.pi]) for q in (1, 2, 3)])) < -5.0
+    )
+
+
+def test_a_bare_grid_says_nothing_and_ground_that_is_not_mapped_says_nothing() -> None:
+    landmarks = ceiling(1)
+    bare = landmarks.of(landmarks.crossing_type == 4)
+    view = view_from(bare, HERE)
+    found = ratio(bare, view, np.array([HERE, HERE + np.array([0.6, 0.0, 0.0]), HERE + np.array([-1.2, 0.6, 0.0])]))
+    assert np.ptp(found) < 0.3 and np.all(np.abs(found) < 1.0)
+    off = ratio(landmarks, view_from(landmarks, HERE), np.array([HERE + np.array([60.0, 0.0, 0.0])]))
+    assert abs(off[0]) < 0.2
+
+
+def test_a_lamp_that_is_expected_and_not_seen_counts_against_a_pose() -> None:
+    landmarks = ceiling(2)
+    view = view_from(landmarks, HERE)
+    lamp = view.crossing_type != 4
+    assert np.count_nonzero(lamp) >= 4
+    without = view.of(~lamp)
+    assert ratio(landmarks, without, HERE[None])[0] < -3.0
+    blind = replace(without, visible_m=np.empty((0, 2)))
+    assert abs(ratio(landmarks, blind, HERE[None])[0]) < 0.5
+
+
+def test_a_third_of_a_ceiling_may_change_and_it_is_still_this_place() -> None:
+    landmarks = ceiling(3)
+    rng = np.random.default_rng(4)
+    moved = landmarks.xy_map_m.copy()
+    lamps = np.flatnonzero((landmarks.crossing_type != 4) & (rng.random(len(landmarks)) < 0.3))
+    moved[lamps] += 0.3
+    view = view_from(Landmarks(landmarks.ids, moved, landmarks.cov_m2, landmarks.crossing_type, landmarks.ids), HERE)
+    poses = np.array(
+        [
+            HERE,
+            HERE + np.array([0.6, 0, 0]),
+            HERE + np.array([0, -0.6, 0]),
+            HERE + np.array([-0.6, 0.6, 0]),
+            HERE + np.array([60, 0, 0]),
+        ]
+    )
+    found = ratio(landmarks, view, poses)
+    assert np.all(found[0] > found[1:4] + 3.0)
+
+
+def test_chance_is_measured_on_the_map_itself() -> None:
+    for raster, low, high in ((True, 0.7, 1.0), (False, 0.02, 0.5)):
+        landmarks = ceiling(5, raster)
+        coverage = Coverage.of(landmarks, 0.6)
+        rows = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type)
+        shifts = np.array([(0.6 * i, 0.6 * j) for i in range(-6, 7) for j in range(-6, 7) if (i, j) != (0, 0)])
+        chance = chance_matches(landmarks, rows, coverage, shifts)
+        assert np.all(chance[:, 4] > 0.9)
+        assert np.all((chance[1, [0, 2, 6, 8]] >= low) & (chance[1, [0, 2, 6, 8]] <= high)), (raster, chance)
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_far_places_are_weighed_as_near_ones_but_for_what_is_missing(turns: int) -> None:
+    landmarks = ceiling(6)
+    view = replace(view_from(landmarks, HERE, turns), visible_m=np.empty((0, 2)))
+    evidence = ViewEvidence(view, around(landmarks), np.ones(len(view)))
+    poses = np.array(
+        [
+            HERE,
+            HERE + np.array([0.6, 0.0, 0.0]),
+            HERE + np.array([0.0, 0.0, 0.5 * np.pi]),
+            HERE + np.array([0.0, 1.2, 0.0]),
+        ]
+    )
+    near, far = evidence.log_ratio(poses), evidence.log_ratio_in(PlaceIndex.of(landmarks).grid, poses)
+    assert np.allclose(near, far, atol=2.5)
+    assert np.argmax(far) == 0
+
+
+def test_what_was_looked_at_before_is_worth_less() -> None:
+    landmarks = ceiling(7)
+    view = view_from(landmarks, HERE)
+    poses = np.array([HERE, HERE + np.array([0.6, 0.0, 0.0])])
+    fresh, stale = (ViewEvidence(view, around(landmarks), np.full(len(view), w)).log_ratio(poses) for w in (1.0, 0.1))
+    assert fresh[0] - fresh[1] > 5.0 * (stale[0] - stale[1])

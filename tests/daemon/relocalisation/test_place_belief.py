@@ -1,0 +1,130 @@
+"""The sequential test over places: what is sure, what wins, what is forgotten."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo.daemon.relocalisation.lattice import rival_poses
+from ceilvo.daemon.relocalisation.place_belief import LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
+
+RIVALS = np.array([[0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.3, 0.3, 0.5 * np.pi]])
+TRACKED = np.array([2.0, 1.0, 0.4])
+
+
+def doubted(odds: float = -2.0) -> PlaceBelief:
+    belief = PlaceBelief()
+    belief.add(RIVALS, np.full(3, odds))
+    return belief
+
+
+def spot(belief: PlaceBelief, ratio: list[float], views: int = 1) -> None:
+    belief.moved(1.0, 0.0)
+    belief.leave_spot()
+    for _ in range(views):
+        belief.weigh(np.array(ratio[: len(belief)]))
+
+
+def test_a_fresh_belief_is_sure_but_for_what_left_no_trace() -> None:
+    assert PlaceBelief().doubt() == pytest.approx(np.exp(LEAST_UNKNOWN), rel=1e-6)
+    assert PlaceBelief().winner(1e-4) is None
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.lists(st.floats(-6, 6), min_size=4, max_size=4), min_size=1, max_size=5), st.floats(-9, 0))
+def test_shares_are_what_bayes_says(ratios: list[list[float]], odds: float) -> None:
+    """Products of likelihood ratios over spots, while nothing reaches a floor."""
+    belief = doubted(odds)
+    belief.doubt_unknown(-1.0)
+    weight = np.array([0.0, odds, odds, odds])
+    unknown = np.logaddexp(LEAST_UNKNOWN, -1.0)
+    for k, r in enumerate(ratios):
+        if k:
+            belief._settle()
+        belief.weigh(np.array(r))
+        weight = weight + r
+        if max(weight.max(), unknown) - min(weight.min(), unknown) > -LEAST - 0.1:
+            return
+    total = np.exp(np.append(weight, unknown)) / np.exp(np.append(weight, unknown)).sum()
+    share, none = belief.shares()
+    assert np.allclose(share, total[:4], rtol=1e-9)
+    assert none == pytest.approx(total[4])
+    assert belief.doubt() == pytest.approx(1.0 - total[0])
+
+
+def test_views_from_one_spot_count_as_one() -> None:
+    many, one = doubted(), doubted()
+    spot(many, [0.0, -3.0, -3.0, -3.0], views=50)
+    spot(one, [0.0, -3.0, -3.0, -3.0])
+    assert many.doubt() == pytest.approx(one.doubt())
+    spot(one, [0.0, -3.0, -3.0, -3.0])
+    assert one.doubt() < 0.2 * many.doubt()
+
+
+def test_a_rival_wins_only_when_all_others_together_are_less_likely_than_the_rate() -> None:
+    belief = doubted()
+    spot(belief, [-9.0, 0.0, -9.0, -9.0])
+    assert belief.winner(1e-4) is None
+    spot(belief, [-9.0, 0.0, -9.0, -9.0])
+    assert belief.winner(1e-4) == 1
+    belief.cut = True
+    assert belief.winner(1e-4) is None
+
+
+def test_the_winner_becomes_the_tracked_place_and_the_old_one_its_rival() -> None:
+    belief = doubted()
+    spot(belief, [-12.0, -12.0, -12.0, 0.0])
+    shares = belief.shares()[0]
+    there = belief.jump(3, TRACKED)
+    g = RIVALS[2]
+    c, s = np.cos(g[2]), np.sin(g[2])
+    assert np.allclose(there, [g[0] + c * 2.0 - s * 1.0, g[1] + s * 2.0 + c * 1.0, 0.4 + g[2]])
+    assert not np.any(belief.places[0])
+    assert belief.shares()[0][0] == pytest.approx(shares[3])
+    back = rival_poses(belief.places, there)
+    assert np.min(np.hypot(*(back - TRACKED)[:, :2].T)) < 1e-9
+
+
+def test_places_that_lost_are_dropped_and_a_move_that_left_no_trace_is_found_in_the_end() -> None:
+    belief = doubted()
+    for _ in range(4):
+        spot(belief, [0.0, -9.0, -9.0, -9.0])
+    belief.leave_spot()
+    assert len(belief) == 1
+    belief.add(RIVALS, np.full(3, LEAST))
+    belief.weigh(np.array([-15.0, 6.0, -15.0, -15.0]))
+    assert belief.doubt() > 1e-4
+    for _ in range(2):
+        spot(belief, [-15.0, 6.0, -15.0, -15.0])
+    assert belief.winner(1e-4) == 1
+
+
+def test_the_same_place_is_listed_once_and_the_tracked_one_never() -> None:
+    belief = doubted(-5.0)
+    belief.add(RIVALS + np.array([0.04, -0.04, 0.0]), np.full(3, -5.0))
+    assert len(belief) == 4
+    assert np.allclose(belief.log_weight[1:], -5.0 + np.log(2.0))
+    belief.add(np.array([[0.05, 0.05, 0.0]]), np.zeros(1))
+    assert len(belief) == 4
+    belief.add(np.array([[0.05, 0.05, np.pi]]), np.zeros(1))
+    assert len(belief) == 5
+
+
+def test_a_place_that_is_added_in_the_middle_of_a_spot_is_not_behind() -> None:
+    belief = PlaceBelief()
+    for _ in range(4):
+        belief.weigh(np.array([-2.0]))
+    belief.add(RIVALS[:1], np.zeros(1))
+    belief.weigh(np.array([-2.0, 3.0]))
+    weight, _ = belief.weights()
+    assert weight[1] - weight[0] == pytest.approx(5.0)
+
+
+def test_more_places_than_are_kept_are_cut_and_that_is_said() -> None:
+    rng = np.random.default_rng(7)
+    many = np.column_stack([rng.uniform(-500, 500, (MOST_PLACES + 50, 2)), np.zeros(MOST_PLACES + 50)])
+    belief = PlaceBelief()
+    belief.add(many, rng.uniform(-9, 0, len(many)))
+    assert len(belief) == MOST_PLACES
+    assert belief.cut
+    assert not np.any(belief.places[0])
