@@ -79,8 +79,8 @@ SETTINGS = {
     "L": replace(P, name="L", slip_share=0.9, slip_steps=20, stalls=True),
     "F": replace(P, name="F", features_per_side=2),
 }
-"""The settings of docs/experiments.md; S1's slip rate was set by looking at `pf` and `ukf_gated` alone, those of Y, YN and
-O are chosen: two a lap. L loses 90 % of 1.4 m."""
+"""The settings of docs/experiments.md; S1's slip rate was set by looking at `pf` and `ukf_gated` alone, those of Y, YN
+and O are chosen: two a lap. L loses 90 % of 1.4 m."""
 
 
 @dataclass(frozen=True)

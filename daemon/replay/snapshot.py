@@ -80,7 +80,16 @@ def _from_v2(state: Any) -> Any:
     reason = "" if old["hypothesis"] is None else "a hypothesis in an older recording"
     relocaliser = {"map_axis_rad": old["map_axis_rad"], "reason": reason, "schedule": state["schedule"]}
     kept = {name: value for name, value in state.items() if name != "schedule"}
-    return {**kept, "relocaliser": relocaliser, "filter": filter_.get("tracker", filter_)}
+    return {**kept, "relocaliser": relocaliser, "filter": _filter_from_v2(filter_.get("tracker", filter_))}
+
+
+def _filter_from_v2(filter_: Any) -> Any:
+    """The default filter knew one kind of slip; whether wheels were slipping is lost."""
+    rule = filter_.get("rule")
+    if rule is None:
+        return filter_
+    path = {name: rule[name] for name in ("displacement_m", "travel_m")}
+    return {**filter_, "rule": {"slip": path} | {name: rule[name] for name in ("ess", "fit_residual", "white")}}
 
 
 def value_json(value: object) -> bytes:
