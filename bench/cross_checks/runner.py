@@ -24,6 +24,7 @@ class Fault:
 
     Attributes:
         picture: "frozen" (one picture), "frozen noisy" (one place, new noise), "ring 2" to "ring 8", "dark", "silent".
+        picture_s: how long that lasts, if not to the end.
         yaw_rad: by which the camera was bumped.
         late_s: by which pictures are late.
         wheels_stand: the wheels count nothing, so the robot is carried.
@@ -34,6 +35,7 @@ class Fault:
     begin_s: float = np.inf
     end_s: float = np.inf
     picture: str = ""
+    picture_s: float = np.inf
     yaw_rad: float = 0.0
     late_s: float = 0.0
     wheels_stand: bool = False
@@ -62,8 +64,9 @@ def run(path: Path, config: Config, rng: np.random.Generator, fault: Fault | Non
     for k in range(len(path.time_s)):
         now_s = float(path.time_s[k])
         on = fault.begin_s <= now_s < fault.end_s
-        crossings = _picture(path, eye, ring, now_s, fault, on, rng)
-        if on and fault.picture == "silent":
+        wrong = fault.picture if on and now_s < fault.begin_s + fault.picture_s else ""
+        crossings = _picture(path, eye, ring, now_s, fault, on, wrong, rng)
+        if wrong == "silent":
             continue
         elapsed_s = 0.0 if before_s is None else now_s - before_s
         wheels = None if before_s is None else _wheels(path, before_s, now_s, fault, on)
@@ -76,28 +79,33 @@ def run(path: Path, config: Config, rng: np.random.Generator, fault: Fault | Non
 
 
 def _picture(
-    path: Path, eye: Eye, ring: deque[Crossings], now_s: float, fault: Fault, on: bool, rng: np.random.Generator
+    path: Path,
+    eye: Eye,
+    ring: deque[Crossings],
+    now_s: float,
+    fault: Fault,
+    on: bool,
+    wrong: str,
+    rng: np.random.Generator,
 ) -> Crossings | None:
-    if on and fault.picture in ("dark", "silent"):
+    if wrong in ("dark", "silent"):
         return None
-    if on and fault.picture == "frozen":
+    if wrong == "frozen":
         return ring[-1]
-    if on and fault.picture.startswith("ring"):
-        ring.rotate(-1) if len(ring) == int(fault.picture.split()[1]) else _shorten(ring, int(fault.picture.split()[1]))
+    if wrong.startswith("ring"):
+        _shorten(ring, int(wrong.split()[1]))
+        ring.rotate(-1)
         return ring[-1]
-    at_s = fault.begin_s if on and fault.picture == "frozen noisy" else now_s - (fault.late_s if on else 0.0)
+    stands = on and (wrong == "frozen noisy" or fault.spin_mps)
+    at_s = fault.begin_s if stands else now_s - (fault.late_s if on else 0.0)
     pose = path.truth_at(max(at_s, 0.0)) + np.array([*rng.normal(0.0, path.spec.shake_m, 2), 0.0])
-    if on and fault.spin_mps:
-        pose = path.truth_at(fault.begin_s)
-    seen = eye.see(pose, fault.yaw_rad if on else 0.0)
-    ring.append(seen)
-    return seen
+    ring.append(eye.see(pose, fault.yaw_rad if on else 0.0))
+    return ring[-1]
 
 
 def _shorten(ring: deque[Crossings], size: int) -> None:
     while len(ring) > size:
         ring.popleft()
-    ring.rotate(-1)
 
 
 def _wheels(path: Path, from_s: float, to_s: float, fault: Fault, on: bool) -> WheelMotion | None:

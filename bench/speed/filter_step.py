@@ -24,6 +24,7 @@ from ceilvo.bench.paper.run import known_map
 from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
 from ceilvo.bench.results.bars import Bar, as_json, table
 from ceilvo.bench.results.store import one_thread
+from ceilvo.bench.speed import filter_load as load
 from ceilvo.bench.speed import filter_step_peers as peers
 from ceilvo.config import Filter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
@@ -66,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ("landmarks mapped so far, 6 in view, N = 200", "own_map", "landmarks"),
     ):
         console.print(_table(document[key], f"Time of a step against {title}", axis))
+    console.print(_load_table(document["load"]))
     console.print(_peer_table(document["peers"]))
     for line in document["skipped"]:
         console.print(line, markup=False)
@@ -80,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(prog="python -m ceilvo.bench.speed.filter_step", description="Time of a filter's step.")
     p.add_argument("--max-particles", type=int, default=PARTICLES[-1], metavar="N", help="(%(default)s)")
-    p.add_argument("--max-map", type=int, default=MAPS[-1], metavar="N", help="(%(default)s)")
+    p.add_argument("--max-map", type=int, default=load.MAPS[-1], metavar="N", help="(%(default)s)")
     p.add_argument("--repeats", type=int, default=REPEATS, metavar="N", help="batches; the median counts (%(default)s)")
     p.add_argument("--json", type=Path, default=Path("build/bench/filter_speed.json"), metavar="FILE")
     return p
@@ -110,6 +112,7 @@ def measured(args: argparse.Namespace) -> dict[str, Any]:
             "own_map": rows("landmarks", [m for m in maps if m <= OWN_MAPS_TO], False),
         }
         document["map_ends"] = map_ends(maps[0], maps[-1], args.repeats)
+        document["load"] = load.measured(medians, args.repeats, args.max_map)
         document["peers"] = peer_row(args.repeats)
         document["skipped"] = peers.skipped()
     return document
@@ -220,7 +223,7 @@ def bars(document: dict[str, Any]) -> list[Bar]:
     ratio = many_us / few_us
     name = f"pfcf, known map of {large} / of {small}, taking turns"
     out.append(Bar(name, ratio, f"{ratio:.3f}", 0.85, 1.15))
-    return out
+    return out + load.bars(document["load"])
 
 
 def exponent(rows: Sequence[dict[str, Any]]) -> float:
@@ -236,6 +239,15 @@ def _table(rows: Sequence[dict[str, Any]], title: str, axis: str) -> Table:
     for r in rows:
         us = r["us"]
         out.add_row(str(r[axis]), *(f"{us[m]:.0f}" for m in METHODS), *(f"{us[m] / us['pf']:.2f}" for m in METHODS[1:]))
+    return out
+
+
+def _load_table(found: dict[str, Any]) -> Table:
+    title = f"ms of a daemon's step: {load.OVER_VIEW} landmarks, crossings in view; and {load.USUAL} in view, landmarks"
+    views, maps = (list(next(iter(found.values()))[key]) for key in ("in_view", "map"))
+    out = Table("pfcf", *(f"{k} in view" for k in views), *(f"{n} landmarks" for n in maps), title=title)
+    for name, us in found.items():
+        out.add_row(name, *(f"{1e-3 * t:.1f}" for key in ("in_view", "map") for t in us[key].values()))
     return out
 
 

@@ -186,8 +186,12 @@ class States:
     dead_reckoning_s: float = key(0.15, "without vision for longer is DEAD_RECKONING", low=0.0, high=10.0)
     tracking_frames: int = key(5, "good frames in a row before TRACKING", low=1, high=100)
     degraded_inliers: int = key(6, "fewer inliers is DEGRADED", low=2, high=100)
-    degraded_sigma_m: float = key(0.10, "larger position sigma is DEGRADED", low=0.001, high=10.0)
-    degraded_heading_deg: float = key(3.0, "larger heading sigma is DEGRADED", low=0.01, high=90.0)
+    degraded_sigma_m: float = key(0.05, "larger position sigma is DEGRADED", low=0.001, high=10.0)
+    degraded_heading_deg: float = key(1.0, "larger heading sigma is DEGRADED", low=0.01, high=90.0)
+    degraded_within_m: float = key(
+        0.3, "DEGRADED promises the position within this, 3 sigma; else it is DEAD_RECKONING", low=0.003, high=30.0
+    )
+    degraded_within_deg: float = key(5.0, "the same for the heading", low=0.03, high=180.0)
     lost_sigma_m: float = key(0.50, "larger position sigma is LOST", low=0.01, high=100.0)
     nis_high: float = key(3.0, "mean NIS per degree of freedom above this is DEGRADED", low=1.0, high=100.0)
     nis_lost: float = key(

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ceilvo.daemon.integrity.stamp_rate import StampRate
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
@@ -63,6 +64,7 @@ class Estimator:
         self._last: Estimate | None = None
         self._late = 0
         self._lag_ns = 0
+        self._stamps = StampRate()
 
     @property
     def last(self) -> Estimate | None:
@@ -73,9 +75,20 @@ class Estimator:
         """Frames that came after a later moment had been estimated, and were dropped."""
         return self._late
 
-    def frame(self, frame: Frame) -> Estimate | None:
-        """The estimate at a frame, None when the frame is older than the last estimate."""
+    @property
+    def stamp_fault(self) -> str:
+        """Why frames are stamped with their time of arrival, "" while they are not."""
+        return self._stamps.state.reason
+
+    def frame(self, frame: Frame, live: bool = True) -> Estimate | None:
+        """The estimate at a frame, None when the frame is older than the last estimate.
+
+        Args:
+            live: it comes now, so its stamp can be held against the clock.
+        """
         start_ns = mark_ns = self._clock()
+        if live:
+            frame = replace(frame, stamp_ns=self._stamps.usable(frame.stamp_ns, start_ns))
         age_ns = start_ns - frame.stamp_ns
         stage_times_ms: dict[str, float] = {"queue": 1e-6 * age_ns}
 
@@ -151,6 +164,11 @@ class Estimator:
         """Of the filter, see slam.pose_filter.COUNTERS."""
         with self._lock:
             return self._pipeline.filter.counters()
+
+    def suspicions(self) -> Mapping[str, int]:
+        """How often picture, wheels and stamps were against each other, by kind."""
+        with self._lock:
+            return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults}
 
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:

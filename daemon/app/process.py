@@ -288,7 +288,10 @@ class Daemon:
             self._first_frame_ns = self._clock()
         if self._capture.counters().connected:
             self._camera_reason = _SILENT
-        estimate = self._estimator.frame(frame)
+        before, info = self._estimator.stamp_fault, self._capture.info
+        estimate = self._estimator.frame(frame, live=info is None or info.live)
+        if self._estimator.stamp_fault not in ("", before):
+            self._outputs.event("stamps", self._estimator.stamp_fault, logging.WARNING)
         if estimate is not None:
             self._outputs.publish(estimate)
             self._telemetry.count(estimate)

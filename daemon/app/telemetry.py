@@ -106,6 +106,7 @@ class Telemetry:
             "latency_ms": {stage: {"median": median, "p99": p99} for stage, (median, p99) in latency.items()},
         }
         out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.health))
+        out["cross_checks"] = {**self._estimator.suspicions(), "stamp_fault": self._estimator.stamp_fault}
         if self._base is not None:
             link = self._base.snapshot()
             out |= {

@@ -21,6 +21,8 @@ _ESS_WEIGHT = 0.2
 """By this at most; chosen: sigma and NIS matter more."""
 _NIS_CAP = 2.0
 """Times nis_lost, what one update counts in the mean NIS at most; chosen: the mean comes back from a wild one."""
+BOUND_SIGMAS = 3.0
+"""What DEGRADED promises of a pose holds for so many standard deviations: 99.7 % of one axis."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
 """States in which the pose must not be used; their quality is 0."""
 
@@ -165,6 +167,9 @@ class StateMachine:
         heading_deg = math.degrees(e.heading_sigma_rad)
         self._set_above("heading", heading_deg, cfg.degraded_heading_deg, "heading sigma {:.2f} deg, above {:g} deg")
         self._set_above("lost_sigma", e.position_sigma_m, cfg.lost_sigma_m, "position sigma {:.3f} m, above {:g} m")
+        far_m, far_deg = BOUND_SIGMAS * e.position_sigma_m, BOUND_SIGMAS * heading_deg
+        self._set_above("far", far_m, cfg.degraded_within_m, "position only within {:.2f} m, not {:g} m")
+        self._set_above("turned", far_deg, cfg.degraded_within_deg, "heading only within {:.1f} deg, not {:g} deg")
         self._set("suspected", bool(e.suspected), not e.suspected, e.suspected)
         self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
@@ -199,7 +204,7 @@ class StateMachine:
         """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
         cfg, s = self._cfg, self.state
         state = s.current
-        if e.in_doubt:
+        if e.in_doubt and not self._blind(e):
             return State.RELOCALISING, "ambiguous" if AMBIGUOUS in e.in_doubt else "in doubt", e.in_doubt
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:
@@ -208,8 +213,11 @@ class StateMachine:
         if state in (State.INIT, State.RELOCALISING):
             enough &= state is State.INIT or s.confirmed
             return (State.TRACKING, "good", self._good_reason()) if enough else (state, "", "")
+        far = self._first_cause("far", "turned")
         if not e.motion_ok:
-            return self._without_vision(e)
+            return self._without_vision(e, bool(far))
+        if far:
+            return State.DEAD_RECKONING, far, s.conditions[far]
         if state is State.DEAD_RECKONING and s.vision_frames < cfg.tracking_frames:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
@@ -219,11 +227,17 @@ class StateMachine:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
 
-    def _without_vision(self, e: Evidence) -> tuple[State, str, str]:
+    def _blind(self, e: Evidence) -> bool:
+        """Whether vision went out while the place was sure; whether it still is, is asked when vision is back."""
+        out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
+        sure = self.state.current in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
+        return sure and not e.motion_ok and out_s > self._cfg.dead_reckoning_s
+
+    def _without_vision(self, e: Evidence, far: bool) -> tuple[State, str, str]:
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
         why = e.failure or "no motion"
-        if out_s > self._cfg.dead_reckoning_s or self.state.current is State.DEAD_RECKONING:
-            kept = self.state.current is State.DEAD_RECKONING
+        kept = self.state.current is State.DEAD_RECKONING
+        if far or kept or out_s > self._cfg.dead_reckoning_s:
             return State.DEAD_RECKONING, "" if kept else "blind", f"no vision for {out_s:.2f} s: {why}"
         return State.DEGRADED, "missed", f"no motion from this frame: {why}"
 

@@ -223,15 +223,17 @@ def _votes(before: _Sight, now: tuple[Array, Ints], far_m: float) -> Array:
     size = 2 * half + 1
     cell = np.floor(off * (1.0 / _BIN_M)).astype(np.int64) + half
     flat = cell[:, 1] * size + cell[:, 0]
-    sums = [np.bincount(flat, w, size * size).reshape(size, size) for w in (None, off[:, 0], off[:, 1])]
-    single = sums[0].astype(np.float64)
-    votes, sum_x, sum_y = (cv2.boxFilter(s, -1, (3, 3), normalize=False, borderType=0) for s in (single, *sums[1:]))
+    weights = (np.ones(len(off)), off[:, 0], off[:, 1])
+    sums = [np.bincount(flat, w, size * size).astype(np.float64).reshape(size, size) for w in weights]
+    single = sums[0]
+    votes, sum_x, sum_y = (cv2.boxFilter(s, -1, (3, 3), normalize=False, borderType=0) for s in sums)
     # in the middle of its votes a peak is higher, and of equal neighbours the last is
     height = votes + 0.1 * single + np.linspace(0.0, 0.01, size * size).reshape(size, size)
     row, column = np.nonzero((votes > _FEWEST - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
     order = np.argsort(-votes[row, column], kind="stable")[:_MOST_CANDIDATES]
     row, column = row[order], column[order]
-    return np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
+    middle = np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
+    return np.asarray(middle, np.float64)
 
 
 def _rare_first(types: Ints) -> Ints:

@@ -33,7 +33,6 @@ class Track:
     final: Motion | None
     gap: Motion | None
     blind_m: float
-    blind_s: float
     blind_cov: Array
     moved_m: float
     turned_rad: float

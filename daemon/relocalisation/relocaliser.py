@@ -14,8 +14,8 @@ from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
-from ceilvo.daemon.relocalisation.map_survey import MapSurvey
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule

@@ -52,10 +52,10 @@ def gone(j: JointMap, seen: Ints, missed: Ints) -> Ints:
     than once in 1 / GONE_RATE independent views (Lorden 1971). A picture that shows few of all landmarks (dim,
     blurred, covered) is held to show each more seldom.
     """
-    was = (j.sightings + 1.0) / (j.expected + 2.0)
-    share = min((len(seen) + 1.0) / (np.sum(was[seen]) + np.sum(was[missed]) + 1.0), 1.0)
-    for labels, shown in ((seen, True), (missed, False)):
-        p = np.maximum(np.clip(was[labels], USEFUL, SUREST) * share, CHANCE_SIGHTING)
+    was = [(j.sightings[labels] + 1.0) / (j.expected[labels] + 2.0) for labels in (seen, missed)]
+    share = min((len(seen) + 1.0) / (np.sum(was[0]) + np.sum(was[1]) + 1.0), 1.0)
+    for labels, before, shown in ((seen, was[0], True), (missed, was[1], False)):
+        p = np.maximum(np.clip(before, USEFUL, SUREST) * share, CHANCE_SIGHTING)
         step = np.log(CHANCE_SIGHTING / p) if shown else np.log((1.0 - CHANCE_SIGHTING) / (1.0 - p))
         j.doubt[labels] = np.maximum(j.doubt[labels] + VIEW_WORTH * step, 0.0)
     out: Ints = missed[(missed < j.size) & (j.doubt[missed] >= -np.log(GONE_RATE))]

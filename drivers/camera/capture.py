@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
-
-import numpy as np
 
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.drivers.ports import Camera, CameraInfo, Clock
 from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
 
-_COARSE_ROWS = 16
-"""One row in so many is compared first: frames that differ do so there, and nearly always."""
+_RING = 8
+"""Pictures that a new one is compared with; chosen: drivers have 2 to 8 buffers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ class CaptureCounters:
         drops: good ones that a newer one replaced before they were taken.
         bad_frames: cut short, of the wrong size, or with an unusable stamp.
         bad_stamps: those of them whose stamp did not increase.
-        repeats: those of them whose picture was the last one again.
+        repeats: those of them whose picture was one of the last ones again.
         losses: times that the camera was lost.
         reopens: times that it came back.
         last_error: the newest problem, "" when there was none.
@@ -88,6 +87,7 @@ class CaptureLoop:
         self._counters = CaptureCounters()
         self._info: CameraInfo | None = None
         self._last: Frame | None = None
+        self._pictures: deque[int] = deque(maxlen=_RING)
         self._seq_offset = 0
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
 
@@ -170,6 +170,8 @@ class CaptureLoop:
         self._count(connected=True, reopens=self._counters.reopens + (self._info is not None))
         again = "again " if self._info is not None else ""
         self._info = info
+        while len(self._pictures) > 1:  # a camera that starts again may show a test picture; a frozen one its last
+            self._pictures.popleft()
         self._report("opened", f"{info.name} {again}gives {info.width_px}x{info.height_px} at {info.rate_hz:g} Hz")
         for note in info.notes:
             self._report("note", f"{info.name}: {note}")
@@ -208,11 +210,24 @@ class CaptureLoop:
             raise BadFrameError(
                 f"camera {info.name}: stamp {frame.stamp_ns} ns is not after the last one, {self._last.stamp_ns} ns"
             )
-        if info.live and self._cfg.refuse_repeats and self._last is not None and _repeats(frame, self._last):
-            self._count(repeats=self._counters.repeats + 1)
-            raise BadFrameError(
-                f"camera {info.name}: the picture is the last one again, byte for byte; the camera is frozen"
-            )
+        if info.live and self._cfg.refuse_repeats:
+            self._refuse_repeat(frame, info)
+
+    def _refuse_repeat(self, frame: Frame, info: CameraInfo) -> None:
+        """A frozen camera gives the last picture again, a driver that goes round old buffers one of some frames before.
+
+        A uniform picture (lights out, glare) repeats itself without that.
+        """
+        picture = hash(frame.gray.tobytes())
+        known, uniform = list(self._pictures), frame.gray.min() == frame.gray.max()
+        self._pictures.append(picture)
+        if uniform or picture not in known:
+            return
+        self._count(repeats=self._counters.repeats + 1)
+        period = known[::-1].index(picture) + 1
+        what = "the last one" if period == 1 else f"the one {period} frames before"
+        why = "the camera is frozen" if period == 1 else "the camera repeats old buffers"
+        raise BadFrameError(f"camera {info.name}: the picture is {what} again, byte for byte; {why}")
 
     def _deliver(self, frame: Frame, live: bool) -> None:
         self._last = frame
@@ -249,11 +264,3 @@ class CaptureLoop:
 
     def _report(self, kind: Literal["opened", "note", "lost", "bad_frame", "finished"], text: str) -> None:
         self._on_event(CaptureEvent(kind, text))
-
-
-def _repeats(frame: Frame, last: Frame) -> bool:
-    """Whether the picture is the last one; a uniform one (lights out, glare) repeats itself without being frozen."""
-    new, old = frame.gray, last.gray
-    if not np.array_equal(new[::_COARSE_ROWS], old[::_COARSE_ROWS]) or not np.array_equal(new, old):
-        return False
-    return bool(new.min() != new.max())

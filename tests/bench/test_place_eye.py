@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +17,7 @@ from ceilvo.bench.place.ceiling.worlds import MAP_SIGMA_M, SIZES_M, WorldSpec, l
 from ceilvo.bench.place.robot.sights import CrossingSight, PictureSight
 from ceilvo.config import Config
 from ceilvo.daemon.slam.association import associate
+from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.daemon.vision.crossing_finder import CrossingFinder
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.sim.world import World
@@ -68,7 +71,7 @@ def test_a_perfect_view_is_explained_by_the_map_wherever_the_robot_looks_from(x:
     assert -0.25 * np.pi <= seen.psi_rad < 0.25 * np.pi
     landmarks, axis = map_of(world.features), world.features.axis_rad
     noise, mount = CALIBRATION.noise, CALIBRATION.mount_xy_m
-    view = associate(seen, noise, mount, pose, landmarks, Config().filter, axis)
+    view = associate(seen, noise, mount, pose, partial(landmarks_near, landmarks), Config().filter, axis)
     assert np.all(view.label >= 0)
     off = se2.transform(pose, seen.xy_base_m) - landmarks.xy_map_m[view.label]
     assert np.abs(off).max() < 6.0 * MAP_SIGMA_M

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ceilvo.bench.speed import filter_load
 from ceilvo.bench.speed import filter_step as filter_speed
 
 
@@ -41,5 +42,27 @@ def test_the_bars_are_read_off_the_figures():
     document = {
         "particles": [{"particles": 200, "us": {**at, "pfcf": 290.0}}],
         "map_ends": {"us": {"100": 100.0, "30000": 116.0}},
+        "load": {"mapping": {"in_view": {"60": 1.0, "1000": 3.1}, "map": {"100": 1.0, "100000": 1.2}}},
     }
-    assert [b.verdict for b in filter_speed.bars(document)] == ["PASS", "PASS", "MISS"]
+    assert [b.verdict for b in filter_speed.bars(document)] == ["PASS", "PASS", "MISS", "PASS", "MISS"]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_daemon_s_step_sees_what_the_table_says_and_keeps_its_pose(
+    known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the smallest map as well: else its steps would be cheaper because less is in view."""
+    seen = {}
+    for landmarks in (100, 10_000):
+        filters = []
+        made = filter_load.make_filter
+        monkeypatch.setattr(filter_load, "make_filter", lambda *a: filters.append(made(*a)) or filters[-1])  # noqa: B023
+        step = filter_load.stepper(landmarks, 60, known)
+        monkeypatch.undo()
+        for _ in range(4 * filter_load.TURN):
+            step()
+        pose, _, health = filters[0].estimate()
+        assert np.all(np.abs(pose) < 0.01)
+        seen[landmarks] = filters[0].counters()["observations"]
+        assert 40 <= health.nis_dof / 2 <= 75
+    assert seen[100] == pytest.approx(seen[10_000], rel=0.02)

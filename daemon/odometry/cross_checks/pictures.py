@@ -25,8 +25,12 @@ _QUIET = 0.5
 """Of a standing camera's difference, below which two pictures are one. 20 standing pictures had 0.93 to 1.1 of their
 mean, at noise 0.3 to 3 times the simulator's; one picture with its last bit random 0.29, at 1 times; measured with
 tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
-_EQUAL_GREY = 0.02
-"""Grey levels of difference that are none: one sample in 50 by one level; without noise known, only these count."""
+_LEAST_NOISE_GREY = 0.2
+"""Difference of standing pictures below which the camera shows too little noise to judge by; chosen: grey levels are
+whole numbers, so most of the calm samples are equal then."""
+_EQUAL_SHARE = 0.995
+"""Of the samples, equal in two pictures that are one: 1 in 5 differed at noise 0.1 times the simulator's, the noise of
+rounding alone."""
 _EQUAL_SIGMAS = 0.01
 """Of the crossings' own error, rms, that is none where there are no samples: standing pictures had 0.056 at the least
 (noise 0.1 times the simulator's), one picture with one random bit 0.002."""
@@ -125,11 +129,12 @@ class Pictures:
         s.candidate_frames += 1
 
     def _same(self, a: Picture, b: Picture) -> bool:
-        difference = _difference(a, b)
+        difference, s = _difference(a, b), self.state
         if difference is None:
             return _same_crossings(a, b)
-        known = self.state.noise_grey > 0.0 and float(a.sample.mean()) > _DIMMER * self.state.noise_mean_grey
-        return difference <= max(_EQUAL_GREY, _QUIET * self.state.noise_grey if known else 0.0)
+        known = s.noise_grey > _LEAST_NOISE_GREY and float(a.sample.mean()) > _DIMMER * s.noise_mean_grey
+        quiet = known and difference < _QUIET * s.noise_grey
+        return quiet or float(np.mean(a.sample == b.sample)) > _EQUAL_SHARE
 
 
 def _picture(crossings: Crossings) -> Picture:

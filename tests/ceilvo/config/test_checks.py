@@ -60,8 +60,8 @@ CONFLICTS = [
     ),
     (["calibration.file="], "c.yaml: calibration.file: found nothing, expected the file that calib wrote"),
     (
-        ["states.lost_sigma_m=0.1"],
-        "c.yaml: states.lost_sigma_m: found 0.1, expected more than states.degraded_sigma_m 0.1",
+        ["states.lost_sigma_m=0.05"],
+        "c.yaml: states.lost_sigma_m: found 0.05, expected more than states.degraded_sigma_m 0.05",
     ),
     (["states.nis_lost=3"], "c.yaml: states.nis_lost: found 3, expected more than states.nis_high 3"),
     (["base.port="], "c.yaml: base.port: found nothing, expected a serial device"),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,8 +32,10 @@ GOOD = Evidence(
 )
 BLIND = replace(GOOD, motion_ok=False, failure="2 crossings", inliers=0, crossings=2, nis_dof=0, landmarks_matched=0)
 FEW = replace(GOOD, inliers=4)
-WIDE = replace(GOOD, position_sigma_m=0.2)
-TURNED = replace(GOOD, heading_sigma_rad=0.2)
+WIDE = replace(GOOD, position_sigma_m=0.08)
+TURNED = replace(GOOD, heading_sigma_rad=0.025)
+FAR = replace(GOOD, position_sigma_m=0.2)
+ASKEW = replace(GOOD, heading_sigma_rad=0.05)
 STALE = replace(GOOD, nis=5.0)
 WRONG = replace(GOOD, nis=40.0)
 GONE = replace(GOOD, position_sigma_m=0.8)
@@ -57,8 +60,28 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
     "one frame missed": ([GOOD] * 5 + [BLIND], ["INIT", "TRACKING", "DEGRADED"], "no motion from this frame: 2 crossi"),
     "one frame missed, back": ([GOOD] * 5 + [BLIND] + [GOOD] * 5, ["INIT", "TRACKING", "DEGRADED", "TRACKING"], "5 go"),
     "few inliers": ([GOOD] * 5 + [FEW], ["INIT", "TRACKING", "DEGRADED"], "4 inliers of 30 crossings, fewer than 6"),
-    "position unsure": ([GOOD] * 5 + [WIDE], ["INIT", "TRACKING", "DEGRADED"], "position sigma 0.200 m, above 0.1 m"),
-    "heading unsure": ([GOOD] * 5 + [TURNED], ["INIT", "TRACKING", "DEGRADED"], "heading sigma 11.46 deg, above 3 deg"),
+    "position unsure": ([GOOD] * 5 + [WIDE], ["INIT", "TRACKING", "DEGRADED"], "position sigma 0.080 m, above 0.05"),
+    "heading unsure": ([GOOD] * 5 + [TURNED], ["INIT", "TRACKING", "DEGRADED"], "heading sigma 1.43 deg, above 1 deg"),
+    "position worse than DEGRADED promises": (
+        [GOOD] * 5 + [FAR] * 9,
+        ["INIT", "TRACKING", "DEAD_RECKONING"],
+        "position only within 0.60 m, not 0.3 m",
+    ),
+    "heading worse than DEGRADED promises": (
+        [GOOD] * 5 + [ASKEW] * 9,
+        ["INIT", "TRACKING", "DEAD_RECKONING"],
+        "heading only within 8.6 deg, not 5 deg",
+    ),
+    "a missed frame of a pose that is worse": (
+        [GOOD] * 5 + [replace(BLIND, heading_sigma_rad=0.05)],
+        ["INIT", "TRACKING", "DEAD_RECKONING"],
+        "no vision for 0.03 s",
+    ),
+    "better again": (
+        [GOOD] * 5 + [FAR] * 9 + [WIDE] * 9 + [GOOD] * 9,
+        ["INIT", "TRACKING", "DEAD_RECKONING", "DEGRADED", "TRACKING"],
+        "5 good frames",
+    ),
     "nine high NIS are luck": ([GOOD] * 5 + [STALE] * 9, ["INIT", "TRACKING"], "5 good"),
     "ten are not": (
         [GOOD] * 5 + [STALE] * 10,
@@ -134,8 +157,8 @@ def test_story(name: str) -> None:
     ("better", "worse"),
     [
         (GOOD, replace(GOOD, inliers=6)),
-        (GOOD, replace(GOOD, position_sigma_m=0.09)),
-        (GOOD, replace(GOOD, heading_sigma_rad=0.05)),
+        (GOOD, replace(GOOD, position_sigma_m=0.045)),
+        (GOOD, replace(GOOD, heading_sigma_rad=0.017)),
         (GOOD, replace(GOOD, nis=2.0)),
         (GOOD, replace(GOOD, ess_ratio=0.02)),
     ],
@@ -152,8 +175,8 @@ def test_hovering_at_a_threshold_does_not_flap(better: Evidence, worse: Evidence
     ("bad", "between"),
     [
         (replace(GOOD, inliers=5), replace(GOOD, inliers=7)),
-        (replace(GOOD, position_sigma_m=0.101), replace(GOOD, position_sigma_m=0.09)),
-        (replace(GOOD, heading_sigma_rad=0.053), replace(GOOD, heading_sigma_rad=0.050)),
+        (replace(GOOD, position_sigma_m=0.051), replace(GOOD, position_sigma_m=0.045)),
+        (replace(GOOD, heading_sigma_rad=0.0176), replace(GOOD, heading_sigma_rad=0.017)),
     ],
     ids=["inliers", "position", "heading"],
 )
@@ -180,7 +203,7 @@ def test_reason_stays_while_its_cause_does() -> None:
 
 
 def test_reason_follows_a_new_cause_without_a_change_of_state() -> None:
-    verdicts = run([GOOD] * 5 + [FEW, replace(FEW, position_sigma_m=0.2)])
+    verdicts = run([GOOD] * 5 + [FEW, replace(FEW, position_sigma_m=0.08)])
     assert verdicts[-1].reason.startswith("position sigma")
     assert not verdicts[-1].changed
 
@@ -215,7 +238,7 @@ def test_quality_is_half_at_each_threshold_alone() -> None:
 
     assert quality(sure) == pytest.approx(1.0, abs=1e-9)
     assert quality(replace(sure, position_sigma_m=config.degraded_sigma_m)) == pytest.approx(0.5)
-    assert quality(replace(sure, heading_sigma_rad=0.0523598775598)) == pytest.approx(0.5)
+    assert quality(replace(sure, heading_sigma_rad=0.01745329251994)) == pytest.approx(0.5)
     assert quality(replace(sure, inliers=config.degraded_inliers)) == pytest.approx(0.5)
     assert quality(replace(sure, ess_ratio=0.0)) == pytest.approx(0.8)
     assert quality(replace(sure, motion_ok=False, inliers=0)) == 0.0
@@ -239,7 +262,9 @@ anything: st.SearchStrategy[Evidence] = st.builds(
     failure=st.just("why"),
     inliers=st.integers(0, 40),
     crossings=st.integers(0, 60),
-    position_sigma_m=st.one_of(st.floats(0, 1), st.sampled_from([0.08, 0.1, 0.4, 0.5, float("nan"), float("inf")])),
+    position_sigma_m=st.one_of(
+        st.floats(0, 1), st.sampled_from([0.04, 0.05, 0.08, 0.1, 0.4, 0.5, float("nan"), float("inf")])
+    ),
     heading_sigma_rad=st.one_of(st.floats(0, 0.2), st.just(float("nan"))),
     nis=st.one_of(st.floats(0, 50), st.sampled_from([2.4, 3.0, 9.6, 12.0, float("nan"), float("inf")])),
     nis_dof=st.sampled_from([0, 2, 40]),
@@ -291,7 +316,10 @@ def test_what_always_holds(config: States, parts: Any) -> None:
         assert v.quality == 0.0 or v.state not in (State.INIT, State.LOST, State.RELOCALISING)
         if e.position_sigma_m > config.lost_sigma_m:
             assert v.state not in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
-        if not v.changed and v.state is not State.DEGRADED and v.state is not State.LOST:
+        if v.state in (State.TRACKING, State.DEGRADED):  # the promise
+            assert 3.0 * e.position_sigma_m <= config.degraded_within_m
+            assert 3.0 * np.degrees(e.heading_sigma_rad) <= config.degraded_within_deg
+        if not v.changed and v.state not in (State.DEGRADED, State.DEAD_RECKONING, State.LOST):
             assert v.reason == reason  # one reason a change
         state, reason = v.state, v.reason
     assert run(evidence, config) == verdicts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -105,6 +106,42 @@ def test_a_view_of_a_thousand_is_worked_on_in_part_only(
     assert f.estimate()[2].nis_dof <= 2 * MOST_FEATURES
     assert f.counters()["births"] <= 3 * MOST_FEATURES
     assert max(sizes, default=0) <= MOST_FEATURES
+
+
+def most_memory(landmarks: int, known: bool) -> int:
+    """Bytes that steps of a robot take for a while, in the middle of a grid of so many landmarks."""
+    side = 2 * round(0.5 * np.sqrt(landmarks))
+    g = 0.3 * (np.arange(side) - 0.5 * (side - 1))
+    xy = np.stack(np.meshgrid(g, g), -1).reshape(-1, 2)
+    n, kind = len(xy), np.floor(xy.sum(axis=1) / 0.3 + 0.5).astype(np.int64) % 9
+    m = Landmarks(np.arange(n), xy, np.tile(1e-6 * np.eye(2), (n, 1, 1)), kind, np.full(n, 9))
+    here = m.of(np.all(np.abs(xy) < 2.0, axis=1))
+    kinds = np.append(here.crossing_type, [1, 2])
+    f, rng = make_filter(Filter(), np.random.default_rng(SEED)), np.random.default_rng(SEED)
+    f.reset(np.zeros(3), 1e-8 * np.eye(3), m, known)
+
+    def step(there_m: float) -> None:
+        for pose, moved in ((np.zeros(3), there_m), (np.array([there_m, 0.0, 0.0]), -there_m)):
+            look(f, pose, np.concatenate([here.xy_map_m, rng.uniform(-1, 1, (2, 2))]), kinds, rng)
+            f.predict(Motion(Displacement(np.array([moved, 0.0, 0.0])), 1e-8 * np.eye(3), 20, 0.0))
+
+    for _ in range(3):
+        step(0.06)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(3):
+        step(0.06)
+    peak = tracemalloc.get_traced_memory()[1] - before
+    tracemalloc.stop()
+    return peak
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["mapping", "known"])
+def test_a_step_makes_nothing_that_is_as_large_as_the_map(known: bool) -> None:
+    """A mask of the large map alone has 160,000 bytes."""
+    small, large = most_memory(400, known), most_memory(160_000, known)
+    print(f"{small} bytes on 400 landmarks, {large} on 160,000")
+    assert abs(large - small) < 80_000
 
 
 def test_all_of_a_dense_ceiling_is_mapped_and_counted() -> None:
