@@ -14,9 +14,11 @@ from ceilvo.types import Array, Ints, Motion
 
 KEPT_UPDATES = 5
 """Modes that are near each other are one after so many updates; chosen: the next landmarks decide."""
-ALIKE, FAR = 0.1, 9.0
-"""Squared distance of two poses, in units of their covariances together, below which they are one at once, and beyond
-which they are never mixed; chosen: a third of a sigma, and three."""
+ALIKE = 0.1
+"""Squared distance of two poses, in units of their covariances together, below which they are one at once; chosen."""
+FAR_M, FAR_RAD = 0.3, 0.1
+"""Poses farther apart are other places, and are never mixed; chosen: the bound of a usable pose (docs/states.md), where
+a turn is still nearly linear."""
 LIGHT = 0.01
 """Of the first mode's weight; a near one that is lighter is dropped, for the first explains what it does; chosen."""
 FAINT = 1e-3
@@ -125,14 +127,12 @@ def settled(modes: list[Mode]) -> tuple[list[Mode], Mode]:
         return [], replace(modes[0], weight=1.0)
     modes = sorted(modes, key=lambda m: -m.weight)
     first, rest = modes[0], modes[1:]
-    off = [_distance2(first, m) for m in rest]
-    strong = [m.weight > (LIGHT if d <= FAR else FAINT) * first.weight for m, d in zip(rest, off, strict=True)]
-    rest, off = [m for m, s in zip(rest, strong, strict=True) if s], [d for d, s in zip(off, strong, strict=True) if s]
-    total = first.weight + sum(m.weight for m in rest)
-    near = [m for m, d in zip(rest, off, strict=True) if d <= FAR]
+    near = [m for m in rest if not _far(first, m) and m.weight > LIGHT * first.weight]
+    far = [m for m in rest if _far(first, m) and m.weight > FAINT * first.weight]
+    total = first.weight + sum(m.weight for m in (*near, *far))
     told = merged([first, *near])
-    apart = [m for m, d in zip(rest, off, strict=True) if d > ALIKE and (m.age < KEPT_UPDATES or d > FAR)]
-    apart = apart[: MOST - 1]
+    young = [m for m in near if m.age < KEPT_UPDATES and _distance2(first, m) > ALIKE]
+    apart = sorted([*young, *far], key=lambda m: -m.weight)[: MOST - 1]
     leader = merged([first, *(m for m in near if not any(m is a for a in apart))])
     told = replace(told, mean=told.mean.copy(), cov=told.cov.copy(), weight=told.weight / total)
     kept = [leader, *apart] if apart else []
@@ -176,6 +176,11 @@ def corrected(mean: Array, cov: Array, view: View, rows: Ints, fitted: Array, kn
     white = np.linalg.solve(np.linalg.cholesky(total), np.column_stack([innovation, cross]))
     cross = np.ascontiguousarray(white[:, 1:])
     return cross.T @ white[:, 0], cov - cross.T @ cross  # a product with itself comes out symmetric
+
+
+def _far(a: Mode, b: Mode) -> bool:
+    apart = a.mean[:3] - b.mean[:3]
+    return bool(np.hypot(*apart[:2]) > FAR_M or abs(wrap(float(apart[2]))) > FAR_RAD)
 
 
 def _distance2(a: Mode, b: Mode) -> float:
