@@ -113,8 +113,7 @@ def merged(modes: list[Mode]) -> Mode:
     off = (means - mean) * np.sqrt(share)[:, None]
     cov = sum((w * m.cov for w, m in zip(share, modes, strict=True)), off.T @ off)
     mean[2] = wrap(float(mean[2]))
-    slipping = share @ np.array([m.slipping for m in modes])
-    return Mode(float(np.sum(weight)), mean, 0.5 * (cov + cov.T), modes[0].ids, slipping)
+    return Mode(float(np.sum(weight)), mean, 0.5 * (cov + cov.T), modes[0].ids, _slipping(modes))
 
 
 def settled(modes: list[Mode]) -> tuple[list[Mode], Mode]:
@@ -127,17 +126,29 @@ def settled(modes: list[Mode]) -> tuple[list[Mode], Mode]:
         return [], replace(modes[0], weight=1.0)
     modes = sorted(modes, key=lambda m: -m.weight)
     first, rest = modes[0], modes[1:]
-    near = [m for m in rest if not _far(first, m) and m.weight > LIGHT * first.weight]
+    near = [m for m in rest if not _far(first, m)]
     far = [m for m in rest if _far(first, m) and m.weight > FAINT * first.weight]
-    total = first.weight + sum(m.weight for m in (*near, *far))
-    told = merged([first, *near])
-    young = [m for m in near if m.age < KEPT_UPDATES and _distance2(first, m) > ALIKE]
+    strong = [m for m in near if m.weight > LIGHT * first.weight]
+    young = [m for m in strong if m.age < KEPT_UPDATES and _distance2(first, m) > ALIKE]
     apart = sorted([*young, *far], key=lambda m: -m.weight)[: MOST - 1]
-    leader = merged([first, *(m for m in near if not any(m is a for a in apart))])
-    told = replace(told, mean=told.mean.copy(), cov=told.cov.copy(), weight=told.weight / total)
+    leader = merged([first, *_without(strong, apart)])
+    leader = replace(leader, slipping=_slipping([first, *_without(near, apart)]))
+    told = merged([first, *strong])
+    share = told.weight / (told.weight + sum(m.weight for m in far))
+    told = replace(told, mean=told.mean.copy(), cov=told.cov.copy(), weight=share, slipping=_slipping([first, *near]))
     kept = [leader, *apart] if apart else []
     total = sum(m.weight for m in kept)
     return [replace(m, weight=m.weight / total) for m in kept], told
+
+
+def _without(modes: list[Mode], those: list[Mode]) -> list[Mode]:
+    return [m for m in modes if not any(m is t for t in those)]
+
+
+def _slipping(modes: list[Mode]) -> Array:
+    """(3,) probability by kind; that of modes too light to be kept makes the next slip of the kind likelier."""
+    weight = np.array([m.weight for m in modes])
+    return np.asarray(weight @ np.array([m.slipping for m in modes]) / np.sum(weight), np.float64)
 
 
 def corrected(mean: Array, cov: Array, view: View, rows: Ints, fitted: Array, known: bool) -> tuple[Array, Array]:
