@@ -11,8 +11,8 @@ from ceilvo.daemon.relocalisation.place_belief import LEAST
 from ceilvo.daemon.slam.pose_filter import TINY
 from ceilvo.types import Array
 
-LIFT_S = 0.2
-"""Nobody lifts a robot and puts it half a tile further in less: 0.15 m there and to rest at 15 m/s^2; chosen."""
+LIFT_S = 1.0
+"""Nobody lifts a robot, carries it to another tile and puts it down in less; chosen."""
 LIFTED, CARRY_S = 0.02, 2.0
 """Chance that a robot which saw nothing for so long was lifted meanwhile; chosen: it happens, but seldom. In less time
 fewer places are near enough, as its square."""

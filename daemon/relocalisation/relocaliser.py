@@ -31,6 +31,8 @@ SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
+YOUNG_M2 = 12.0
+"""A map that knows less ground, a view and a half, is all around the robot: after a gap it goes on with it; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
 FEWEST_VIEWS = 3
@@ -172,7 +174,9 @@ class Relocaliser:
         gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
         s.gapped = s.jumped = False
         if gapped or track.final.doubt > 0.0:
-            self._raise(doubts.of_gap(track.blind_cov, track.blind_s, jumped, track.final.doubt))
+            bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
+            cov = track.final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
+            self._raise(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far."""
@@ -185,7 +189,7 @@ class Relocaliser:
             p = s.pending
             elsewhere, reach_m = max(p.elsewhere, doubt.elsewhere), p.reach_m + doubt.reach_m
             doubt = Doubt(doubt.reason, p.cov + doubt.cov, elsewhere, reach_m)
-        if self.filter.size() and not doubts.negligible(doubt, self._rate):
+        if s.survey.coverage.area_m2 > YOUNG_M2 and not doubts.negligible(doubt, self._rate):
             s.pending = doubt
 
     # -- a view
