@@ -33,7 +33,7 @@ from ceilvo.json_values import json_value
 FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
 TASKS = ("localise", "slam", "start", "kidnap")
-RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "pfcf")
+RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "joint")
 SCORE_FILTER = "ukf_gated"
 _WIDTH = 160  # characters of a table that goes to a file; chosen: the widest fits
 

@@ -36,7 +36,7 @@ JUMP_S = 60.0  # cut out of a run; docs/experiments.md
 JUMP_MIN_M = 1.0
 """A jump over which the robot moved less than this is no kidnap, and is not tried."""
 AGREES_SIGMAS = 3.0  # of a range; docs/experiments.md (Observations)
-FILTERS = ("ukf", "ukf_gated", "pf", "pfcf_paper", "pfcf")
+FILTERS = ("ukf", "ukf_gated", "pf", "pfcf_paper", "joint")
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,9 @@ class Plan:
 PLANS = {
     "lap": Plan(("P", "S0", "S1"), tables.RIVALS, None, 10**6),
     "laps3": Plan(("P",), tables.RIVALS, (100,), 40),
-    "grid": Plan(("P", "S1"), ("ukf_gated", "pf", "pfcf_paper", "pfcf", "ekf_nn"), (200,), 40),
-    "kidnap": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "pfcf", "ekf_nn"), (200,), 40),
-    "global": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "pfcf"), (500,), 60),
+    "grid": Plan(("P", "S1"), ("ukf_gated", "pf", "pfcf_paper", "joint", "ekf_nn"), (200,), 40),
+    "kidnap": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "joint", "ekf_nn"), (200,), 40),
+    "global": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "joint"), (500,), 60),
 }
 """Particles and most seeds are chosen for the time of a run; the bars of tables.py count of 40 and 60 seeds."""
 

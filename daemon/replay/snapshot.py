@@ -19,6 +19,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
+from ceilvo.config.schema import OLD_METHODS
 from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.snapshot_v1 import is_v1, upgraded
 from ceilvo.errors import FileFormatError
@@ -63,7 +64,7 @@ def restore(pipeline: Pipeline, tree: Any) -> None:
             tree = {"version": VERSION, "method": tree["method"], "state": _from_v2(tree["state"])}
         if tree["version"] != VERSION:
             raise SnapshotError(f"pipeline state: version {tree['version']}, expected {VERSION}; use a newer ceilvo")
-        if tree["method"] != method:
+        if OLD_METHODS.get(tree["method"], tree["method"]) != method:
             raise SnapshotError(
                 f"pipeline state: of filter.method {tree['method']}, expected {method}; replay it with that one"
             )

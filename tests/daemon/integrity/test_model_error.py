@@ -13,8 +13,8 @@ from ceilvo.config import Config, Filter
 from ceilvo.daemon.integrity.staleness import StalenessMonitor
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.slam import pfcf
-from ceilvo.daemon.slam.pfcf import MODEL_SIGMA_M, MODEL_SIGMA_MAX_M
+from ceilvo.daemon.slam import joint_rule
+from ceilvo.daemon.slam.joint_rule import MODEL_SIGMA_M, MODEL_SIGMA_MAX_M
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.sim.world import World
 from ceilvo.types import Array, Crossings, Displacement, Estimate, Landmarks, Motion, Observations, State
@@ -22,7 +22,7 @@ from ceilvo.types import Array, Crossings, Displacement, Estimate, Landmarks, Mo
 sys.path.insert(0, str(Path(__file__).parents[2] / "golden" / "pipeline"))
 import golden_drives as drives
 
-LAP = drives.load("lap", "pfcf")
+LAP = drives.load("lap", "joint")
 WORLD = World(drives.WORLDS["lap"])
 MOUNT = np.asarray(LAP.calibration.mount_xy_m)
 
@@ -73,7 +73,7 @@ def test_a_good_pose_is_tracking_whatever_the_curves_leave_out(curves: float) ->
 
 
 def test_without_the_floor_the_same_drive_is_degraded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pfcf, "MODEL_SIGMA_MAX_M", 0.0)
+    monkeypatch.setattr(joint_rule, "MODEL_SIGMA_MAX_M", 0.0)
     pipeline = fresh(1.0 / 6.0)
     pipeline.filter.state.rule.model_var_m2 = 0.0
     estimates = driven(pipeline)

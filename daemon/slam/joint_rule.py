@@ -61,7 +61,7 @@ class Branch:
 
 
 @dataclass(slots=True)
-class PfcfState:
+class JointRuleState:
     """What the rule remembers between updates.
 
     Attributes:
@@ -84,18 +84,18 @@ class PfcfState:
     model_var_m2: float = MODEL_SIGMA_M**2
 
 
-class PfcfRule:
+class JointRule:
     """An UpdateRule: modes of slip, each redrawn from a curve fitted to weighted draws of the pose."""
 
     def __init__(self, settings: Filter) -> None:
         self._settings = settings
 
-    def fresh(self, rng: np.random.Generator) -> PfcfState:
+    def fresh(self, rng: np.random.Generator) -> JointRuleState:
         n = self._settings.particles
-        return PfcfState(float(n), float("nan"), normals(n, rng))
+        return JointRuleState(float(n), float("nan"), normals(n, rng))
 
     def move(self, state: JointFilterState, motion: Motion) -> None:
-        rule: PfcfState = state.rule
+        rule: JointRuleState = state.rule
         before = state.joint.pose[:2].copy()
         for m in rule.modes:
             m.follow(state.joint)
@@ -104,7 +104,7 @@ class PfcfRule:
         rule.slip.moved(state.joint.pose[:2] - before, motion)
 
     def jumped(self, state: JointFilterState) -> None:
-        rule: PfcfState = state.rule
+        rule: JointRuleState = state.rule
         rule.slip.rest()
         rule.slipping, rule.modes, rule.sure = np.zeros(KINDS), [], 1.0
 
@@ -116,7 +116,7 @@ class PfcfRule:
 
     def particles(self, state: JointFilterState) -> tuple[Array, Array]:
         """Draws from the modes, as many of each as it weighs."""
-        rule: PfcfState = state.rule
+        rule: JointRuleState = state.rule
         n = self._settings.particles
         poses = state.joint.pose + rule.white @ root_of(state.joint.pose_cov).T
         if rule.modes:
@@ -128,7 +128,7 @@ class PfcfRule:
         return poses, np.full(n, 1.0 / n)
 
     def absorb(self, state: JointFilterState, view: View, rows: Ints) -> Innovations:
-        rule: PfcfState = state.rule
+        rule: JointRuleState = state.rule
         joint = state.joint
         view = replace(view, var=view.var + rule.model_var_m2)
         chi2 = nis_of(view, joint.pose, joint.pose_cov, 1.0) if len(view) else np.empty(0)
