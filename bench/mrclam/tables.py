@@ -11,7 +11,7 @@ from rich.table import Table
 
 from ceilvo.bench.results.bars import Bar
 
-LOCALISE = ("rmse_m", "rmse_over_time_m", "max_m", "nees_mean", "nees_median", "us_per_update")
+LOCALISE = ("rmse_m", "rmse_over_time_m", "max_m", "theta_rmse_deg", "nees_mean", "nees_median", "us_per_update")
 SLAM = ("rmse_aligned_m", "rmse_m", "landmark_rmse_aligned_m", "landmarks")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.bench.paper.run import LOST_M, Cell
+from ceilvo.bench.paper.run import LOST_M, MAPPED, Cell
 from ceilvo.bench.paper.stats import Interval, mean_interval, ratio_interval
 from ceilvo.bench.results.bars import Bar
 from ceilvo.types import Array
@@ -195,7 +195,7 @@ def verdicts(results: Results) -> list[str]:
     """Sentences made from the figures: who is best, and what the default filter is against each rival."""
     out = []
     for experiment, setting in dict.fromkeys(
-        (c.experiment, c.setting) for c in sorted(results) if c.experiment in ("lap", "laps3")
+        (c.experiment, c.setting) for c in sorted(results) if c.experiment in MAPPED
     ):
         rows = table1(results, experiment, setting)
         title = f"{setting}{', three laps' if experiment == 'laps3' else ''}"
