@@ -1,7 +1,7 @@
-"""The default filter's update: weighted particles in modes, redrawn from a curve through their weights.
+"""The default filter's update: modes of pose and map, each gated by a curve through weighted draws of its pose.
 
-A mode is one hypothesis about what the wheels did. Its particles are draws from a Gaussian of pose and map, which is
-all that is kept of them between updates.
+A mode is one hypothesis about what the wheels did. It is a Gaussian, and its update is Kalman's with the features that
+the curve believes (docs/filter.md says what more the curve could do, and what it was worth).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class JointRuleState:
 
 
 class JointRule:
-    """An UpdateRule: modes of slip, each redrawn from a curve fitted to weighted draws of the pose."""
+    """An UpdateRule: modes of slip, each fitted to a view by a curve through weighted draws of the pose."""
 
     def __init__(self, settings: Filter) -> None:
         self._settings = settings
@@ -145,7 +145,7 @@ class JointRule:
         rule.ess, rule.fit_residual = best.fitted.ess, best.fitted.residual
         rule.white = normals(self._settings.particles, state.rng)
         kept = [(b, float(w)) for b, w in zip(branches, weight, strict=True) if w > modes.FAINT]
-        after = [self._after(state, b, w, rows) for b, w in kept]
+        after = [_after(state, b, w, rows) for b, w in kept]
         rule.modes, told = modes.settled(after)
         joint.mean, joint.cov = told.mean, told.cov
         rule.slipping, rule.sure = told.slipping, told.weight
@@ -215,37 +215,35 @@ class JointRule:
             fitted = found
         return w, fitted
 
-    def _after(self, state: JointFilterState, branch: Branch, weight: float, rows: Ints) -> Mode:
-        """The mode after the update; on a known map it is the curve of the last round."""
-        slipping = np.zeros(KINDS) if branch.moved else branch.mode.slipping
-        if branch.slip.kind != NONE:
-            slipping[branch.slip.kind] = 1.0
-        fitted, prior = branch.fitted, branch.weighing
-        if state.known is not None and np.isfinite(fitted.residual):
-            mean, cov = prior.mu + fitted.off, fitted.root @ fitted.root.T
-        else:
-            mean, cov = self._learnt(state, branch, rows)
-        mean[2] = wrap(float(mean[2]))
-        return Mode(weight, mean, cov, branch.mode.ids, slipping, branch.mode.age + 1)
 
-    def _learnt(self, state: JointFilterState, branch: Branch, rows: Ints) -> tuple[Array, Array]:
-        """Mean and covariance of pose and map with the inliers."""
-        prior, which = branch.weighing, np.flatnonzero(branch.inliers)
-        view = branch.view.of(which, branch.view.inflation)
-        if not branch.heading:
-            view = replace(view, heading_var=np.inf)
-        mean, cov = branch.mode.mean.copy(), branch.mode.cov
-        if branch.slip.kind != NONE:
-            mean[:3], cov = prior.mu, cov.copy()
-            cov[:3, :3] = prior.cov
-        known = state.known is not None
-        rows = rows[:0] if known else rows.reshape(-1, 2)[which].ravel()
-        step, cov = modes.corrected(mean, cov, view, rows, prior.mu + branch.fitted.off, known)
-        if known:
-            return mean + step, cov
-        step = along_the_turn(step)
-        turn_about(cov, step)
+def _after(state: JointFilterState, branch: Branch, weight: float, rows: Ints) -> Mode:
+    """The mode after the update."""
+    slipping = np.zeros(KINDS) if branch.moved else branch.mode.slipping
+    if branch.slip.kind != NONE:
+        slipping[branch.slip.kind] = 1.0
+    mean, cov = _learnt(state, branch, rows)
+    mean[2] = wrap(float(mean[2]))
+    return Mode(weight, mean, cov, branch.mode.ids, slipping, branch.mode.age + 1)
+
+
+def _learnt(state: JointFilterState, branch: Branch, rows: Ints) -> tuple[Array, Array]:
+    """Mean and covariance of pose and map with the inliers."""
+    prior, which = branch.weighing, np.flatnonzero(branch.inliers)
+    view = branch.view.of(which, branch.view.inflation)
+    if not branch.heading:
+        view = replace(view, heading_var=np.inf)
+    mean, cov = branch.mode.mean.copy(), branch.mode.cov
+    if branch.slip.kind != NONE:
+        mean[:3], cov = prior.mu, cov.copy()
+        cov[:3, :3] = prior.cov
+    known = state.known is not None
+    rows = rows[:0] if known else rows.reshape(-1, 2)[which].ravel()
+    step, cov = modes.corrected(mean, cov, view, rows, prior.mu + branch.fitted.off, known)
+    if known:
         return mean + step, cov
+    step = along_the_turn(step)
+    turn_about(cov, step)
+    return mean + step, cov
 
 
 def _starts(branches: list[Branch], weight: Array) -> Array:

@@ -37,7 +37,7 @@ def levers(pose: Array, z: Array) -> Array:
 
 @pytest.mark.parametrize("features", [1, 2, 6, 20])
 @pytest.mark.parametrize("heading", [False, True])
-def test_on_a_known_map_the_curve_is_the_kalman_update(features: int, heading: bool) -> None:
+def test_on_a_known_map_pose_and_particles_are_the_kalman_update(features: int, heading: bool) -> None:
     rng = np.random.default_rng([SEED, features])
     at = rng.uniform(-1.5, 1.5, (features, 2))
     cov = np.array([[1e-3, 2e-4, 1e-4], [2e-4, 2e-3, -1e-4], [1e-4, -1e-4, 4e-4]])
