@@ -32,8 +32,9 @@ from ceilvo.json_values import json_value
 
 FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
-TASKS = ("localise", "slam", "start", "kidnap")
-RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "pfcf")
+WHOLE = ("localise", "odometry", "slam")
+TASKS = (*WHOLE, "start", "kidnap")
+RECOVERING = ("ukf_gated", "pf", "pfcf_paper", "joint")
 SCORE_FILTER = "ukf_gated"
 _WIDTH = 160  # characters of a table that goes to a file; chosen: the widest fits
 
@@ -155,7 +156,7 @@ def _cells(args: argparse.Namespace, testing: Sequence[Run]) -> list[Cell]:
         for name in filters:
             seeds = 1 if name.startswith("ukf") else args.seeds
             n = 10 if name.startswith("ukf") else args.particles
-            for task in (t for t in tasks if t in ("localise", "slam")):
+            for task in (t for t in tasks if t in WHOLE):
                 out += [Cell(task, name, n, run.robot, -1, seed) for seed in range(seeds)]
             for task in (t for t in tasks if t in ("start", "kidnap") and name in RECOVERING):
                 out += [Cell(task, name, n, run.robot, k, 0) for k in range(args.trials // len(testing))]
@@ -176,6 +177,8 @@ def measure(job: Job) -> dict[str, Any]:
     f = runs.make(cell.filter, cell.particles, 1000 * cell.seed + max(cell.trial, 0))
     if cell.task == "localise":
         return {**runs.localise(f, run, world, job.noise), "counters": dict(f.counters())}
+    if cell.task == "odometry":
+        return {**runs.localise(f, runs.wrong_turns(run), world, job.noise), "counters": dict(f.counters())}
     if cell.task == "slam":
         return dict(runs.slam(f, run, world, job.noise))
     if cell.task == "start":
@@ -229,6 +232,7 @@ def _report(
         },
         "data": {r.robot: {"seconds": r.end_s - r.begin_s, "seen": len(r.seen_s), **r.ignored} for r in used},
         "localise": whole_rows(results, "localise", LOCALISE),
+        "odometry": whole_rows(results, "odometry", LOCALISE),
         "slam": whole_rows(results, "slam", SLAM),
         "start": trial_rows(results, "start"),
         "kidnap": trial_rows(results, "kidnap"),
@@ -239,6 +243,7 @@ def _report(
     console.print_json(json.dumps(json_value({"data": document["data"], "settings": document["settings"]})), indent=1)
     for title, key in (
         (f"Known map, start at the truth, mean over robots {args.test}", "localise"),
+        (f"The same, wheels that turn by {runs.WRONG_TURNS:g} of what they say", "odometry"),
         ("SLAM, no map", "slam"),
         (f"Start anywhere, known map, found within {runs.WATCH_S:g} s", "start"),
         (f"Kidnap: {runs.JUMP_S:g} s cut out, found within {runs.WATCH_S:g} s", "kidnap"),

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from ceilvo.bench.results.bars import Bar
 
-LOCALISE = ("rmse_m", "rmse_over_time_m", "max_m", "nees_mean", "nees_median", "us_per_update")
+LOCALISE = ("rmse_m", "rmse_over_time_m", "max_m", "theta_rmse_deg", "nees_mean", "nees_median", "us_per_update")
 SLAM = ("rmse_aligned_m", "rmse_m", "landmark_rmse_aligned_m", "landmarks")
 
 
@@ -63,22 +63,22 @@ def bars(results: Results) -> list[Bar]:
     def mean(task: str, name: str, figure: str) -> float:
         return mean_over_robots(results, task, name, figure)
 
-    rmse, nees = mean("localise", "pfcf", "rmse_m"), mean("localise", "pfcf", "nees_mean")
+    rmse, nees = mean("localise", "joint", "rmse_m"), mean("localise", "joint", "nees_mean")
     ratio = rmse / mean("localise", "ukf_gated", "rmse_m")
     out = [
-        Bar("known map: pfcf RMSE m", rmse, f"{rmse:.4f}", high=0.138),
-        Bar("known map: pfcf NEES (xy)", nees, f"{nees:.2f}", high=2.5),
-        Bar("known map: pfcf / ukf_gated", ratio, f"{ratio:.3f}", high=1.03),
+        Bar("known map: joint RMSE m", rmse, f"{rmse:.4f}", high=0.138),
+        Bar("known map: joint NEES (xy)", nees, f"{nees:.2f}", high=2.5),
+        Bar("known map: joint / ukf_gated", ratio, f"{ratio:.3f}", high=1.03),
     ]
     for rival, high in (("ukf_gated", 1.05), ("pf", 0.7)):
-        r = mean("slam", "pfcf", "rmse_aligned_m") / mean("slam", rival, "rmse_aligned_m")
-        out.append(Bar(f"SLAM aligned: pfcf / {rival}", r, f"{r:.3f}", high=high))
+        r = mean("slam", "joint", "rmse_aligned_m") / mean("slam", rival, "rmse_aligned_m")
+        out.append(Bar(f"SLAM aligned: joint / {rival}", r, f"{r:.3f}", high=high))
     for task, title, least, seconds in (("start", "start anywhere", 0.95, 5.0), ("kidnap", "60 s jump", 1.0, 15.0)):
         for row in trial_rows(results, task):
-            if row["filter"] == "pfcf":
+            if row["filter"] == "joint":
                 of = f"{row['found']} of {row['trials']}"
-                out.append(Bar(f"{title}: pfcf found", row["share"], of, low=least))
-                out.append(Bar(f"{title}: pfcf median s", row["median_s"], f"{row['median_s']:.1f}", high=seconds))
+                out.append(Bar(f"{title}: joint found", row["share"], of, low=least))
+                out.append(Bar(f"{title}: joint median s", row["median_s"], f"{row['median_s']:.1f}", high=seconds))
     return [b for b in out if not np.isnan(b.value)]
 
 

@@ -19,7 +19,7 @@ from rich.table import Table
 from ceilvo.bench.paper import plots as plots_paper
 from ceilvo.bench.paper import tables
 from ceilvo.bench.paper.filters import ABOUT, WITHOUT_PARTICLES, settings
-from ceilvo.bench.paper.run import EXPERIMENTS, START_SIGMA, Cell, as_key, run
+from ceilvo.bench.paper.run import EXPERIMENTS, MAPPED, START_SIGMA, Cell, as_key, run
 from ceilvo.bench.paper.stats import Interval
 from ceilvo.bench.paper.world import (
     DT_S,
@@ -62,9 +62,10 @@ class Plan:
 PLANS = {
     "lap": Plan(("P", "S0", "S1"), tables.RIVALS, None, 10**6),
     "laps3": Plan(("P",), tables.RIVALS, (100,), 40),
-    "grid": Plan(("P", "S1"), ("ukf_gated", "pf", "pfcf_paper", "pfcf", "ekf_nn"), (200,), 40),
-    "kidnap": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "pfcf", "ekf_nn"), (200,), 40),
-    "global": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "pfcf"), (500,), 60),
+    "slips": Plan(("Y", "YN", "O", "L", "F"), tables.RIVALS, (100,), 40),
+    "grid": Plan(("P", "S1"), ("ukf_gated", "pf", "pfcf_paper", "joint", "ekf_nn"), (200,), 40),
+    "kidnap": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "joint", "ekf_nn"), (200,), 40),
+    "global": Plan(("P",), ("ukf_gated", "pf", "pfcf_paper", "joint"), (500,), 60),
 }
 """Particles and most seeds are chosen for the time of a run; the bars of tables.py count of 40 and 60 seeds."""
 
@@ -191,7 +192,7 @@ def all_settings(args: argparse.Namespace) -> dict[str, Any]:
 def printed(results: tables.Results) -> list[Table]:
     out = []
     for experiment, setting in dict.fromkeys((c.experiment, c.setting) for c in results):
-        if experiment in ("lap", "laps3"):
+        if experiment in MAPPED:
             out.append(_table1(results, experiment, setting))
     grid = tables.grid_rows(results)
     if grid:
@@ -271,7 +272,7 @@ def as_document(results: tables.Results) -> dict[str, Any]:
     def bare(row: dict[str, Any]) -> dict[str, Any]:
         return {k: asdict(v) if isinstance(v, Interval) else v for k, v in row.items()}
 
-    laps = dict.fromkeys((c.experiment, c.setting) for c in results if c.experiment in ("lap", "laps3"))
+    laps = dict.fromkeys((c.experiment, c.setting) for c in results if c.experiment in MAPPED)
     return {
         "table1": {f"{e} {s}": [bare(r) for r in tables.table1(results, e, s)] for e, s in laps},
         "against_n": plots_paper.against_n(results),

@@ -22,7 +22,7 @@ ABOUT = {
     "pf": "FastSLAM 1.0, systematic resampling",
     "control": "the same, redrawn from a Gaussian of the weighted mean and covariance: no curve",
     "pfcf_paper": "the same, redrawn along the curves of eqs. 21-25",
-    "pfcf": "the daemon's filter",
+    "joint": "the daemon's filter",
     "ekf_nn": "extended Kalman filter, nearest neighbour within a gate (bench only)",
 }
 WITHOUT_PARTICLES = ("ukf", "ukf_gated", "ekf_nn")

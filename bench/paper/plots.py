@@ -22,9 +22,9 @@ COLOURS = {
     "pf": "tab:orange",
     "control": "tab:green",
     "pfcf_paper": "tab:purple",
-    "pfcf": "tab:red",
+    "joint": "tab:red",
 }
-RUNS = (("fig3_ukf", "ukf"), ("fig4_pf", "pf"), ("fig5_pfcf", "pfcf"), ("fig5_pfcf_paper", "pfcf_paper"))
+RUNS = (("fig3_ukf", "ukf"), ("fig4_pf", "pf"), ("fig5_joint", "joint"), ("fig5_pfcf_paper", "pfcf_paper"))
 AGAINST_N = (
     ("fig6_feature_average", "feature_mean_m", "average feature error (m)"),
     ("fig7_position_average", "position_mean_m", "average position error (m)"),

@@ -46,7 +46,9 @@ WATCH_STEPS = 100
 LAPS = 3  # of laps3; chosen: enough to see whether errors grow from lap to lap
 KEEP_EVERY = 9
 """Every ninth NEES is kept for medians over all runs: neighbours are much alike."""
-EXPERIMENTS = ("lap", "laps3", "grid", "kidnap", "global")
+EXPERIMENTS = ("lap", "laps3", "grid", "kidnap", "global", "slips")
+MAPPED = ("lap", "laps3", "slips")
+"""Experiments that begin without a map and with labels."""
 
 
 @dataclass(frozen=True, order=True)
@@ -70,9 +72,10 @@ def run(cell: Cell) -> Figures:
     world = np.random.default_rng([cell.seed, index, 0])
     unlabelled = cell.experiment in ("grid", "kidnap", "global")
     f = make(cell.filter, cell.particles, setting, np.random.default_rng([cell.seed, index, 1]), unlabelled)
-    if cell.experiment in ("lap", "laps3"):
-        laps = 1 if cell.experiment == "lap" else LAPS
-        return mapping(f, record(setting, room_scene(world), world, laps * LAP_STEPS), labelled=True)
+    if cell.experiment in MAPPED:
+        laps = LAPS if cell.experiment == "laps3" else 1
+        scene = room_scene(world, setting.features_per_side)
+        return mapping(f, record(setting, scene, world, laps * LAP_STEPS), labelled=True)
     if cell.experiment == "grid":
         return mapping(f, record(setting, grid_scene(world, False), world), labelled=False)
     return on_a_map(f, recovery_recording(cell.experiment, setting, world), cell.experiment == "global")

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ceilvo.bench.paper.run import LOST_M, Cell
+from ceilvo.bench.paper.run import LOST_M, MAPPED, Cell
 from ceilvo.bench.paper.stats import Interval, mean_interval, ratio_interval
 from ceilvo.bench.results.bars import Bar
 from ceilvo.types import Array
 
 Results = Mapping[Cell, Mapping[str, Any]]
-RIVALS = ("ukf", "ukf_gated", "pf", "control", "pfcf_paper", "pfcf")
+RIVALS = ("ukf", "ukf_gated", "pf", "control", "pfcf_paper", "joint")
 RECOVERY_S = {"kidnap": 15.0, "global": 10.0}  # limits of the bench; chosen: below the 20 s that are watched
-PAPER_TABLE_1 = {"ukf": (0.083, 0.079), "pf": (0.074, 0.068), "pfcf": (0.060, 0.057)}
+PAPER_TABLE_1 = {"ukf": (0.083, 0.079), "pf": (0.074, 0.068), "pfcf_paper": (0.060, 0.057)}
 """Position and feature, m: table 1 of the paper."""
 TRACKING_LIMIT_S = 1.0  # longest wrong TRACKING after a kidnap; a bar, chosen
 
@@ -104,10 +104,10 @@ def ratio_bars(results: Results) -> list[Bar]:
     out = []
     for setting, rival, *highs in wanted:
         for what, high in zip(("position", "feature"), highs, strict=True):
-            r = ratio(results, "lap", setting, ("pfcf", rival), f"{what}_rms_m")
-            out.append(Bar(f"{setting}: pfcf / {rival}, {what}", r.value, str(r), high=high))
+            r = ratio(results, "lap", setting, ("joint", rival), f"{what}_rms_m")
+            out.append(Bar(f"{setting}: joint / {rival}, {what}", r.value, str(r), high=high))
             if (setting, rival) == ("P", "pf"):
-                out.append(Bar(f"P: pfcf / pf, {what}, upper bound", r.high, f"{r.high:.3f}", high=0.95))
+                out.append(Bar(f"P: joint / pf, {what}, upper bound", r.high, f"{r.high:.3f}", high=0.95))
     for what in ("position", "feature"):
         r = ratio(results, "lap", "P", ("pfcf_paper", "pf"), f"{what}_rms_m")
         out.append(Bar(f"P: pfcf_paper / pf, {what}", r.value, str(r), high=0.97))
@@ -119,10 +119,10 @@ def nees_bars(results: Results) -> list[Bar]:
     out = []
     for setting in ("P", "S0", "S1"):
         for row in table1(results, "lap", setting):
-            if row["filter"] == "pfcf":
+            if row["filter"] == "joint":
                 median, features = row["nees_position_median"], row["nees_feature_mean"]
-                out.append(Bar(f"{setting}: pfcf position NEES, median", median, f"{median:.2f}", 1.4, 2.8))
-                out.append(Bar(f"{setting}: pfcf feature NEES, mean", features, f"{features:.2f}", high=4.0))
+                out.append(Bar(f"{setting}: joint position NEES, median", median, f"{median:.2f}", 1.4, 2.8))
+                out.append(Bar(f"{setting}: joint feature NEES, mean", features, f"{features:.2f}", high=4.0))
     return out
 
 
@@ -173,15 +173,15 @@ def other_bars(results: Results) -> list[Bar]:
     """Grid, kidnap and global start. The bars count of 40 and 60 runs; of fewer, the same fraction."""
     out = []
     for row in grid_rows(results):
-        if row["filter"] == "pfcf":
+        if row["filter"] == "joint":
             most, of = row["runs"] / 40, f"{row['failures']} of {row['runs']}"
             out.append(Bar(f"grid {row['setting']}: failures", row["failures"], of, high=most))
             if np.isfinite(row["to_ekf"].value):
                 value = row["to_ekf"].value
-                out.append(Bar(f"grid {row['setting']}: pfcf / EKF-NN", value, str(row["to_ekf"]), high=1.1))
+                out.append(Bar(f"grid {row['setting']}: joint / EKF-NN", value, str(row["to_ekf"]), high=1.1))
     for experiment, least in (("kidnap", 36 / 40), ("global", 57 / 60)):
         for row in recovery_rows(results, experiment):
-            if row["filter"] == "pfcf":
+            if row["filter"] == "joint":
                 of = f"{row['recovered']} of {row['runs']} within {RECOVERY_S[experiment]:g} s"
                 out.append(Bar(f"{experiment}: recovered", row["recovered"], of, low=least * row["runs"]))
                 if experiment == "kidnap":
@@ -192,10 +192,10 @@ def other_bars(results: Results) -> list[Bar]:
 
 
 def verdicts(results: Results) -> list[str]:
-    """Sentences made from the figures: who is best, and what pfcf is against each rival."""
+    """Sentences made from the figures: who is best, and what the default filter is against each rival."""
     out = []
     for experiment, setting in dict.fromkeys(
-        (c.experiment, c.setting) for c in sorted(results) if c.experiment in ("lap", "laps3")
+        (c.experiment, c.setting) for c in sorted(results) if c.experiment in MAPPED
     ):
         rows = table1(results, experiment, setting)
         title = f"{setting}{', three laps' if experiment == 'laps3' else ''}"
@@ -204,9 +204,9 @@ def verdicts(results: Results) -> list[str]:
             listed = ", ".join(f"{r['filter']} {r[what].value:.4f} m" for r in order)
             out.append(f"{title}, {what}: {order[0]['filter']} is best ({listed}).")
             for rival in ("pf", "control", "ukf", "ukf_gated", "pfcf_paper"):
-                r = ratio(results, experiment, setting, ("pfcf", rival), f"{what}_rms_m")
+                r = ratio(results, experiment, setting, ("joint", rival), f"{what}_rms_m")
                 if np.isfinite(r.value):
-                    out.append(f"  pfcf {_comparison(r)} {rival}: ratio {r}.")
+                    out.append(f"  joint {_comparison(r)} {rival}: ratio {r}.")
     return out
 
 

@@ -12,6 +12,6 @@ from ceilvo.daemon.slam.pose_filter import PoseFilter
 
 
 def make_recovering_filter(settings: Filter, rng: np.random.Generator) -> PoseFilter:
-    """filter.method as the daemon makes it; pfcf also finds itself again when it is lost on the map."""
+    """filter.method as the daemon makes it; the default one also finds itself again when it is lost on the map."""
     made = make_filter(settings, rng)
-    return RecoveringFilter(made) if settings.method == "pfcf" and isinstance(made, JointFilter) else made
+    return RecoveringFilter(made) if settings.method == "joint" and isinstance(made, JointFilter) else made

@@ -110,7 +110,7 @@ class RecoveringFilter:
         pose, cov, weight = self._dominant()
         if self._memory.search is not None:
             health = replace(health, nis=0.0, nis_dof=0)
-        return pose, cov, replace(health, mode_weight=weight)
+        return pose, cov, replace(health, mode_weight=weight * health.mode_weight)
 
     def size(self) -> int:
         return self._tracker.size()

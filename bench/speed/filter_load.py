@@ -50,7 +50,7 @@ def grid(landmarks: int, in_view: int) -> Landmarks:
 def stepper(landmarks: int, in_view: int, known: bool) -> Callable[[], None]:
     """One call is one step."""
     m, settings, rng = grid(landmarks, in_view), Filter(), np.random.default_rng(7)
-    f = make_filter(replace(settings, method="pfcf"), np.random.default_rng(7))
+    f = make_filter(replace(settings, method="joint"), np.random.default_rng(7))
     f.reset(np.zeros(3), 1e-6 * np.eye(3), m, known)
     here = m.of(np.all(np.abs(m.xy_map_m) < HALF_M + 2.0 * STEP_M * TURN, axis=1))
     pose, steps = np.zeros(3), 0
@@ -95,8 +95,8 @@ def bars(found: dict[str, Any]) -> list[Bar]:
     for name, us in found.items():
         few, *_, many = us["map"].items()
         ratio = many[1] / few[1]
-        out.append(Bar(f"pfcf, {name}: {many[0]} landmarks / {few[0]}", ratio, f"{ratio:.2f}", high=GROWTH))
+        out.append(Bar(f"joint, {name}: {many[0]} landmarks / {few[0]}", ratio, f"{ratio:.2f}", high=GROWTH))
         few, *_, many = us["in_view"].items()
         ratio = many[1] / few[1]
-        out.append(Bar(f"pfcf, {name}: {many[0]} crossings in view / {few[0]}", ratio, f"{ratio:.2f}", high=BOUND))
+        out.append(Bar(f"joint, {name}: {many[0]} crossings in view / {few[0]}", ratio, f"{ratio:.2f}", high=BOUND))
     return out

@@ -33,7 +33,7 @@ from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 from ceilvo.types import Array, Displacement, Landmarks, Motion, Observations
 
-METHODS = ("pf", "pfcf_paper", "pfcf", "ukf")
+METHODS = ("pf", "pfcf_paper", "joint", "ukf")
 PARTICLES = (20, 50, 100, 200, 500, 1000, 3000, 10_000, 30_000, 100_000)
 """Axis of a table; chosen, from those of bench/paper to where time is linear in N."""
 IN_VIEW = (1, 2, 4, 6, 10, 20, 40)  # landmarks, axis; chosen, around the 6 of REFERENCE
@@ -190,11 +190,11 @@ def medians(calls: dict[str, Callable[[], None]], repeats: int, steps_per_call: 
 
 
 def map_ends(small: int, large: int, repeats: int) -> dict[str, Any]:
-    """pfcf on the smallest and the largest known map, taking turns."""
+    """joint on the smallest and the largest known map, taking turns."""
     steps = {}
     for count in (small, large):
         m, near = scene_of(count, REFERENCE["in_view"])
-        steps[str(count)] = stepper("pfcf", REFERENCE["particles"], m, near, known=True)
+        steps[str(count)] = stepper("joint", REFERENCE["particles"], m, near, known=True)
     return {"us": medians(steps, 3 * repeats, {})}
 
 
@@ -204,7 +204,7 @@ def peer_row(repeats: int) -> dict[str, Any]:
     steps = {name: stepper(name, REFERENCE["particles"], m, near, known=True) for name in METHODS}
     others = peers.steppers(near, REFERENCE["particles"], SIGMA_M)
     us = medians(steps | others, repeats, dict.fromkeys(others, peers.STEPS_PER_CALL))
-    return {"us": us, "pfcf_to": {k: us["pfcf"] / v for k, v in us.items()}}
+    return {"us": us, "pfcf_to": {k: us["joint"] / v for k, v in us.items()}}
 
 
 def bars(document: dict[str, Any]) -> list[Bar]:
@@ -213,15 +213,15 @@ def bars(document: dict[str, Any]) -> list[Bar]:
     out = []
     if reference is not None:
         us = reference["us"]
-        ratio = us["pfcf"] / us["pf"]
-        out.append(Bar("N = 200, 16 landmarks, 6 in view: pfcf / pf", ratio, f"{ratio:.2f}", high=3.0))
-        out.append(Bar("the same, pfcf ms", us["pfcf"] / 1e3, f"{us['pfcf'] / 1e3:.3f}", high=1.5))
+        ratio = us["joint"] / us["pf"]
+        out.append(Bar("N = 200, 16 landmarks, 6 in view: joint / pf", ratio, f"{ratio:.2f}", high=3.0))
+        out.append(Bar("the same, joint ms", us["joint"] / 1e3, f"{us['joint'] / 1e3:.3f}", high=1.5))
     if rows[-1]["particles"] >= 10_000:
         slope = exponent([r for r in rows if r["particles"] >= 3000])
-        out.append(Bar("pfcf: exponent of N from 3,000 up", slope, f"{slope:.2f}", high=1.15))
+        out.append(Bar("joint: exponent of N from 3,000 up", slope, f"{slope:.2f}", high=1.15))
     (small, few_us), (large, many_us) = document["map_ends"]["us"].items()
     ratio = many_us / few_us
-    name = f"pfcf, known map of {large} / of {small}, taking turns"
+    name = f"joint, known map of {large} / of {small}, taking turns"
     out.append(Bar(name, ratio, f"{ratio:.3f}", 0.85, 1.15))
     return out + load.bars(document["load"])
 
@@ -229,7 +229,7 @@ def bars(document: dict[str, Any]) -> list[Bar]:
 def exponent(rows: Sequence[dict[str, Any]]) -> float:
     """Slope of log time against log N: 1 is linear."""
     n, us = (
-        np.log([float(x) for x in v]) for v in zip(*((r["particles"], r["us"]["pfcf"]) for r in rows), strict=True)
+        np.log([float(x) for x in v]) for v in zip(*((r["particles"], r["us"]["joint"]) for r in rows), strict=True)
     )
     return float(np.polyfit(n, us, 1)[0])
 
@@ -245,14 +245,16 @@ def _table(rows: Sequence[dict[str, Any]], title: str, axis: str) -> Table:
 def _load_table(found: dict[str, Any]) -> Table:
     title = f"ms of a daemon's step: {load.OVER_VIEW} landmarks, crossings in view; and {load.USUAL} in view, landmarks"
     views, maps = (list(next(iter(found.values()))[key]) for key in ("in_view", "map"))
-    out = Table("pfcf", *(f"{k} in view" for k in views), *(f"{n} landmarks" for n in maps), title=title)
+    out = Table("joint", *(f"{k} in view" for k in views), *(f"{n} landmarks" for n in maps), title=title)
     for name, us in found.items():
         out.add_row(name, *(f"{1e-3 * t:.1f}" for key in ("in_view", "map") for t in us[key].values()))
     return out
 
 
 def _peer_table(found: dict[str, Any]) -> Table:
-    out = Table("filter", "us per step", "pfcf / it", title="Known map, N = 200, 16 landmarks, 6 in view, with others'")
+    out = Table(
+        "filter", "us per step", "joint / it", title="Known map, N = 200, 16 landmarks, 6 in view, with others'"
+    )
     for name, us in found["us"].items():
         out.add_row(name, f"{us:.0f}", f"{found['pfcf_to'][name]:.2f}")
     return out

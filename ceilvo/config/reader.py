@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, get_type_hints
@@ -19,6 +20,7 @@ from ceilvo.config.schema import SECTIONS, Config
 from ceilvo.config.values import WrongValue, checked_value, shown
 from ceilvo.errors import ConfigError
 
+log = logging.getLogger(__name__)
 _ALIKE = 0.6
 """difflib's ratio from which a name is suggested; its own default."""
 _TYPES: Mapping[str, type] = {name: kind for name, kind in get_type_hints(Config).items() if name in SECTIONS}
@@ -131,7 +133,9 @@ class _Reader:
         self._where[full] = where
         kind = get_type_hints(_TYPES[section])[key]
         try:
-            self._values[section][key] = checked_value(node, kind, schema[key])
+            self._values[section][key] = value = checked_value(node, kind, schema[key])
+            if isinstance(node, yaml.ScalarNode) and node.value in schema[key].metadata["renamed"]:
+                log.warning("%s: %s: %s is now called %s; it means the same", where, full, node.value, value)
         except WrongValue as e:
             self._bad.add(full)
             self._problems.append(f"{where}: {full}: {e}")

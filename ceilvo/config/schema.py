@@ -5,6 +5,7 @@ The dataclasses here are the schema; ceilvo.config.reader reads files against it
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -16,9 +17,13 @@ def key(
     low: float | None = None,
     high: float | None = None,
     choices: tuple[str, ...] | None = None,
+    renamed: Mapping[str, str] | None = None,
 ) -> Any:
-    """A configuration key: its default, the one-line reason, and the closed range or the choices it must be in."""
-    meta = {"why": why, "low": low, "high": high, "choices": choices}
+    """A configuration key: its default, the one-line reason, and the closed range or the choices it must be in.
+
+    Choices that older configurations call by another name are still read: `renamed`.
+    """
+    meta = {"why": why, "low": low, "high": high, "choices": choices, "renamed": renamed or {}}
     if isinstance(default, list):
         return field(default_factory=lambda: tuple(default), metadata=meta)
     return field(default=default, metadata=meta)
@@ -131,21 +136,26 @@ class Odometry:
     )
 
 
+OLD_METHODS = {"pfcf": "joint"}
+"""What filter.method was called up to ceilvo 0.1, and what that is now."""
+
+
 @dataclass(frozen=True)
 class Filter:
     method: str = key(
-        "pfcf",
-        "pfcf = particles on one shared map, finds itself again; pfcf_paper = eqs. 21-25 to the letter; "
+        "joint",
+        "joint = one Gaussian of pose and map, hypotheses of slip; pfcf_paper = particles, eqs. 21-25 to the letter; "
         "pf = FastSLAM 1.0; ukf = unscented Kalman filter",
-        choices=("pfcf", "pfcf_paper", "pf", "ukf"),
+        choices=("joint", "pfcf_paper", "pf", "ukf"),
+        renamed=OLD_METHODS,
     )
     particles: int = key(100, "number of pose hypotheses", low=10, high=100000)
     fit_degree: int = key(4, "pfcf_paper: degree n of the curve of eq. 21", low=1, high=16)
-    gate_chi2: float = key(9.0, "pfcf, ukf: squared normalised innovation that is an outlier", low=2.0, high=1e3)
+    gate_chi2: float = key(9.0, "joint, ukf: squared normalised innovation that is an outlier", low=2.0, high=1e3)
     ukf_gate: bool = key(True, "ukf: refuse outliers")
-    slip_per_m: float = key(0.02, "pfcf: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
-    slip_share: float = key(0.8, "pfcf: how much of the reported way a slip may swallow", low=0.0, high=1.0)
-    lost_updates: int = key(8, "pfcf: updates refused in a row that start a search on the map", low=2, high=1000)
+    slip_per_m: float = key(0.02, "joint: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
+    slip_share: float = key(0.8, "joint: how much of the reported way a slip may swallow", low=0.0, high=1.0)
+    lost_updates: int = key(8, "joint: updates refused in a row that start a search on the map", low=2, high=1000)
     resample_ess_ratio: float = key(
         0.5, "resample when ESS falls below this share of the particles", low=0.05, high=1.0
     )

@@ -54,6 +54,7 @@ def checked_value(node: yaml.Node, kind: Any, field: dataclasses.Field[Any]) -> 
 
 def _checked_text(value: str, field: dataclasses.Field[Any], expected: str) -> str:
     choices = field.metadata["choices"]
+    value = field.metadata["renamed"].get(value, value)
     if choices and value not in choices:
         near = difflib.get_close_matches(value.lower(), [c.lower() for c in choices], 1, _ALIKE)
         like = next((c for c in choices if near and c.lower() == near[0]), None)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from ceilvo.config import Filter
+from ceilvo.config.schema import OLD_METHODS
 from ceilvo.daemon.slam.joint_filter import JointFilter
+from ceilvo.daemon.slam.joint_rule import JointRule
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
 from ceilvo.daemon.slam.paper.ukf import UkfRule
-from ceilvo.daemon.slam.pfcf import PfcfRule
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 
 
 def make_filter(settings: Filter, rng: np.random.Generator) -> PoseFilter:
-    """filter.method: pfcf, pfcf_paper, pf or ukf."""
-    if settings.method == "ukf":
+    """filter.method: joint, pfcf_paper, pf or ukf; joint also by its old name."""
+    method = OLD_METHODS.get(settings.method, settings.method)
+    if method == "ukf":
         return JointFilter(settings, rng, UkfRule(settings))
-    if settings.method == "pfcf":
-        return JointFilter(settings, rng, PfcfRule(settings))
+    if method == "joint":
+        return JointFilter(settings, rng, JointRule(settings))
     return FastSlam(settings, rng)

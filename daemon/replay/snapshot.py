@@ -19,6 +19,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
+from ceilvo.config.schema import OLD_METHODS
 from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.snapshot_v1 import is_v1, upgraded
 from ceilvo.errors import FileFormatError
@@ -63,7 +64,7 @@ def restore(pipeline: Pipeline, tree: Any) -> None:
             tree = {"version": VERSION, "method": tree["method"], "state": _from_v2(tree["state"])}
         if tree["version"] != VERSION:
             raise SnapshotError(f"pipeline state: version {tree['version']}, expected {VERSION}; use a newer ceilvo")
-        if tree["method"] != method:
+        if OLD_METHODS.get(tree["method"], tree["method"]) != method:
             raise SnapshotError(
                 f"pipeline state: of filter.method {tree['method']}, expected {method}; replay it with that one"
             )
@@ -80,7 +81,16 @@ def _from_v2(state: Any) -> Any:
     reason = "" if old["hypothesis"] is None else "a hypothesis in an older recording"
     relocaliser = {"map_axis_rad": old["map_axis_rad"], "reason": reason, "schedule": state["schedule"]}
     kept = {name: value for name, value in state.items() if name != "schedule"}
-    return {**kept, "relocaliser": relocaliser, "filter": filter_.get("tracker", filter_)}
+    return {**kept, "relocaliser": relocaliser, "filter": _filter_from_v2(filter_.get("tracker", filter_))}
+
+
+def _filter_from_v2(filter_: Any) -> Any:
+    """The default filter knew one kind of slip; whether wheels were slipping is lost."""
+    rule = filter_.get("rule")
+    if rule is None:
+        return filter_
+    path = {name: rule[name] for name in ("displacement_m", "travel_m")}
+    return {**filter_, "rule": {"slip": path} | {name: rule[name] for name in ("ess", "fit_residual", "white")}}
 
 
 def value_json(value: object) -> bytes:

@@ -84,20 +84,40 @@ class Conditional:
 
 
 class Predicted:
-    """Innovations (K, 2) in map at a predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K)."""
+    """Innovations (K, 2) in map at a predicted pose, their Jacobian (2 K, 3) and covariance (2 K, 2 K).
+
+    `rows` (M,), `rows_h` (M, 3) and `rows_total` (M, M) are the same flat, with the heading last where it was measured.
+    """
 
     def __init__(self, view: View, pose: Array, cov: Array) -> None:
+        self.view, self.pose, self.cov = view, pose, cov
         arm = view.xy @ rotation(float(pose[2])).T
         self.h = jacobian(arm)
         cross = self.h @ view.joint[:3, 3:]
         self.total: Array = self.h @ cov @ self.h.T - cross - cross.T + view.joint[3:, 3:]
         add_blocks(self.total, noise_in_map(float(pose[2]), view.var * view.inflation))
         self.nu: Array = pose[:2] + arm - view.landmark
+        self.rows, self.rows_h, self.rows_total = self.nu.ravel(), self.h, self.total
+        if np.isfinite(view.heading_var):
+            self.rows = np.append(self.rows, wrap_array(pose[2:] - view.heading))
+            self.rows_h = np.vstack([self.h, [0.0, 0.0, 1.0]])
+            self.rows_total = np.zeros((len(self.rows),) * 2)
+            self.rows_total[:-1, :-1] = self.total
+            self.rows_total[-1] = self.rows_total[:, -1] = self.rows_cross[2]
+            self.rows_total[-1, -1] += view.heading_var
+
+    @property
+    def rows_cross(self) -> Array:
+        """(3, M) covariance of the pose with the innovations."""
+        cross = self.cov @ self.rows_h.T
+        cross[:, : self.nu.size] -= self.view.joint[:3, 3:]
+        return cross
 
     def chi2(self) -> Array:
-        """(K,) squared normalised innovation of every feature by itself."""
+        """(K,) squared normalised innovation of every feature by itself, and last of the heading if it was measured."""
         k = np.arange(len(self.nu))
-        return chi2_of(self.nu, self.total.reshape(len(k), 2, len(k), 2)[k, :, k])
+        own = chi2_of(self.nu, self.total.reshape(len(k), 2, len(k), 2)[k, :, k])
+        return np.append(own, self.rows[2 * len(k) :] ** 2 / np.diag(self.rows_total)[2 * len(k) :])
 
 
 def nis_of(view: View, pose: Array, cov: Array, inflation: float) -> Array:

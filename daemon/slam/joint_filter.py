@@ -122,8 +122,8 @@ class UpdateRule(Protocol):
     def fresh(self, rng: np.random.Generator) -> Any:
         """The state of the rule after a reset."""
 
-    def moved(self, state: JointFilterState, step_m: Array) -> None:
-        """The pose went by (2,) in map."""
+    def move(self, state: JointFilterState, motion: Motion) -> None:
+        """The pose moves by a motion; the rule moves it."""
 
     def jumped(self, state: JointFilterState) -> None:
         """The pose is another; the path to it says nothing."""
@@ -136,6 +136,9 @@ class UpdateRule(Protocol):
 
     def curve(self, state: JointFilterState) -> tuple[float, float]:
         """Effective sample size and residual of the last fit, see FilterHealth."""
+
+    def certainty(self, state: JointFilterState) -> float:
+        """Weight of the mode that is reported, see FilterHealth.mode_weight."""
 
 
 class JointFilter:
@@ -174,10 +177,7 @@ class JointFilter:
         self._summary = None
 
     def predict(self, motion: Motion) -> None:
-        joint = self._state.joint
-        before = joint.pose[:2].copy()
-        joint.move(checked_motion(motion))
-        self._rule.moved(self._state, joint.pose[:2] - before)
+        self._rule.move(self._state, checked_motion(motion))
 
     def jump(self, pose: Array, cov: Array) -> None:
         """Continue from a pose that knows nothing of the map."""
@@ -277,7 +277,8 @@ class JointFilter:
     def estimate(self) -> tuple[Array, Array, FilterHealth]:
         joint, state = self._state.joint, self._state
         ess, residual = self._rule.curve(state)
-        health = FilterHealth(self.settings.particles, ess, None, residual, state.nis, state.nis_dof)
+        sure = self._rule.certainty(state)
+        health = FilterHealth(self.settings.particles, ess, None, residual, state.nis, state.nis_dof, sure)
         return joint.pose.copy(), joint.pose_cov.copy(), health
 
     def particles(self) -> tuple[Array, Array]:

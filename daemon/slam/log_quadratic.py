@@ -6,10 +6,20 @@ the cloud and lie outside it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ceilvo.types import Array
+from ceilvo.daemon.slam.conditional import Conditional, Predicted, given_pose_chi2, root_of
+from ceilvo.daemon.slam.joint_filter import Bools, View
+from ceilvo.daemon.slam.joint_map import JITTER
+from ceilvo.daemon.slam.pose_filter import effective_size, normalised
+from ceilvo.types import Array, Ints
 
+ROUNDS = (10.0, 1.25)
+"""Gates of the rounds of fitting, in units of filter.gate_chi2."""
+WIDEN = 1.2
+"""Standard deviations of a round's proposal in those of the last fit."""
 RIDGE = 0.003
 """Of the mean diagonal of the normal equations; chosen: keeps ten coefficients of few effective draws finite."""
 STEEPEST = 1e6
@@ -53,3 +63,82 @@ def posterior(centre: Array, root: Array, b: Array, h: Array) -> tuple[Array, Ar
     values = np.clip(values, FLATTEST, STEEPEST)
     step = vectors @ ((vectors.T @ b) / values)
     return centre + root @ step, root @ (vectors / np.sqrt(values))
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A curve as a Gaussian: mean (3,) from the prior's and root (3, 3); residual of eq. 22 and ESS of the weights."""
+
+    off: Array
+    root: Array
+    residual: float
+    ess: float
+
+
+class Weighing:
+    """Weights of particles: of the prior N(mu, cov), and of what a view says given the shared map."""
+
+    def __init__(self, view: View, mu: Array, cov: Array) -> None:
+        self.view, self.mu, self.cov = view, mu, cov
+        self.given = Conditional(view, mu, cov)
+        self.root = root_of(cov)
+        self._inverse = np.linalg.inv(self.root)
+
+    def curve(self, off: Array, proposal: Array, u: Array, gate: float) -> Fitted | None:
+        """The curve through the weights of particles mu + off + proposal u, u (N, 3) standard normals (eqs. 18, 21-25).
+
+        None where there is nothing to fit.
+        """
+        white = u @ (self._inverse @ proposal).T + self._inverse @ off
+        prior = 0.5 * (np.einsum("ni,ni->n", u, u) - np.einsum("ni,ni->n", white, white))
+        log_weight = self.given.log_likelihood(off + u @ proposal.T, gate) + prior
+        found = fit(u, log_weight)
+        if found is None:
+            return None
+        at, root = posterior(off, proposal, found[0], found[1])
+        return Fitted(at, root, found[2], effective_size(normalised(log_weight)))
+
+    def log_evidence(self, f: Fitted, gate: float) -> float:
+        """Of the view, as if posterior and curve were one Gaussian."""
+        white = self._inverse @ f.off
+        spread = np.linalg.slogdet(f.root)[1] - np.linalg.slogdet(self.root)[1]
+        return float(self.given.log_likelihood(f.off[None], gate)[0] - 0.5 * white @ white + spread)
+
+    def judged(self, off: Array, view: View, chosen: Ints, gate: float) -> tuple[Bools, bool]:
+        """Which features (K,) are within the gate at mu + off, and whether the heading is.
+
+        The own view has the `chosen` of them; they are judged given each other.
+        """
+        inliers = np.ones(len(view), bool)
+        if len(chosen) < len(view):
+            inliers = given_pose_chi2(view, self.mu + off, self.mu, self.cov) <= gate
+        inliers[chosen] = self.given.distances(off[None], gate)[0] <= gate
+        heading = bool(self.given.heading_distance(off[None])[0] <= gate) and np.isfinite(self.view.heading_var)
+        return inliers, heading
+
+
+def proposal(predicted: Predicted, gate: float) -> tuple[Array, Array]:
+    """Where the first round draws: mean from the pose and root of the prior moved by what its own width explains.
+
+    A cloud far wider than the likelihood would have next to no particle where the posterior is.
+    """
+    k = predicted.nu.size
+    believed = predicted.chi2() <= gate
+    take = np.append(np.repeat(believed[: k // 2], 2), believed[k // 2 :])
+    if not np.any(take):
+        return np.zeros(3), root_of(predicted.cov)
+    nu, cross, total = -predicted.rows, predicted.rows_cross, predicted.rows_total
+    if not np.all(take):
+        nu, cross, total = nu[take], cross[:, take], total[np.ix_(take, take)]
+    gain = np.linalg.solve(total, cross.T).T
+    narrowed = predicted.cov - gain @ cross.T
+    return gain @ nu, WIDEN * root_of(0.5 * (narrowed + narrowed.T) + np.diag(JITTER))
+
+
+def normals(n: int, rng: np.random.Generator) -> Array:
+    """(N, 3) standard normals in opposite pairs, so that their mean is exact; an odd one stands in the middle."""
+    u = np.zeros((n, 3))
+    half = rng.standard_normal((n // 2, 3))
+    half *= np.sqrt(0.5 * n / max(np.vdot(half, half) / 3.0, 1.0))
+    u[: n // 2], u[n // 2 : 2 * (n // 2)] = half, -half
+    return u

@@ -267,16 +267,16 @@ def test_a_cell_is_repeatable():
 def test_who_wins_is_read_off_the_figures():
     results = {}
     for seed in range(30):
-        for name, error in (("pf", 0.10), ("pfcf", 0.08), ("ukf_gated", 0.07)):
+        for name, error in (("pf", 0.10), ("joint", 0.08), ("ukf_gated", 0.07)):
             figures = {"position_rms_m": error * (1 + 0.01 * seed), "feature_rms_m": error, "position_nees": [1.4]}
             results[Cell("lap", "P", name, 0 if name == "ukf_gated" else 20, seed)] = figures
     text = "\n".join(paper_tables.verdicts(results))
     assert "P, position: ukf_gated is best" in text
-    assert "pfcf beats pf: ratio 0.800" in text
-    assert "pfcf loses to ukf_gated" in text
+    assert "joint beats pf: ratio 0.800" in text
+    assert "joint loses to ukf_gated" in text
     found = {b.name: b.verdict for b in paper_tables.ratio_bars(results)}
-    assert found["P: pfcf / pf, position"] == "PASS"
-    assert found["P: pfcf / ukf_gated, position"] == "MISS"
+    assert found["P: joint / pf, position"] == "PASS"
+    assert found["P: joint / ukf_gated, position"] == "MISS"
 
 
 def test_smoke(tmp_path, capsys):

@@ -18,7 +18,7 @@ def test_the_scene_has_as_many_landmarks_as_asked_and_only_those_in_view_are_nea
 
 
 def test_the_exponent_of_a_linear_cost_is_one():
-    rows = [{"particles": n, "us": {"pfcf": 2.0 * n}} for n in (3000, 10_000, 30_000)]
+    rows = [{"particles": n, "us": {"joint": 2.0 * n}} for n in (3000, 10_000, 30_000)]
     assert filter_speed.exponent(rows) == pytest.approx(1.0)
 
 
@@ -40,7 +40,7 @@ def test_every_method_steps_and_is_counted_per_step():
 def test_the_bars_are_read_off_the_figures():
     at = dict.fromkeys(filter_speed.METHODS, 100.0)
     document = {
-        "particles": [{"particles": 200, "us": {**at, "pfcf": 290.0}}],
+        "particles": [{"particles": 200, "us": {**at, "joint": 290.0}}],
         "map_ends": {"us": {"100": 100.0, "30000": 116.0}},
         "load": {"mapping": {"in_view": {"60": 1.0, "1000": 3.1}, "map": {"100": 1.0, "100000": 1.2}}},
     }

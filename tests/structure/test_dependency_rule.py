@@ -221,12 +221,12 @@ FORBIDDEN = [
     (imports_upward, "drivers/x.py", "from ceilvo.sim import ceiling"),
     (imports_upward, "daemon/vision/x.py", "from ceilvo.drivers.ports import Camera"),
     (imports_upward, "daemon/vision/x.py", "from ceilvo.daemon.odometry.rigid import rigid_motion"),
-    (imports_upward, "daemon/odometry/x.py", "def f():\n    from ceilvo.daemon.slam import pfcf"),
+    (imports_upward, "daemon/odometry/x.py", "def f():\n    from ceilvo.daemon.slam import joint_rule"),
     (imports_upward, "daemon/slam/x.py", "from ceilvo.daemon.slam.paper.ukf import Ukf"),
     (imports_upward, "daemon/integrity/x.py", "from ceilvo.daemon.slam.paper.ukf import Ukf"),
     (imports_upward, "daemon/relocalisation/x.py", "from ceilvo.daemon.slam.paper.ukf import Ukf"),
     (imports_upward, "daemon/slam/x.py", "from ceilvo.daemon.map.map_file import load_map"),
-    (imports_upward, "daemon/map/x.py", "from ceilvo.daemon.slam import pfcf"),
+    (imports_upward, "daemon/map/x.py", "from ceilvo.daemon.slam import joint_rule"),
     (imports_upward, "daemon/replay/x.py", "from ceilvo.daemon.app import process"),
     (imports_upward, "daemon/replay/x.py", "from ceilvo.sim import ceiling"),
     (imports_upward, "daemon/cli.py", "from ceilvo.drivers.ports import Camera"),
@@ -261,7 +261,7 @@ FORBIDDEN = [
 AROUND = {
     **{
         f"daemon/{name}.py": ""
-        for name in ("vision/edges", "odometry/rigid", "slam/pfcf", "slam/paper/ukf", "pipeline")
+        for name in ("vision/edges", "odometry/rigid", "slam/joint_rule", "slam/paper/ukf", "pipeline")
     },
     **{f"daemon/{name}.py": "" for name in ("app/process", "map/map_file", "integrity/states", "cli")},
     **{f"{name}.py": "" for name in ("calib/cli", "bench/paper/run", "sim/__init__", "ceilvo/types")},
@@ -282,9 +282,9 @@ PERMITTED = {
     "daemon/app/x.py": "from ceilvo.drivers import ports\nimport threading\nfrom ceilvo.daemon.map import map_file",
     "daemon/app/simulation.py": "from ceilvo.sim import ceiling\nfrom ceilvo.daemon.app.process import Plan",
     "daemon/cli.py": "from ceilvo.daemon.app.process import App\nimport time",
-    "daemon/pipeline.py": "import numpy as np\nfrom ceilvo.daemon.slam import pfcf\nrng = np.random.default_rng(7)",
+    "daemon/pipeline.py": "import numpy as np\nfrom ceilvo.daemon.slam import schedule\nrng = np.random.default_rng(7)",
     "daemon/relocalisation/filters.py": "from ceilvo.daemon.slam.paper.ukf import Ukf",
-    "daemon/slam/paper/x.py": "from ceilvo.daemon.slam.pfcf import Pfcf\nclass A(Pfcf): ...",
+    "daemon/slam/paper/x.py": "from ceilvo.daemon.slam.joint_rule import JointRule\nclass A(JointRule): ...",
     "daemon/map/map_file.py": "import os\nfrom ceilvo.types import Landmarks",
     "calib/cli.py": "from ceilvo.sim.f1 import x\nfrom ceilvo.daemon.pipeline import Pipeline",
     "ceilvo/x.py": "import daemonize, simplejson\nfrom ceilvo import files",

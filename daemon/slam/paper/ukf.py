@@ -9,7 +9,7 @@ from ceilvo.daemon.slam.association import NIS_CAP
 from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState, View
 from ceilvo.daemon.slam.pose_filter import spread
 from ceilvo.se2 import wrap, wrap_array
-from ceilvo.types import Array, Ints
+from ceilvo.types import Array, Ints, Motion
 
 NO_HEADING_VAR_RAD2 = 1e12
 """In place of an infinite variance, with which the linear algebra could not be done."""
@@ -24,14 +24,17 @@ class UkfRule:
     def fresh(self, rng: np.random.Generator) -> None:
         """It remembers nothing."""
 
-    def moved(self, state: JointFilterState, step_m: Array) -> None:
-        """It does not matter."""
+    def move(self, state: JointFilterState, motion: Motion) -> None:
+        state.joint.move(motion)
 
     def jumped(self, state: JointFilterState) -> None:
         """It does not matter."""
 
     def curve(self, state: JointFilterState) -> tuple[float, float]:
         return float(self._settings.particles), float("nan")
+
+    def certainty(self, state: JointFilterState) -> float:
+        return 1.0
 
     def particles(self, state: JointFilterState) -> tuple[Array, Array]:
         """Draws from the Gaussian, for pictures."""

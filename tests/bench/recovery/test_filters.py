@@ -18,11 +18,11 @@ from ceilvo.se2 import inverse, rotation, transform, wrap
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Landmarks, Motion, Observations
 
 SEED = 11
-METHODS = ("pfcf", "pfcf_paper", "pf", "ukf")
+METHODS = ("joint", "pfcf_paper", "pf", "ukf")
 INDEPENDENT = replace(Filter(), feature_independence=1.0, gate_chi2=1e3, slip_per_m=0.0)
 
 
-def make(method="pfcf", seed=SEED, **more):
+def make(method="joint", seed=SEED, **more):
     return make_filter(replace(INDEPENDENT, method=method, **more), np.random.default_rng(seed))
 
 
@@ -44,7 +44,7 @@ def map_of(xy, var=1e-8, kind=None):
 
 
 @pytest.mark.parametrize(
-    ("method", "kind"), [("pfcf", RecoveringFilter), ("ukf", JointFilter), ("pf", FastSlam), ("pfcf_paper", FastSlam)]
+    ("method", "kind"), [("joint", RecoveringFilter), ("ukf", JointFilter), ("pf", FastSlam), ("pfcf_paper", FastSlam)]
 )
 def test_the_settings_choose(method, kind):
     assert isinstance(make(method), kind)
@@ -68,7 +68,7 @@ def kalman(pose_var, points, map_var, var, steps):
     return mean, cov
 
 
-@pytest.mark.parametrize("method", ["pfcf", "ukf"])
+@pytest.mark.parametrize("method", ["joint", "ukf"])
 def test_where_all_is_linear_it_is_the_kalman_filter(method):
     rng = np.random.default_rng(SEED)
     points, var = rng.uniform(-1.5, 1.5, (6, 2)), np.array([4e-4, 9e-4])
@@ -108,7 +108,7 @@ def test_prediction_composes(method):
         f.predict(motion((np.nan, 0, 0)))
 
 
-@pytest.mark.parametrize("method", ["pfcf", "ukf"])
+@pytest.mark.parametrize("method", ["joint", "ukf"])
 def test_landmarks_are_born_after_enough_sightings_and_forgotten_without(method):
     f = make(method, birth_sightings=3, gate_chi2=9.0)
     f.reset(np.zeros(3), np.diag([1e-8, 1e-8, 1e-10]))

@@ -67,7 +67,7 @@ class Drive:
     def __init__(self, landmarks, seed, labelled=False, start=(0.0, -1.2, 0.0), particles=60):
         self.rng = np.random.default_rng(seed)
         self.map, self.labelled, self.truth = landmarks, labelled, np.array(start)
-        chosen = replace(Filter(method="pfcf"), particles=particles, feature_independence=1.0, association_gate_m=0.25)
+        chosen = replace(Filter(method="joint"), particles=particles, feature_independence=1.0, association_gate_m=0.25)
         self.filter = make_filter(chosen, np.random.default_rng(seed + 1))
 
     def start(self, anywhere=False):

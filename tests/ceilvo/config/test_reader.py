@@ -124,3 +124,14 @@ def test_the_calibration_lies_beside_the_configuration() -> None:
     assert calibration_path(Config(), Path("/etc/ceilvo/config.yaml")) == Path("/etc/ceilvo/calibration.yaml")
     moved = replace(Config(), ["calibration.file=/var/k.yaml"])
     assert calibration_path(moved, Path("/etc/ceilvo/config.yaml")) == Path("/var/k.yaml")
+
+
+def test_a_choice_is_read_by_its_old_name_with_a_notice(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """filter.method: pfcf was the default's name up to ceilvo 0.1, and is in every written-out configuration of it."""
+    assert loads(tmp_path, "filter:\n  method: pfcf\n").filter.method == "joint"
+    (notice,) = caplog.messages
+    assert "config.yaml:2: filter.method: pfcf is now called joint" in notice
+    caplog.clear()
+    assert loads(tmp_path, "filter: {method: joint}\n").filter.method == "joint"
+    assert loads(tmp_path, "filter: {method: pfcf_paper}\n").filter.method == "pfcf_paper"
+    assert not caplog.messages

@@ -28,7 +28,7 @@ from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Crossings, Frame, Motion, WheelMotion
 
 SEED = 11
-METHODS = ("pfcf_paper", "pfcf", "pf", "ukf")
+METHODS = ("pfcf_paper", "joint", "pf", "ukf")
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +76,15 @@ def test_another_pipeline_goes_on_to_the_last_bit(
 
 
 def test_what_was_frozen_does_not_change_any_more(world: World, frames: list[Frame]) -> None:
-    pipeline = fresh(world, "pfcf")
+    pipeline = fresh(world, "joint")
     for frame in frames[:20]:
         step(pipeline, frame)
     frozen = freeze(pipeline)
-    before = json.dumps(snapshot_json(frozen, "pfcf"))
+    before = json.dumps(snapshot_json(frozen, "joint"))
     for frame in frames[20:30]:
         step(pipeline, frame)
-    assert json.dumps(snapshot_json(frozen, "pfcf")) == before
-    assert json.dumps(snapshot_json(freeze(pipeline), "pfcf")) != before
+    assert json.dumps(snapshot_json(frozen, "joint")) == before
+    assert json.dumps(snapshot_json(freeze(pipeline), "joint")) != before
 
 
 def test_sightings_replay_what_frames_gave(world: World, frames: list[Frame]) -> None:
@@ -98,7 +98,7 @@ def test_sightings_replay_what_frames_gave(world: World, frames: list[Frame]) ->
 
 def test_a_state_has_no_names_of_the_program(world: World, frames: list[Frame]) -> None:
     """So that a rename does not invalidate a recording."""
-    pipeline = fresh(world, "pfcf")
+    pipeline = fresh(world, "joint")
     step(pipeline, frames[0])
 
     def keys(tree: object) -> set[str]:
@@ -106,9 +106,19 @@ def test_a_state_has_no_names_of_the_program(world: World, frames: list[Frame]) 
             return set().union(*map(keys, tree))
         return set(tree).union(*map(keys, tree.values())) if isinstance(tree, dict) else set()
 
-    tree = snapshot_json(freeze(pipeline), "pfcf")
+    tree = snapshot_json(freeze(pipeline), "joint")
     assert not [k for k in keys(tree) if k.startswith("_")]
     assert not re.search(r"ceilvo\.|Pipeline|State\b|Pfcf", json.dumps(tree))
+
+
+def test_a_state_says_the_old_name_of_its_filter(world: World, frames: list[Frame]) -> None:
+    """Recordings of ceilvo 0.1 call the default filter pfcf."""
+    pipeline, again = fresh(world, "joint"), fresh(world, "joint")
+    step(pipeline, frames[0])
+    restore(again, {**snapshot_json(freeze(pipeline), "joint"), "method": "pfcf"})
+    assert json.dumps(snapshot_json(freeze(again), "joint")) == json.dumps(snapshot_json(freeze(pipeline), "joint"))
+    with pytest.raises(SnapshotError, match="pfcf"):
+        restore(fresh(world, "ukf"), {**snapshot_json(freeze(pipeline), "joint"), "method": "pfcf"})
 
 
 BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
@@ -153,7 +163,7 @@ def test_recordings_of_0_1_still_replay(file: Path, tmp_path: Path, capsys: pyte
 def test_a_damaged_state_of_0_1_is_our_error(file: Path) -> None:
     state = next(m for m in open_recording(file).messages() if m.topic == "/input")
     body = json.loads(state.data)["state"]
-    method = "pfcf" if file.stem in ("tracking", "hypothesis", "gap", "frames") else file.stem
+    method = "joint" if file.stem in ("tracking", "hypothesis", "gap", "frames") else file.stem
     calibration = parse_calibration(open_recording(file).text("calibration.yaml"), "calibration")
     pipeline = Pipeline(calibration, Config(filter=Filter(method=method, particles=16)), np.random.default_rng(1))
     del body["fields"]["_odom"]

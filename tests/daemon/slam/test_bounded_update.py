@@ -31,7 +31,7 @@ def world(features: int, seed: int = SEED) -> tuple[Array, Array]:
     return rng.uniform(-4, 4, (n, 2)), rng.integers(0, 500, n)
 
 
-def robot(known: Landmarks | None, pose: Array, method: str = "pfcf") -> PoseFilter:
+def robot(known: Landmarks | None, pose: Array, method: str = "joint") -> PoseFilter:
     settings = replace(Filter(), method=method, feature_independence=1.0, association_gate_m=0.3, slip_per_m=0.0)
     f = make_filter(settings, np.random.default_rng(SEED))
     f.reset(pose, 1e-8 * np.eye(3), known)
@@ -84,7 +84,7 @@ def test_what_is_chosen_is_all_over_the_view(turn: int) -> None:
     assert min(held) >= 3 and max(held) <= 12
 
 
-@pytest.mark.parametrize("method", ["pfcf", "ukf", "pf"])
+@pytest.mark.parametrize("method", ["joint", "ukf", "pf"])
 @pytest.mark.parametrize("mapped", [True, False])
 def test_a_view_of_a_thousand_is_worked_on_in_part_only(
     method: str, mapped: bool, monkeypatch: pytest.MonkeyPatch

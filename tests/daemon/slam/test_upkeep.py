@@ -31,7 +31,7 @@ def map_of(xy: Array, seen: int = 10_000, kind: Ints | None = None) -> Landmarks
 class Robot:
     """Drives to and fro below landmarks and sees those of the world that are in view, each with its own chance."""
 
-    def __init__(self, known: Landmarks, method: str = "pfcf") -> None:
+    def __init__(self, known: Landmarks, method: str = "joint") -> None:
         settings = replace(Filter(), method=method, feature_independence=1.0, slip_per_m=0.0)
         self.filter: PoseFilter = make_filter(settings, np.random.default_rng(SEED))
         self.filter.reset(np.zeros(3), np.diag([1e-8, 1e-8, 1e-8]), known)

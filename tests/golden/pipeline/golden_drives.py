@@ -35,9 +35,9 @@ HERE = Path(__file__).parent
 RATE_HZ = 10.0
 PIPELINE_SEED = 20
 METHODS: Mapping[str, tuple[str, ...]] = {
-    "lap": ("pfcf", "pfcf_paper", "pf", "ukf"),
-    "rocking": ("pfcf",),
-    "calibration_off": ("pfcf",),
+    "lap": ("joint", "pfcf_paper", "pf", "ukf"),
+    "rocking": ("joint",),
+    "calibration_off": ("joint",),
 }
 WORLDS: Mapping[str, WorldSpec] = {
     "lap": WorldSpec(seed=1101, lap=LapSpec(room_m=3.6, speed_mps=0.5)),

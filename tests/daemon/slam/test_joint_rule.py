@@ -82,7 +82,7 @@ def straight(slip, slip_per_m, seed=SEED):
     rng = np.random.default_rng(seed)
     points = rng.uniform([-1, -1.5], [5, 1.5], (40, 2))
     f = make_filter(
-        replace(Filter(method="pfcf"), feature_independence=1.0, slip_per_m=slip_per_m, particles=50),
+        replace(Filter(method="joint"), feature_independence=1.0, slip_per_m=slip_per_m, particles=50),
         np.random.default_rng(seed),
     )
     known = Landmarks(
@@ -158,7 +158,7 @@ def room(seed, steps=120):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-2, 2, (14, 2))
     f = make_filter(
-        replace(Filter(method="pfcf"), feature_independence=1.0, association_gate_m=1.0),
+        replace(Filter(method="joint"), feature_independence=1.0, association_gate_m=1.0),
         np.random.default_rng(seed + 1),
     )
     truth = np.array([1.2, 0.0, np.pi / 2])
@@ -193,7 +193,7 @@ def test_it_is_honest_about_its_errors():
 def test_heading_noise_alone_turns_about_the_robot():
     """The landmark given the pose must follow it: seeing one again tells nothing of the error it was born with."""
     f = make_filter(
-        replace(Filter(method="pfcf"), birth_sightings=1, feature_independence=1.0), np.random.default_rng(SEED)
+        replace(Filter(method="joint"), birth_sightings=1, feature_independence=1.0), np.random.default_rng(SEED)
     )
     f.reset(np.zeros(3), np.diag([1e-8, 1e-8, 1e-2]))
     for _ in range(5):
@@ -209,7 +209,7 @@ def test_pose_and_map_may_turn_together():
     rng = np.random.default_rng(SEED)
     points = rng.uniform([-1, -2], [5, 2], (30, 2))
     f = make_filter(
-        replace(Filter(method="pfcf"), feature_independence=1.0, slip_per_m=0.0, birth_sightings=1),
+        replace(Filter(method="joint"), feature_independence=1.0, slip_per_m=0.0, birth_sightings=1),
         np.random.default_rng(SEED),
     )
     truth, start = np.zeros(3), 0.15
@@ -244,7 +244,7 @@ def test_twins_become_one_with_the_information_of_both():
 
 def test_a_landmark_mapped_twice_is_merged_when_both_are_there():
     f = make_filter(
-        replace(Filter(method="pfcf"), feature_independence=1.0, gate_chi2=9.0, birth_sightings=1),
+        replace(Filter(method="joint"), feature_independence=1.0, gate_chi2=9.0, birth_sightings=1),
         np.random.default_rng(SEED),
     )
     twice = np.array([[1.0, 0.0], [1.01, 0.0], [0.0, 1.0]])
