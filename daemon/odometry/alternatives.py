@@ -50,6 +50,11 @@ _TINY = 1e-300
 """In place of a probability of zero, whose logarithm there is not."""
 _HOPELESS = 18.0
 """Candidates whose weight is less by so much are left out: 1e-8, far below any rate of error."""
+_CLEAR = 3.0
+"""Log-likelihood ratio from which a heading that the prediction knows is not looked for among the quarter turns;
+chosen: a wrong quarter turn would have to fit even better to matter."""
+_QUARTER_SIGMAS = 4.0
+"""By which the prediction must be off to be in another quarter: once in 16,000."""
 _QUARTER_RAD = 0.5 * np.pi
 
 
@@ -66,6 +71,11 @@ class Prior:
     mean: Array
     cov: Array
     carried: float
+
+    @property
+    def knows_quarter(self) -> bool:
+        """Whether the heading is known to well within a quarter turn."""
+        return _QUARTER_SIGMAS**2 * float(self.cov[2, 2]) < (0.5 * _QUARTER_RAD) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +129,7 @@ def find_candidates(
     """
     far_m = _FAR * view_size_m(ref)
     before, now = Sight.of(ref), Sight.of(curr)
-    found = []
+    found: list[Matched] = []
     for quarter in range(4):
         turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
         quarters = quarter_turns(curr.psi_rad + turn, ref.psi_rad)
@@ -128,6 +138,10 @@ def find_candidates(
             shifts = np.concatenate([known[None, :2], shifts])
         if len(shifts):
             found.append(Matched.of(before, now, shifts, turn, quarters))
+        if quarter == 0 and prior.knows_quarter:
+            straight = _weighed(found, far_m, prior)
+            if len(straight) and straight.log_ratio[0] > _CLEAR:
+                return straight
     return _weighed(found, far_m, prior)
 
 
@@ -174,17 +188,21 @@ def _chance(at: Array, counts: Array) -> Array:
     """(K, 4, 9) the same as fractions, at the other candidates: where tiles meet, or anywhere if they do not."""
     met = np.sum(counts[:, :2], axis=(1, 2))
     alike = (_agreeing(counts) >= _ALIKE) & (met >= _ALIKE_MET * np.max(met))
-    elsewhere = np.max(np.abs(at[:, None] - at[None]), axis=2) > _SMALLEST_TILE_M
-    others = alike[None, :] & elsewhere
-    others[~np.any(others, axis=1)] = True
-    others &= elsewhere
-    found = np.tensordot(others.astype(np.float64), counts, axes=1)
+    found = _at_others(at, at[alike], counts[alike])
+    alone = np.sum(found, axis=(1, 2)) < _TINY
+    found[alone] = _at_others(at[alone], at, counts)
     now = np.sum(found[:, :3], axis=1, keepdims=True)
     before = found[:, 3:] + np.sum(found[:, :2], axis=1, keepdims=True)  # what is there now was there before
     tried = np.concatenate([np.repeat(now, 3, axis=1), before], axis=1)
     chance = np.maximum((found + _UNSEEN[:, None] * _UNSEEN_WEIGHT) / (tried + _UNSEEN_WEIGHT), _LEAST_CHANCE)
     chance[:, 0] = np.minimum(chance[:, 0], 1.0 - _OTHER)  # no place explains more than the right one
     return np.asarray(chance)
+
+
+def _at_others(at: Array, others: Array, counts: Array) -> Array:
+    """(K, 4, 9) sums of the counts of the other candidates (J, 3), for each of (K, 3)."""
+    here = np.all(np.abs(at[:, None] - others[None]) <= _SMALLEST_TILE_M, axis=2)
+    return np.asarray(np.tensordot((~here).astype(np.float64), counts, axes=1))
 
 
 def _prior_share(at: Array, prior: Prior, far_m: float) -> Array:

@@ -12,25 +12,26 @@ from ceilvo.crossing_types import CROSSING_TYPES, turned_type
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints
 
-Bools = NDArray[np.bool_]
-
 CELL_M = 0.01
 """Side of a cell of the pictures that crossings are looked up in; chosen: residuals are 1 mm, at worst 10 mm."""
-_REACH_CELLS = 2
-"""Crossings of one type that lie so many cells apart are one: 0.02 to 0.03 m, half of a joint's or a lamp's edges."""
+_REACH_CELLS = 4
+"""Crossings of one type that lie so many cells apart are one: 0.04 to 0.05 m. With half of it a fisheye's views a fifth
+of a second apart shared 55 % of their crossings, so 69 %; more changes little; chosen."""
 BIN_M = 0.02
 """Differences are counted in bins of this side, three by three together; chosen: above the largest residual."""
 _NEIGHBOURS = np.ones((5, 5), np.uint8)
 """Bins around one that must not have more votes."""
+SHOWN = 1 << 15
+"""Bit of a cell that would show a crossing if there were one."""
 _FEWEST = 3
 """Crossings that make a candidate; fewer meet by chance."""
 _CROWD_M = 0.1
 """Cell in which, with its neighbours, crossings share the worth of one: they are of one lamp's corner, or one vent;
 chosen: less than the smallest tile."""
-_MOST_VOTERS = 160
-"""Crossings of a view that vote, those of rare types first; chosen for time, which grows with this number."""
-_MOST_CANDIDATES = 192
-"""Kept, those with most votes; chosen: more than whole tiles of 0.3 m in a view of 3 m."""
+_MOST_SPEAKERS = 128
+"""Crossings of a view that vote and are looked for in the other one; chosen for time, which grows with their number."""
+_MOST_CANDIDATES = 128
+"""Kept, those with most votes; chosen: about the whole tiles of 0.3 m in a view of 3 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +39,10 @@ class Sight:
     """Crossings with what is needed to look them up.
 
     Attributes:
-        xy, types: (N, 2) m, and (N,).
+        xy, types: (N, 2) m, and (N,) of those that speak for the view, rare types first.
         worth: (N,) one divided among the crossings that lie close together, as those of a vent's slats do.
-        low: (2,) cell of the picture's corner; bits: which types are within reach of each cell.
-        normals, offsets: (V, 2), (V,) the convex hull: inside, normals . xy <= offsets.
+        low: (2,) cell of the picture's corner.
+        bits: (H, W) which types are within reach of each cell; and bit 15, that it lies among the crossings.
     """
 
     xy: Array
@@ -49,42 +50,42 @@ class Sight:
     worth: Array
     low: Ints
     bits: NDArray[np.uint16]
-    normals: Array
-    offsets: Array
 
     @staticmethod
     def of(crossings: Crossings) -> Sight:
         xy, types = crossings.xy_base_m, crossings.crossing_type
         pad = _REACH_CELLS + 1
-        cell = np.floor(xy / CELL_M).astype(np.int64)
+        cell = np.floor(xy * (1.0 / CELL_M)).astype(np.int32)
         low = cell.min(axis=0) - pad
         width, height = (cell.max(axis=0) - low + pad + 1).tolist()
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _REACH_CELLS + 1, 2 * _REACH_CELLS + 1))
         bits = np.zeros((height, width), np.uint16)
+        cv2.fillConvexPoly(bits, cv2.convexHull(cell - low), SHOWN)
         column, row = (cell - low).T
         for t in np.unique(types).tolist():
             picture = np.zeros((height, width), np.uint16)
             of = types == t
             picture[row[of], column[of]] = 1 << t
             bits |= np.asarray(cv2.dilate(picture, disc), np.uint16)
-        return Sight(xy, types, 1.0 / _crowd(xy), low, bits, *_hull(xy))
+        which = _rare_first(types)[:_MOST_SPEAKERS]
+        return Sight(xy[which], types[which], 1.0 / _crowd(xy)[which], low, bits)
 
     def turned(self, turn_rad: float, quarters: int) -> tuple[Array, Ints]:
         """Its crossings (N, 2) and types (N,) as seen from axes that are turned back."""
         return self.xy @ rotation(turn_rad).T, turned_type(self.types, quarters)
 
     def at(self, xy: Array) -> NDArray[np.uint16]:
-        """(...,) the types of the crossings within reach of points (..., 2), as bits."""
-        cell = np.floor(xy * (1.0 / CELL_M)).astype(np.int64) - self.low
+        """(...,) the types of the crossings within reach of points (..., 2), as bits, and SHOWN."""
+        cell = np.floor(xy * (1.0 / CELL_M)).astype(np.int32) - self.low
         height, width = self.bits.shape
         column, row = cell[..., 0], cell[..., 1]
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        bits = self.bits.reshape(-1)[np.where(inside, row * width + column, 0)]
-        return np.asarray(np.where(inside, bits, np.uint16(0)))
+        return np.asarray(self.bits.reshape(-1)[np.where(inside, row * width + column, 0)] * inside)
 
-    def shows(self, xy: Array) -> Bools:
-        """(...,) whether a place (..., 2) lies among the crossings, so that one there would be seen."""
-        return np.asarray(np.all(xy @ self.normals.T <= self.offsets, axis=-1))
+
+def _rare_first(types: Ints) -> Ints:
+    count = np.bincount(types, minlength=CROSSING_TYPES)
+    return np.asarray(np.argsort(count[types], kind="stable"))
 
 
 def _crowd(xy: Array) -> Array:
@@ -97,21 +98,11 @@ def _crowd(xy: Array) -> Array:
     return np.asarray(around[row, column], np.float64)
 
 
-def _hull(xy: Array) -> tuple[Array, Array]:
-    corners = cv2.convexHull(xy.astype(np.float32))[:, 0].astype(np.float64)
-    edge = np.roll(corners, -1, axis=0) - corners
-    normals = np.column_stack([edge[:, 1], -edge[:, 0]])
-    inside = xy.mean(axis=0)
-    normals *= np.where(np.sum(normals * (inside - corners), axis=1) > 0.0, -1.0, 1.0)[:, None]
-    return normals, np.sum(normals * corners, axis=1)
-
-
 def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, far_m: float) -> Array:
     """(K, 2) shifts from crossings of now to those before that at least three of one type share, most votes first."""
     xy, types = now.turned(turn_rad, quarters)
-    which = _rare_first(types)[:_MOST_VOTERS]
-    i, j = np.nonzero(types[which, None] == before.types[None])
-    off, worth = before.xy[j] - xy[which[i]], np.minimum(now.worth[which[i]], before.worth[j])
+    i, j = np.nonzero(types[:, None] == before.types[None])
+    off, worth = before.xy[j] - xy[i], np.minimum(now.worth[i], before.worth[j])
     near = np.max(np.abs(off), axis=1) < far_m
     off, worth = off[near], worth[near]
     half = int(far_m / BIN_M) + 2
@@ -134,11 +125,6 @@ def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, f
     return np.asarray(shifts, np.float64)
 
 
-def _rare_first(types: Ints) -> Ints:
-    count = np.bincount(types, minlength=CROSSING_TYPES)
-    return np.asarray(np.argsort(count[types], kind="stable"))
-
-
 @dataclass(frozen=True, slots=True)
 class Matched:
     """What displacements (K, 3) explain.
@@ -155,14 +141,13 @@ class Matched:
     @staticmethod
     def of(before: Sight, now: Sight, shifts: Array, turn_rad: float, quarters: int) -> Matched:
         xy, types = now.turned(turn_rad, quarters)
-        there = xy + shifts[:, None]
-        bits = before.at(there)
-        same = (bits >> types.astype(np.uint16)) & np.uint16(1) > 0
-        back = (before.xy - shifts[:, None]) @ rotation(turn_rad)
-        lost = now.shows(back) & (now.at(back) == 0)
+        there = before.at(xy + shifts[:, None])
+        back = now.at((before.xy - shifts[:, None]) @ rotation(turn_rad))
+        same = (there >> types.astype(np.uint16)) & np.uint16(1) > 0
+        other = (there & np.uint16(SHOWN - 1) > 0) & ~same
+        gone, lost = there == SHOWN, back == SHOWN
         one = np.eye(CROSSING_TYPES)[types] * now.worth[:, None]
-        other = np.eye(CROSSING_TYPES)[before.types] * before.worth[:, None]
-        gone = before.shows(there) & (bits == 0)
-        counts = np.stack([same @ one, ((bits > 0) & ~same) @ one, gone @ one, lost @ other], axis=1)
+        then = np.eye(CROSSING_TYPES)[before.types] * before.worth[:, None]
+        counts = np.stack([same @ one, other @ one, gone @ one, lost @ then], axis=1)
         at = np.column_stack([shifts, np.full(len(shifts), turn_rad)])
         return Matched(at, counts)

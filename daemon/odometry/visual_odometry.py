@@ -15,7 +15,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.daemon.odometry.alternatives import Prior, find_candidates
+from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import LastTwist, coast
 from ceilvo.daemon.odometry.course import Course, contradicted, off_course
 from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
@@ -27,8 +27,6 @@ _MAX_FAILED_FRAMES = 8
 """Frames in a row that fit no reference before the newest becomes it; chosen: 0.27 s at 30 Hz."""
 _REACH_SIGMAS = 4.0
 """How many standard deviations off its prediction the robot may be; a normal error is beyond once in 3000 gaps."""
-_NARROW_RAD = 0.25 * np.pi
-"""A turn that is predicted better than this is known from lines, which show it but for quarter turns."""
 _REFINE_M = 0.05
 """Match radius around a displacement that many crossings voted for; chosen: several bins of the votes."""
 _FALSE_RATE = 1e-4
@@ -188,24 +186,23 @@ class VisualOdometry:
         turn = direction_change(ref.psi_rad, crossings.psi_rad, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config)
-        narrow = course.reach_rad(_REACH_SIGMAS) < _NARROW_RAD
-        narrow &= course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
+        prior = Prior(course.guess, course.cov, min(_CARRIED_PS * course.elapsed_s, 1.0))
+        narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
         if narrow and near is not None and self._is_usual(near):
             return self._judged(_Found(near), course)
-        return self._among(ref, crossings, course, turn, near, why)
+        known = None if near is None else near.fit.b_from_a
+        found = find_candidates(ref, crossings, turn, prior, known)
+        return self._judged(self._chosen(ref, crossings, found, near, why), course)
 
     def _is_usual(self, near: Registration) -> bool:
         """Whether no more crossings disagree than chance and passing things explain."""
         usual = self.state.disagreeing * near.expected
         return near.expected - near.agreeing <= usual + _UNUSUAL_SIGMAS * math.sqrt(usual + 1.0)
 
-    def _among(
-        self, ref: Crossings, crossings: Crossings, course: Course, turn: float, near: Registration | None, why: str
+    def _chosen(
+        self, ref: Crossings, crossings: Crossings, found: Candidates, near: Registration | None, why: str
     ) -> _Found:
         """The likeliest of all displacements that fit, with the others that may be right."""
-        chance = min(_CARRIED_PS * course.elapsed_s, 1.0)
-        known = None if near is None else near.fit.b_from_a
-        found = find_candidates(ref, crossings, turn, Prior(course.guess, course.cov, chance), known)
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
         if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
             why = why or (near is not None and contradicted(near, self._config)) or "nothing fits the last good view"
@@ -217,7 +214,7 @@ class VisualOdometry:
         doubt = found.doubt()
         others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
         ratio = found.log_ratio[others] - found.log_ratio[0]
-        return self._judged(_Found(place, "", found.ref_from_curr[others], ratio, doubt), course)
+        return _Found(place, "", found.ref_from_curr[others], ratio, doubt)
 
     def _judged(self, found: _Found, course: Course) -> _Found:
         """The same, refused where the view contradicts it or no robot makes it."""

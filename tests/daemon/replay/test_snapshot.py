@@ -20,7 +20,6 @@ from ceilvo.calibration_file import parse_calibration
 from ceilvo.config import Config, Features, Filter
 from ceilvo.daemon import cli
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.recording import versions
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, read_value, restore, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json
 from ceilvo.drivers.recording.mcap_reader import open_recording
