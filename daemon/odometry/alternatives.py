@@ -50,6 +50,10 @@ _TINY = 1e-300
 """In place of a probability of zero, whose logarithm there is not."""
 _HOPELESS = 18.0
 """Candidates whose weight is less by so much are left out: 1e-8, far below any rate of error."""
+_MOST_CANDIDATES = 64
+"""Looked at for each quarter turn; chosen for time: more than there are office tiles in a view."""
+_VOTES_WORTH = 2.0
+"""Of the logarithm of a candidate's votes against that of its prior share, in the choice of those; chosen."""
 _CLEAR = 3.0
 """Log-likelihood ratio from which a heading that the prediction knows is not looked for among the quarter turns;
 chosen: a wrong quarter turn would have to fit even better to matter."""
@@ -133,11 +137,14 @@ def find_candidates(
     for quarter in range(4):
         turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
         quarters = quarter_turns(curr.psi_rad + turn, ref.psi_rad)
-        shifts = shifts_by_votes(before, now, turn, quarters, far_m)
+        at, votes = shifts_by_votes(before, now, turn, quarters, far_m)
+        at = np.column_stack([at, np.full(len(at), turn)])
+        promising = np.log(_prior_share(at, prior, far_m)) + _VOTES_WORTH * np.log(votes)
+        at = at[np.argsort(-promising, kind="stable")[:_MOST_CANDIDATES]]
         if known is not None and quarter == 0:
-            shifts = np.concatenate([known[None, :2], shifts])
-        if len(shifts):
-            found.append(Matched.of(before, now, shifts, turn, quarters))
+            at = np.concatenate([[[known[0], known[1], turn]], at])
+        if len(at):
+            found.append(Matched.of(before, now, at, quarters))
         if quarter == 0 and prior.knows_quarter:
             straight = _weighed(found, far_m, prior)
             if len(straight) and straight.log_ratio[0] > _CLEAR:

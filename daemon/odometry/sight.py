@@ -12,9 +12,9 @@ from ceilvo.crossing_types import CROSSING_TYPES, turned_type
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints
 
-CELL_M = 0.01
+CELL_M = 0.02
 """Side of a cell of the pictures that crossings are looked up in; chosen: residuals are 1 mm, at worst 10 mm."""
-_REACH_CELLS = 4
+_REACH_CELLS = 2
 """Crossings of one type that lie so many cells apart are one: 0.04 to 0.05 m. With half of it a fisheye's views a fifth
 of a second apart shared 55 % of their crossings, so 69 %; more changes little; chosen."""
 BIN_M = 0.02
@@ -30,8 +30,6 @@ _CROWD_M = 0.1
 chosen: less than the smallest tile."""
 _MOST_SPEAKERS = 128
 """Crossings of a view that vote and are looked for in the other one; chosen for time, which grows with their number."""
-_MOST_CANDIDATES = 128
-"""Kept, those with most votes; chosen: about the whole tiles of 0.3 m in a view of 3 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +96,8 @@ def _crowd(xy: Array) -> Array:
     return np.asarray(around[row, column], np.float64)
 
 
-def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, far_m: float) -> Array:
-    """(K, 2) shifts from crossings of now to those before that at least three of one type share, most votes first."""
+def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, far_m: float) -> tuple[Array, Array]:
+    """(K, 2) shifts from crossings of now to those before that at least three of one type share; (K,) their votes."""
     xy, types = now.turned(turn_rad, quarters)
     i, j = np.nonzero(types[:, None] == before.types[None])
     off, worth = before.xy[j] - xy[i], np.minimum(now.worth[i], before.worth[j])
@@ -119,10 +117,8 @@ def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, f
     # in the middle of its votes a peak is higher, and of equal neighbours the last is
     height = votes + 0.1 * single + np.linspace(0.0, 1e-3, size * size).reshape(size, size)
     row, column = np.nonzero((number > _FEWEST - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
-    order = np.argsort(-votes[row, column], kind="stable")[:_MOST_CANDIDATES]
-    row, column = row[order], column[order]
     shifts = np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
-    return np.asarray(shifts, np.float64)
+    return np.asarray(shifts, np.float64), votes[row, column]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +135,9 @@ class Matched:
     counts: Array
 
     @staticmethod
-    def of(before: Sight, now: Sight, shifts: Array, turn_rad: float, quarters: int) -> Matched:
+    def of(before: Sight, now: Sight, at: Array, quarters: int) -> Matched:
+        """at: (K, 3) of one rotation."""
+        shifts, turn_rad = at[:, :2], float(at[0, 2])
         xy, types = now.turned(turn_rad, quarters)
         there = before.at(xy + shifts[:, None])
         back = now.at((before.xy - shifts[:, None]) @ rotation(turn_rad))
@@ -149,5 +147,4 @@ class Matched:
         one = np.eye(CROSSING_TYPES)[types] * now.worth[:, None]
         then = np.eye(CROSSING_TYPES)[before.types] * before.worth[:, None]
         counts = np.stack([same @ one, other @ one, gone @ one, lost @ then], axis=1)
-        at = np.column_stack([shifts, np.full(len(shifts), turn_rad)])
         return Matched(at, counts)
