@@ -27,9 +27,9 @@ _NEAR_M = 0.03
 class Flaws:
     """Shares of lines and crossings that are not seen, of edges that are taken for another kind, and noise."""
 
-    lines: float = 0.02
-    crossings: float = 0.02
-    kinds: float = 0.05
+    lines: float = 0.01
+    crossings: float = 0.01
+    kinds: float = 0.03
     noise_m: float = 3e-4
     noise_rad: float = 2e-4
 
