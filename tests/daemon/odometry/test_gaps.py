@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from crossing_camera import CrossingCamera, Wander, driven
+from crossing_camera import CrossingCamera
 
 from ceilvo import se2
 from ceilvo.config import Odometry
@@ -15,6 +15,7 @@ from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, Track
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec
+from ceilvo.sim.wander import Wander, driven
 from ceilvo.types import Motion, WheelMotion
 
 RATE_HZ = 15.0
