@@ -7,7 +7,7 @@ FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
 .PHONY: soak bench-faults bench-place bench-latency kill-test fuzz
-.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-calib
+.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib
 .DEFAULT_GOAL := help
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
 	@echo "make bench-filter      time of a filter's step, as ratios"
 	@echo "make bench-find-place time, memory and answers of the place index on halls of 150 m"
+	@echo "make bench-gaps        what odometry claims after gaps against the truth: SEED=901"
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
 	@echo "make soak              the daemon with faults for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
@@ -59,6 +60,9 @@ bench-mrclam: $(VENV)/.installed-bench
 
 bench-filter: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.speed.filter_step
+
+bench-gaps: $(VENV)/.installed-bench
+	$(BIN)/python -m ceilvo.bench.gaps --seed $(or $(SEED),901)
 
 bench-find-place: $(VENV)/.installed-bench
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.speed.find_place

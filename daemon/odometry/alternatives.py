@@ -11,39 +11,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, quarter_turns, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, quarter_turns
 from ceilvo.daemon.odometry.registration import MIN_AGREEING, view_size_m
-from ceilvo.se2 import rotation, wrap, wrap_array
+from ceilvo.daemon.odometry.sight import BIN_M, CELL_M, Matched, Sight, shifts_by_votes
+from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Crossings, Ints
 
-Bools = NDArray[np.bool_]
-
-CELL_M = 0.01
-"""Side of a cell of the pictures that crossings are looked up in; chosen: residuals are 1 mm, at worst 10 mm."""
-_REACH_CELLS = 2
-"""Crossings of one type that lie so many cells apart are one: 0.02 to 0.03 m, half of a joint's or a lamp's edges."""
-_BIN_M = 0.02
-"""Differences are counted in bins of this side, three by three together; chosen: above the largest residual."""
-_NEIGHBOURS = np.ones((5, 5), np.uint8)
-"""Bins around one that must not have more votes."""
-_SAME_M, _SAME_RAD = 3.0 * _BIN_M, 0.1
+_SAME_M, _SAME_RAD = 3.0 * BIN_M, 0.1
 """Displacements that differ by less are one: the bins that were counted together."""
-_FEWEST = 3
-"""Crossings that make a candidate; fewer meet by chance."""
-_MOST_VOTERS = 160
-"""Crossings of a view that vote, those of rare types first; chosen for time, which grows with this number."""
-_MOST_CANDIDATES = 192
-"""Kept, those with most votes; chosen: more than whole tiles of 0.3 m in a view of 3 m."""
 _MISSED = np.array([0.01, 0.05, 0.15, 0.35, 0.6])
 """Fractions of the crossings that both views must show but only one does."""
 _MISSED_CHANCE = np.array([0.4, 0.3, 0.17, 0.1, 0.03])
 """How likely each is; chosen: laps had 0.03 in most conditions, 0.15 at worst (make bench-vision)."""
-_INDEPENDENCE = 0.5
-"""Worth of a crossing among those of a view, which share lines; chosen, docs/method.md has the error rates found."""
 _ALIKE = 0.5
 """A candidate that explains this fraction of the crossings shows what tiles explain by chance, ..."""
 _SMALLEST_TILE_M = 0.28
@@ -69,6 +50,15 @@ _TINY = 1e-300
 """In place of a probability of zero, whose logarithm there is not."""
 _HOPELESS = 18.0
 """Candidates whose weight is less by so much are left out: 1e-8, far below any rate of error."""
+_MOST_CANDIDATES = 64
+"""Looked at for each quarter turn; chosen for time: more than there are office tiles in a view."""
+_VOTES_WORTH = 2.0
+"""Of the logarithm of a candidate's votes against that of its prior share, in the choice of those; chosen."""
+_CLEAR = 3.0
+"""Log-likelihood ratio from which a heading that the prediction knows is not looked for among the quarter turns;
+chosen: a wrong quarter turn would have to fit even better to matter."""
+_QUARTER_SIGMAS = 4.0
+"""By which the prediction must be off to be in another quarter: once in 16,000."""
 _QUARTER_RAD = 0.5 * np.pi
 
 
@@ -85,6 +75,11 @@ class Prior:
     mean: Array
     cov: Array
     carried: float
+
+    @property
+    def knows_quarter(self) -> bool:
+        """Whether the heading is known to well within a quarter turn."""
+        return _QUARTER_SIGMAS**2 * float(self.cov[2, 2]) < (0.5 * _QUARTER_RAD) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,138 +132,27 @@ def find_candidates(
         known: (3,) a displacement that was found otherwise, by the same turn.
     """
     far_m = _FAR * view_size_m(ref)
-    before, now = _Sight.of(ref), _Sight.of(curr)
-    found = []
+    before, now = Sight.of(ref), Sight.of(curr)
+    found: list[Matched] = []
     for quarter in range(4):
         turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
         quarters = quarter_turns(curr.psi_rad + turn, ref.psi_rad)
-        shifts = _votes(before, now.turned(turn, quarters), far_m)
+        at, votes = shifts_by_votes(before, now, turn, quarters, far_m)
+        at = np.column_stack([at, np.full(len(at), turn)])
+        promising = np.log(_prior_share(at, prior, far_m)) + _VOTES_WORTH * np.log(votes)
+        at = at[np.argsort(-promising, kind="stable")[:_MOST_CANDIDATES]]
         if known is not None and quarter == 0:
-            shifts = np.concatenate([known[None, :2], shifts])
-        if len(shifts):
-            found.append(_Matched.of(before, now, shifts, turn, quarters))
+            at = np.concatenate([[[known[0], known[1], turn]], at])
+        if len(at):
+            found.append(Matched.of(before, now, at, quarters))
+        if quarter == 0 and prior.knows_quarter:
+            straight = _weighed(found, far_m, prior)
+            if len(straight) and straight.log_ratio[0] > _CLEAR:
+                return straight
     return _weighed(found, far_m, prior)
 
 
-@dataclass(frozen=True, slots=True)
-class _Sight:
-    """Crossings with what is needed to look them up.
-
-    Attributes:
-        xy, types: (N, 2) m, and (N,).
-        low: (2,) cell of the picture's corner; bits: which types are within reach of each cell.
-        normals, offsets: (V, 2), (V,) the convex hull: inside, normals . xy <= offsets.
-    """
-
-    xy: Array
-    types: Ints
-    low: Ints
-    bits: NDArray[np.uint16]
-    normals: Array
-    offsets: Array
-
-    @staticmethod
-    def of(crossings: Crossings) -> _Sight:
-        xy, types = crossings.xy_base_m, crossings.crossing_type
-        pad = _REACH_CELLS + 1
-        cell = np.floor(xy / CELL_M).astype(np.int64)
-        low = cell.min(axis=0) - pad
-        width, height = (cell.max(axis=0) - low + pad + 1).tolist()
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _REACH_CELLS + 1, 2 * _REACH_CELLS + 1))
-        bits = np.zeros((height, width), np.uint16)
-        column, row = (cell - low).T
-        for t in np.unique(types).tolist():
-            picture = np.zeros((height, width), np.uint16)
-            of = types == t
-            picture[row[of], column[of]] = 1 << t
-            bits |= np.asarray(cv2.dilate(picture, disc), np.uint16)
-        return _Sight(xy, types, low, bits, *_hull(xy))
-
-    def turned(self, turn_rad: float, quarters: int) -> tuple[Array, Ints]:
-        """Its crossings (N, 2) and types (N,) seen from axes that are turned back."""
-        return self.xy @ rotation(turn_rad).T, turned_type(self.types, quarters)
-
-    def at(self, xy: Array) -> NDArray[np.uint16]:
-        """(...,) the types of the crossings within reach of points (..., 2), as bits."""
-        cell = np.floor(xy * (1.0 / CELL_M)).astype(np.int64) - self.low
-        height, width = self.bits.shape
-        column, row = cell[..., 0], cell[..., 1]
-        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        bits = self.bits.reshape(-1)[np.where(inside, row * width + column, 0)]
-        return np.asarray(np.where(inside, bits, np.uint16(0)))
-
-    def shows(self, xy: Array) -> Bools:
-        """(...,) whether a place (..., 2) lies among the crossings, so that one there would be seen."""
-        return np.asarray(np.all(xy @ self.normals.T <= self.offsets, axis=-1))
-
-
-def _hull(xy: Array) -> tuple[Array, Array]:
-    corners = cv2.convexHull(xy.astype(np.float32))[:, 0].astype(np.float64)
-    edge = np.roll(corners, -1, axis=0) - corners
-    normals = np.column_stack([edge[:, 1], -edge[:, 0]])
-    inside = xy.mean(axis=0)
-    normals *= np.where(np.sum(normals * (inside - corners), axis=1) > 0.0, -1.0, 1.0)[:, None]
-    return normals, np.sum(normals * corners, axis=1)
-
-
-def _votes(before: _Sight, now: tuple[Array, Ints], far_m: float) -> Array:
-    """(K, 2) shifts from points of now to those before that at least three of one type share, most votes first."""
-    xy, types = now
-    ref, ref_types = before.xy, before.types
-    which = _rare_first(types)[:_MOST_VOTERS]
-    i, j = np.nonzero(types[which, None] == ref_types[None])
-    off = ref[j] - xy[which[i]]
-    off = off[np.max(np.abs(off), axis=1) < far_m]
-    half = int(far_m / _BIN_M) + 2
-    size = 2 * half + 1
-    cell = np.floor(off * (1.0 / _BIN_M)).astype(np.int64) + half
-    flat = cell[:, 1] * size + cell[:, 0]
-    weights = (np.ones(len(off)), off[:, 0], off[:, 1])
-    sums = [np.bincount(flat, w, size * size).astype(np.float64).reshape(size, size) for w in weights]
-    single = sums[0]
-    votes, sum_x, sum_y = (cv2.boxFilter(s, -1, (3, 3), normalize=False, borderType=0) for s in sums)
-    # in the middle of its votes a peak is higher, and of equal neighbours the last is
-    height = votes + 0.1 * single + np.linspace(0.0, 0.01, size * size).reshape(size, size)
-    row, column = np.nonzero((votes > _FEWEST - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
-    order = np.argsort(-votes[row, column], kind="stable")[:_MOST_CANDIDATES]
-    row, column = row[order], column[order]
-    middle = np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
-    return np.asarray(middle, np.float64)
-
-
-def _rare_first(types: Ints) -> Ints:
-    count = np.bincount(types, minlength=CROSSING_TYPES)
-    return np.asarray(np.argsort(count[types], kind="stable"))
-
-
-@dataclass(frozen=True, slots=True)
-class _Matched:
-    """What displacements (K, 3) explain.
-
-    Attributes:
-        counts: (K, 4, 9) by type: crossings of now where there was one of the same type, only one of another type, or
-            none though it would have been seen; and crossings before where now there is none though it would be seen.
-    """
-
-    at: Array
-    counts: Array
-
-    @staticmethod
-    def of(before: _Sight, now: _Sight, shifts: Array, turn_rad: float, quarters: int) -> _Matched:
-        xy, types = now.turned(turn_rad, quarters)
-        there = xy + shifts[:, None]
-        bits = before.at(there)
-        same = (bits >> types.astype(np.uint16)) & np.uint16(1) > 0
-        back = (before.xy - shifts[:, None]) @ rotation(turn_rad)
-        lost = now.shows(back) & (now.at(back) == 0)
-        one, other = np.eye(CROSSING_TYPES)[types], np.eye(CROSSING_TYPES)[before.types]
-        gone = before.shows(there) & (bits == 0)
-        counts = np.stack([same @ one, ((bits > 0) & ~same) @ one, gone @ one, lost @ other], axis=1)
-        at = np.column_stack([shifts, np.full(len(shifts), turn_rad)])
-        return _Matched(at, counts)
-
-
-def _weighed(found: list[_Matched], far_m: float, prior: Prior) -> Candidates:
+def _weighed(found: list[Matched], far_m: float, prior: Prior) -> Candidates:
     beyond = math.log(_far_share(prior, far_m) + _TINY), math.log(prior.carried + _TINY)
     if not found:
         return Candidates(np.zeros((0, 3)), np.zeros(0), np.zeros(0), *beyond)
@@ -288,14 +172,14 @@ def _apart(at: Array, order: Ints) -> Ints:
 
 
 def _log_ratio(at: Array, counts: Array) -> Array:
-    """(K,) of _Matched, against a wrong place; the other candidates show what chance explains there."""
+    """(K,) of Matched, against a wrong place; the other candidates show what chance explains there."""
     chance = _chance(at, counts)[:, None]  # (K, 1, 4, 9)
     missed = np.repeat(_MISSED[:, None], CROSSING_TYPES, axis=1)
     other = np.minimum(_OTHER + _MISTAKEN * missed, 0.5)
     right = np.stack([(1.0 - missed) * (1.0 - other), (1.0 - missed) * other, missed, missed], axis=1)
     gain = np.log(right / chance)
-    gain[:, :, 2:] = np.minimum(gain[:, :, 2:], 0.0)  # what is missing proves no place
-    score = _INDEPENDENCE * np.einsum("kct,kqct->kq", counts, gain) + np.log(_MISSED_CHANCE)
+    gain[:, :, 1:] = np.minimum(gain[:, :, 1:], 0.0)  # what is missing or mistaken proves no place
+    score = np.einsum("kct,kqct->kq", counts, gain) + np.log(_MISSED_CHANCE)
     top = np.max(score, axis=1)
     ratio = top + np.log(np.sum(np.exp(score - top[:, None]), axis=1))
     return np.asarray(np.where(_agreeing(counts) < MIN_AGREEING, -np.inf, ratio))
@@ -304,24 +188,28 @@ def _log_ratio(at: Array, counts: Array) -> Array:
 def _agreeing(counts: Array) -> Array:
     """(K,) fraction of the crossings that both views must show which both do."""
     met, all_of_them = np.sum(counts[:, :2], axis=(1, 2)), np.sum(counts, axis=(1, 2))
-    return np.asarray(met / np.maximum(all_of_them, 1.0))
+    return np.asarray(met / np.maximum(all_of_them, _TINY))
 
 
 def _chance(at: Array, counts: Array) -> Array:
     """(K, 4, 9) the same as fractions, at the other candidates: where tiles meet, or anywhere if they do not."""
     met = np.sum(counts[:, :2], axis=(1, 2))
     alike = (_agreeing(counts) >= _ALIKE) & (met >= _ALIKE_MET * np.max(met))
-    elsewhere = np.max(np.abs(at[:, None] - at[None]), axis=2) > _SMALLEST_TILE_M
-    others = alike[None, :] & elsewhere
-    others[~np.any(others, axis=1)] = True
-    others &= elsewhere
-    found = np.tensordot(others.astype(np.float64), counts, axes=1)
+    found = _at_others(at, at[alike], counts[alike])
+    alone = np.sum(found, axis=(1, 2)) < _TINY
+    found[alone] = _at_others(at[alone], at, counts)
     now = np.sum(found[:, :3], axis=1, keepdims=True)
     before = found[:, 3:] + np.sum(found[:, :2], axis=1, keepdims=True)  # what is there now was there before
     tried = np.concatenate([np.repeat(now, 3, axis=1), before], axis=1)
     chance = np.maximum((found + _UNSEEN[:, None] * _UNSEEN_WEIGHT) / (tried + _UNSEEN_WEIGHT), _LEAST_CHANCE)
     chance[:, 0] = np.minimum(chance[:, 0], 1.0 - _OTHER)  # no place explains more than the right one
     return np.asarray(chance)
+
+
+def _at_others(at: Array, others: Array, counts: Array) -> Array:
+    """(K, 4, 9) sums of the counts of the other candidates (J, 3), for each of (K, 3)."""
+    here = np.all(np.abs(at[:, None] - others[None]) <= _SMALLEST_TILE_M, axis=2)
+    return np.asarray(np.tensordot((~here).astype(np.float64), counts, axes=1))
 
 
 def _prior_share(at: Array, prior: Prior, far_m: float) -> Array:

@@ -45,9 +45,6 @@ class Course:
         """How far off its prediction the robot can be."""
         return sigmas * math.sqrt(max(float(np.linalg.eigvalsh(self.cov[:2, :2])[-1]), 0.0))
 
-    def reach_rad(self, sigmas: float) -> float:
-        return sigmas * math.sqrt(max(float(self.cov[2, 2]), 0.0))
-
 
 def contradicted(found: Registration, config: Odometry) -> str:
     """Why the view itself does not bear out the motion, "" when it does."""

@@ -86,9 +86,9 @@ class DeadReckoning:
         s.odom = Pose(se2.compose(s.odom, motion.prev_from_curr))
         gap = NO_MOTION if s.gap is None else s.gap
         moved = Displacement(se2.compose(gap.prev_from_curr, motion.prev_from_curr))
-        before, step = gap.prev_from_curr, motion.prev_from_curr
-        blind_cov = se2.compose_cov(before, gap.cov, step, motion.prior_cov)
-        cov = motion.cov if motion.ok else se2.compose_cov(before, gap.cov, step, motion.cov)
+        # a good motion corrects the gap's: it is no lever for the error of the heading that was predicted
+        before, step = gap.prev_from_curr, np.zeros(3) if motion.ok else motion.prev_from_curr
+        blind_cov, failed_cov = (se2.compose_cov(before, gap.cov, step, c) for c in (motion.prior_cov, motion.cov))
         by_wheels = gap.by_wheels and motion.by_wheels
         moved_m = float(np.hypot(*motion.prev_from_curr[:2]))
         s.blind_m += moved_m
@@ -98,7 +98,7 @@ class DeadReckoning:
         whole = replace(
             motion,
             prev_from_curr=moved,
-            cov=cov,
+            cov=motion.cov if motion.ok else failed_cov,
             prior_cov=blind_cov,
             by_wheels=by_wheels,
             alternatives=se2.compose(gap.prev_from_curr, motion.alternatives) if motion.doubt else motion.alternatives,

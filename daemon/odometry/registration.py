@@ -32,6 +32,8 @@ class Registration:
         turn_rad: ref_from_curr rotation by the lines.
         shown: crossings of the view that has fewer.
         expected: how many of them both views must show, by their overlap.
+        special, special_expected: those that move alike, and those that both must show, of all types but the commonest:
+            whole tiles off, only they disagree.
     """
 
     fit: RigidFit
@@ -40,6 +42,8 @@ class Registration:
     turn_rad: float
     shown: int
     expected: float
+    special: int
+    special_expected: float
 
     @property
     def agreeing(self) -> int:
@@ -72,8 +76,12 @@ def register(
         )
     if fit is None:
         return None, "too few consistent correspondences"
-    shown = min(len(crossings), len(ref))
-    return Registration(fit, seen, before, turn, shown, shown * _overlap(fit, ref)), ""
+    shown, overlap = min(len(crossings), len(ref)), _overlap(fit, ref)
+    common = int(np.argmax(np.bincount(ref.crossing_type)))
+    here, then = kinds != common, ref.crossing_type != common
+    special = int(np.count_nonzero(here[i[fit.used]]))
+    special_shown = min(np.count_nonzero(here), np.count_nonzero(then))
+    return Registration(fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap), ""
 
 
 def direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:

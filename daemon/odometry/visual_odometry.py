@@ -15,7 +15,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.daemon.odometry.alternatives import Prior, find_candidates
+from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import LastTwist, coast
 from ceilvo.daemon.odometry.course import Course, contradicted, off_course
 from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
@@ -27,8 +27,6 @@ _MAX_FAILED_FRAMES = 8
 """Frames in a row that fit no reference before the newest becomes it; chosen: 0.27 s at 30 Hz."""
 _REACH_SIGMAS = 4.0
 """How many standard deviations off its prediction the robot may be; a normal error is beyond once in 3000 gaps."""
-_NARROW_RAD = 0.25 * np.pi
-"""A turn that is predicted better than this is known from lines, which show it but for quarter turns."""
 _REFINE_M = 0.05
 """Match radius around a displacement that many crossings voted for; chosen: several bins of the votes."""
 _FALSE_RATE = 1e-4
@@ -36,15 +34,20 @@ _FALSE_RATE = 1e-4
 _CARRIED_PS = 1e-4
 """Chance per second that somebody moves the robot, or that wheels say something else altogether; chosen: thrice in an
 eight-hour shift. Alternatives beyond all prediction are weighed with it."""
+_JUMPED = 0.5
+"""The same after views that did not fit the reference as a robot moves: as likely as that they were damaged; chosen."""
 _UNUSUAL_SIGMAS = 3.0
 """Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
 are looked at; chosen: half a per cent of a lap's frames cost the look."""
+_SPECIAL_SIGMAS, _HALF = 2.0, 0.5
+"""The same of crossings that are no joints of tiles, and their part at least: whole tiles off none of them agrees, but
+there are few; chosen."""
 _USUAL_FRAMES = 45.0
 """Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
 _MOST_USUAL = 0.4
 """Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
-_MOVED_RAD = 0.25 * np.pi
-"""Standard deviation of the heading of a robot that was put somewhere else; chosen: any of the quarters."""
+_MOVED_RAD = np.pi / math.sqrt(3.0)
+"""Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
 _NEW_ERROR = 0.6
 """Part of a direction's or tilt's error that is new in a frame; the rest is the same lines' in the next and cancels.
 Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
@@ -69,6 +72,7 @@ class VisualOdometryState:
         by_wheels: wheels have covered all since the reference.
         refused: (3,) ref_from_prev of the previous frame, when that was a motion that no robot makes; else None.
         disagreeing: usual fraction of the crossings that both frames must show but do not agree.
+        special_disagreeing: the same of those of all types but the commonest.
     """
 
     reference: Crossings | None = None
@@ -84,6 +88,7 @@ class VisualOdometryState:
     by_wheels: bool = True
     refused: Array | None = None
     disagreeing: float = 0.1
+    special_disagreeing: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,24 +193,27 @@ class VisualOdometry:
         turn = direction_change(ref.psi_rad, crossings.psi_rad, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config)
-        narrow = course.reach_rad(_REACH_SIGMAS) < _NARROW_RAD
-        narrow &= course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
-        if narrow and near is not None and self._is_usual(near):
+        carried = _JUMPED if self.state.failed_frames else min(_CARRIED_PS * course.elapsed_s, _JUMPED)
+        prior = Prior(course.guess, course.cov, carried)
+        narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
+        if narrow and carried < _JUMPED and near is not None and self._is_usual(near):
             return self._judged(_Found(near), course)
-        return self._among(ref, crossings, course, turn, near, why)
+        known = None if near is None else near.fit.b_from_a
+        found = find_candidates(ref, crossings, turn, prior, known)
+        return self._judged(self._chosen(ref, crossings, found, near, why), course)
 
     def _is_usual(self, near: Registration) -> bool:
         """Whether no more crossings disagree than chance and passing things explain."""
-        usual = self.state.disagreeing * near.expected
-        return near.expected - near.agreeing <= usual + _UNUSUAL_SIGMAS * math.sqrt(usual + 1.0)
+        usual, special = self.state.disagreeing * near.expected, self.state.special_disagreeing * near.special_expected
+        if near.expected - near.agreeing > usual + _UNUSUAL_SIGMAS * math.sqrt(usual + 1.0):
+            return False
+        missing = near.special_expected - near.special
+        return missing <= max(special + _SPECIAL_SIGMAS * math.sqrt(special + 1.0), _HALF * near.special_expected)
 
-    def _among(
-        self, ref: Crossings, crossings: Crossings, course: Course, turn: float, near: Registration | None, why: str
+    def _chosen(
+        self, ref: Crossings, crossings: Crossings, found: Candidates, near: Registration | None, why: str
     ) -> _Found:
         """The likeliest of all displacements that fit, with the others that may be right."""
-        chance = min(_CARRIED_PS * course.elapsed_s, 1.0)
-        known = None if near is None else near.fit.b_from_a
-        found = find_candidates(ref, crossings, turn, Prior(course.guess, course.cov, chance), known)
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
         if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
             why = why or (near is not None and contradicted(near, self._config)) or "nothing fits the last good view"
@@ -215,9 +223,11 @@ class VisualOdometry:
         if place is None:
             return _Found(None, why)
         doubt = found.doubt()
+        if self.state.failed_frames and doubt > _HALF:
+            return _Found(None, "several displacements fit the last good view alike")
         others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
         ratio = found.log_ratio[others] - found.log_ratio[0]
-        return self._judged(_Found(place, "", found.ref_from_curr[others], ratio, doubt), course)
+        return _Found(place, "", found.ref_from_curr[others], ratio, doubt)
 
     def _judged(self, found: _Found, course: Course) -> _Found:
         """The same, refused where the view contradicts it or no robot makes it."""
@@ -238,9 +248,12 @@ class VisualOdometry:
         cov[:2, :2] += _NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else _NONE
         s.twist, s.twist_span_s = fit.b_from_a / course.elapsed_s, course.elapsed_s
+        if course.refused is not None:  # the way up to it was no motion of a robot
+            s.twist, s.twist_span_s = se2.between(course.refused, fit.b_from_a) / course.step_s, course.step_s
         s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
-        share = min(max(1.0 - place.agreeing / max(place.expected, 1.0), 0.0), _MOST_USUAL)
-        s.disagreeing += (share - s.disagreeing) / _USUAL_FRAMES
+        s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
+        special = _missing(place.special, place.special_expected)
+        s.special_disagreeing += (special - s.special_disagreeing) / _USUAL_FRAMES
         self._set_reference(crossings)
         return replace(
             predicted,
@@ -294,9 +307,14 @@ class VisualOdometry:
             return motion
         cov = motion.cov
         if not out_of_view:
-            away = 0.5 * view_size_m(s.reference)
+            away = view_size_m(s.reference)
             cov = cov + np.diag([away**2, away**2, _MOVED_RAD**2])
         self._set_reference(crossings)
         s.twist_known = False
         s.heading = HeadingState()
         return replace(motion, cov=cov, prior_cov=cov, restarted=True)
+
+
+def _missing(agreeing: int, expected: float) -> float:
+    """Fraction of the crossings that do not agree, as far as that may be usual."""
+    return min(max(1.0 - agreeing / max(expected, 1.0), 0.0), _MOST_USUAL)

@@ -5,9 +5,7 @@ It is a hundred times faster than rendering. What it misses and mistakes is what
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -27,9 +25,9 @@ _NEAR_M = 0.03
 class Flaws:
     """Shares of lines and crossings that are not seen, of edges that are taken for another kind, and noise."""
 
-    lines: float = 0.02
-    crossings: float = 0.02
-    kinds: float = 0.05
+    lines: float = 0.01
+    crossings: float = 0.01
+    kinds: float = 0.03
     noise_m: float = 3e-4
     noise_rad: float = 2e-4
 
@@ -87,63 +85,3 @@ def _mistaken(kind: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     edge = rng.choice([int(LineKind.FALLING), int(LineKind.RISING)], kind.shape)
     joint = int(LineKind.GROOVE)
     return np.where(kind == joint, np.where(rng.random(kind.shape) < 0.1, edge, kind), joint)
-
-
-@dataclass(frozen=True)
-class Wander:
-    """What a driver wants of a robot: to stand, to turn on the spot, to drive straight, to take a corner, at random.
-
-    A slow robot's fastest is 0.15 to 0.6 m/s, a fast one's 0.2 to 1.3 m/s.
-    """
-
-    seed: int
-    fast: bool = False
-    _LASTS_S = 60.0
-
-    @cached_property
-    def limits(self) -> tuple[float, float]:
-        """m/s^2 and rad/s^2."""
-        rng = np.random.default_rng([self.seed, 0xACC])
-        return (float(rng.uniform(0.8, 2.0)), 12.0) if self.fast else (float(rng.uniform(0.4, 1.5)), 4.0)
-
-    @cached_property
-    def plan(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) when a wish begins, and (N, 2) speed m/s and turn rate rad/s."""
-        rng, t, begin, wish = np.random.default_rng([self.seed, 0x901]), 0.0, [], []
-        top = rng.uniform(0.2, 1.3) if self.fast else rng.uniform(0.15, 0.6)
-        while t < self._LASTS_S:
-            lasts, what, v, r = (
-                rng.uniform(1.0, 4.0),
-                rng.integers(5),
-                top * rng.uniform(0.5, 1.0),
-                rng.uniform(0.4, 1.5),
-            )
-            side = rng.choice([-1.0, 1.0])
-            begin.append(t)
-            if what == 0:
-                wish.append((0.0, 0.0))
-            elif what == 1:
-                wish.append((0.0, side * rng.uniform(0.5, 1.5)))
-            elif what == 2:
-                wish.append((v, side * v / r))
-                lasts = min(lasts, 0.5 * np.pi * r / v)
-            else:
-                wish.append((v, 0.0))
-            t += lasts
-        return np.array(begin), np.array(wish)
-
-    def at(self, t_s: float) -> np.ndarray:
-        begin, wish = self.plan
-        return wish[np.searchsorted(begin, t_s, side="right") - 1]
-
-
-def driven(wander: Wander, start: np.ndarray, seconds: float, rate_hz: float) -> Iterator[np.ndarray]:
-    """Poses (3,) at the rate of a robot that does what is wanted as fast as it can."""
-    fine, twist, pose = 20, np.zeros(2), np.array(start, float)
-    dt = 1.0 / (rate_hz * fine)
-    most = np.array(wander.limits) * dt
-    for k in range(round(seconds * rate_hz)):
-        yield pose
-        for j in range(fine):
-            twist = twist + np.clip(wander.at((k + j / fine) / rate_hz) - twist, -most, most)
-            pose = se2.compose(pose, np.array([twist[0] * dt, 0.0, twist[1] * dt]))

@@ -6,13 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from crossing_camera import Wander, driven
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo import se2
-from ceilvo.config import Odometry
+from ceilvo.config import Odometry, States
 from ceilvo.daemon.odometry.coasting import LastTwist, coast
+from ceilvo.sim.wander import Wander, driven
 
 RATE_HZ = 10.0
 TWISTS = st.tuples(st.floats(-1.5, 1.5), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0))
@@ -75,3 +75,31 @@ def test_covariance_holds_over_drives_that_stop_and_turn_and_speed_up(fast: bool
         print(f"{'fast' if fast else 'slow'} {gap_s} s: NEES/3 mean {mean:.2f}, p99 {rare:.1f}, max {most:.1f}")
         assert 0.03 < mean < 1.0
         assert rare < 16.3 / 3.0  # chi squared with 3 degrees of freedom: 1 in 1000
+
+
+@pytest.mark.parametrize("fast", [False, True], ids=["slow", "fast"])
+def test_what_degraded_promises_holds_while_it_is_promised(fast: bool) -> None:
+    """As long as three sigma are within the bounds of DEGRADED, so is the robot."""
+    states, rate_hz, kept, broken, longest_s = States(), 30.0, 0, 0, []
+    for seed in range(4):
+        poses = np.array(list(driven(Wander(70 + seed, fast), np.zeros(3), 40.0, rate_hz)))
+        for k in range(30, len(poses) - 60, 11):
+            twist = se2.between(poses[k - 1], poses[k]) * rate_hz
+            for ahead in range(1, 60):
+                guess, cov = coast(Odometry(), LastTwist(twist, 1.0 / rate_hz, 0.0), ahead / rate_hz)
+                far_m = 3.0 * float(np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]))
+                if (
+                    far_m > states.degraded_within_m
+                    or 3.0 * np.degrees(np.sqrt(cov[2, 2])) > states.degraded_within_deg
+                ):
+                    break
+                off = se2.between(guess, se2.between(poses[k], poses[k + ahead]))
+                good = np.hypot(off[0], off[1]) <= states.degraded_within_m
+                good &= abs(np.degrees(off[2])) <= states.degraded_within_deg
+                kept, broken = kept + good, broken + (not good)
+            longest_s.append((ahead - 1) / rate_hz)
+    print(
+        f"{'fast' if fast else 'slow'}: broken {broken} of {kept + broken}, promised for {np.median(longest_s):.2f} s"
+    )
+    assert broken <= 0.003 * (kept + broken)
+    assert np.median(longest_s) >= 0.06

@@ -159,13 +159,24 @@ def test_a_motion_that_a_fifth_of_the_crossings_share_is_a_failure() -> None:
     for p in poses:
         vo.step(seen_from(p), DT_S)
     view = seen_from(se2.compose(poses[-1], np.array([0.5 * DT_S, 0.0, 0.6 * DT_S])))
-    strayed = np.arange(len(view)) % 5 > 0
-    off = np.where(strayed[:, None], np.array([0.21, 0.33]), 0.0)
+    astray = np.random.default_rng(8).uniform(0.1, 0.4, (len(view), 2))
+    off = np.where((np.arange(len(view)) % 5 > 0)[:, None], astray, 0.0)
     motion = vo.step(replace(view, xy_base_m=view.xy_base_m + off, uv_px=view.uv_px + 186.0 * off), DT_S)
     assert motion.failure is not None and "crossings moved alike" in motion.failure
-    half = np.where((np.arange(len(view)) % 2 > 0)[:, None], np.array([0.21, 0.33]), 0.0)
+    half = np.where((np.arange(len(view)) % 2 > 0)[:, None], astray, 0.0)
     motion = vo.step(replace(view, xy_base_m=view.xy_base_m + half, uv_px=view.uv_px + 186.0 * half), 0.0)
     assert motion.ok
+
+
+def test_a_motion_that_most_crossings_share_but_no_robot_makes_is_a_failure() -> None:
+    """Four in five moved by 0.4 m in a thirtieth of a second, the others as predicted."""
+    vo, poses = VisualOdometry(Odometry()), circle(5)
+    for p in poses:
+        vo.step(seen_from(p), DT_S)
+    view = seen_from(se2.compose(poses[-1], np.array([0.5 * DT_S, 0.0, 0.6 * DT_S])))
+    off = np.where((np.arange(len(view)) % 5 > 0)[:, None], np.array([0.21, 0.33]), 0.0)
+    motion = vo.step(replace(view, xy_base_m=view.xy_base_m + off, uv_px=view.uv_px + 186.0 * off), DT_S)
+    assert motion.failure is not None and "jumped 0.39" in motion.failure
 
 
 def test_a_robot_that_is_already_moving_is_taken_as_it_is() -> None:

@@ -1,0 +1,149 @@
+"""Displacements between two views under simulated ceilings: which fit, which is right, and when that cannot be told."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from crossing_camera import CrossingCamera, Flaws
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo import se2
+from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
+from ceilvo.daemon.odometry.registration import direction_change
+from ceilvo.sim.ceiling.spec import CeilingSpec
+from ceilvo.types import Crossings
+
+SIDE_M = 40.0
+RATE = 1e-4
+TILE_M = 0.6
+LAMPS = CeilingSpec(room_m=SIDE_M, tile_m=TILE_M)
+BARE_GRID = CeilingSpec(room_m=SIDE_M, tile_m=TILE_M, lamp_every=(0, 0), vents=0)
+SPECS = {"lamps": LAMPS, "grid": BARE_GRID, "small tiles": CeilingSpec(room_m=SIDE_M, tile_m=0.3)}
+
+
+@cache
+def camera(name: str, seed: int = 1, flawless: bool = False) -> CrossingCamera:
+    return CrossingCamera.under(SPECS[name], seed, Flaws(0.0, 0.0, 0.0, 0.0, 0.0) if flawless else None)
+
+
+def somewhere(rng: np.random.Generator) -> np.ndarray:
+    return np.array([*rng.uniform(0.2 * SIDE_M, 0.8 * SIDE_M, 2), rng.uniform(-np.pi, np.pi)])
+
+
+def compared(ref: Crossings, curr: Crossings, mean: np.ndarray, sigma: np.ndarray, carried: float = 1e-4) -> Candidates:
+    turn = direction_change(ref.psi_rad, curr.psi_rad, float(mean[2]))
+    return find_candidates(ref, curr, turn, Prior(mean, np.diag(sigma**2), carried))
+
+
+def is_at(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """(K,) which displacements are the true one."""
+    off = found - true
+    return (np.hypot(off[:, 0], off[:, 1]) < 0.03) & (np.abs(se2.wrap_array(off[:, 2])) < 0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "tried", "first_least", "sure_least"),
+    [("lamps", 120, 0.9, 0.3), ("grid", 120, 0.3, 0.0), ("small tiles", 30, 0.9, 0.6)],
+)
+def test_the_true_displacement_is_among_them_and_one_that_is_sure_is_right(
+    name: str, tried: int, first_least: float, sure_least: float
+) -> None:
+    """The prior is as wrong as it says; a sure one may be wrong once in 1/RATE."""
+    rng, sure, first = np.random.default_rng(5), 0, 0
+    sigma = np.array([0.25, 0.25, 0.3])
+    for k in range(tried):
+        here = somewhere(rng)
+        true = rng.normal(size=3) * np.array([0.4, 0.2, 0.4])
+        views = camera(name, k % 3).sees(here, 2 * k), camera(name, k % 3).sees(se2.compose(here, true), 2 * k + 1)
+        found = compared(*views, true + rng.normal(size=3) * sigma, sigma)
+        right = is_at(found.ref_from_curr, true)
+        assert np.count_nonzero(right) == 1
+        first += bool(right[0])
+        if found.doubt() < RATE:
+            sure += 1
+            assert right[0], f"{name}, pair {k}: sure of {found.ref_from_curr[0]}, but it was {true}"
+    print(f"{name}: {sure} of {tried} sure and right, {first} right at first")
+    assert first >= first_least * tried
+    assert sure >= sure_least * tried
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6), tiles=st.tuples(st.integers(-1, 1), st.integers(-1, 1)))
+def test_on_a_bare_grid_whole_tiles_fit_alike_and_that_is_said(seed: int, tiles: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    here, true = somewhere(rng), rng.uniform(-0.25, 0.25, 3)
+    seen = camera("grid", flawless=True)
+    ref, curr = seen.sees(here, 1), seen.sees(se2.compose(here, true), 2)
+    found = compared(ref, curr, true, np.array([0.4, 0.4, 0.05]))
+    assert found.doubt() > 0.1
+    axes = se2.rotation(-float(here[2]))  # of the grid, in base
+    off = true + np.array([*(axes @ (TILE_M * np.array(tiles))), 0.0])
+    at = is_at(found.ref_from_curr, off)
+    assert np.count_nonzero(at) == 1
+    assert abs(found.log_ratio[at][0] - found.log_ratio[is_at(found.ref_from_curr, true)][0]) < 2.0
+    among = found.ref_from_curr[[0, *found.others(RATE)]]
+    assert len(among) >= 5
+    straight = np.abs(se2.wrap_array(among[:, 2] - true[2])) < 0.1
+    whole = (among[straight, :2] - true[:2]) @ axes / TILE_M
+    assert np.abs(whole - np.round(whole)).max() < 0.02
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_which_view_is_the_reference_does_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    here, true = somewhere(rng), rng.normal(size=3) * np.array([0.3, 0.3, 0.2])
+    views = camera("lamps").sees(here, seed), camera("lamps").sees(se2.compose(here, true), seed + 1)
+    sigma = np.array([0.3, 0.3, 0.3])
+    there = compared(*views, true, sigma)
+    back = compared(*views[::-1], se2.inverse(true), sigma)
+    assert is_at(there.ref_from_curr, true).any() and is_at(back.ref_from_curr, se2.inverse(true)).any()
+    if there.doubt() < 0.01 * RATE:
+        assert is_at(back.ref_from_curr[:1], se2.inverse(true)).all()
+
+
+def test_a_lamp_tells_tiles_apart_that_joints_do_not() -> None:
+    """The same two places, with the lamps of the ceiling and without."""
+    sigma = np.array([0.4, 0.4, 0.02])
+    doubts = {}
+    for name in ("grid", "lamps"):
+        doubts[name] = []
+        for k in range(20):
+            rng = np.random.default_rng(900 + k)
+            here, true = somewhere(rng), rng.uniform(-0.2, 0.2, 3)
+            views = camera(name).sees(here, k), camera(name).sees(se2.compose(here, true), 100 + k)
+            doubts[name].append(compared(*views, true, sigma).doubt())
+    print({name: np.round(np.quantile(d, [0.1, 0.5, 0.9]), 6) for name, d in doubts.items()})
+    assert np.median(doubts["lamps"]) < 0.01 < 0.3 < np.median(doubts["grid"])
+
+
+def test_what_lies_beyond_the_view_has_its_share() -> None:
+    """A robot that may be anywhere within 3 m is likely out of a view of 3 m by 2 m, whatever fits."""
+    here = np.array([20.0, 20.0, 0.0])
+    views = camera("grid").sees(here, 1), camera("grid").sees(here + np.array([3.1, 0.0, 0.0]), 2)
+    wide, narrow = (compared(*views, np.zeros(3), np.array([s, s, 0.1])) for s in (3.0, 0.1))
+    assert wide.log_elsewhere > np.log(0.5) and wide.doubt() > 0.5
+    assert narrow.log_elsewhere < np.log(1e-9)
+
+
+def test_the_chance_of_being_carried_brings_in_what_the_prediction_excludes() -> None:
+    """A tile further than the prediction allows: the lamps say so, the prior by how much they must."""
+    here, true, seen = (
+        np.array([20.0, 20.0, 0.3]),
+        np.array([0.6 * np.cos(-0.3), 0.6 * np.sin(-0.3), 0.0]),
+        camera("lamps"),
+    )
+    views = seen.sees(here, 1), seen.sees(se2.compose(here, true), 2)
+    sigma = np.array([0.002, 0.002, 0.004])
+    trusting, doubting = (compared(*views, np.zeros(3), sigma, carried) for carried in (1e-4, 1e-2))
+    assert is_at(doubting.ref_from_curr[:1], true).all()
+    at = is_at(doubting.ref_from_curr, true)
+    assert doubting.log_ratio[at][0] > doubting.log_ratio[is_at(doubting.ref_from_curr, np.zeros(3))][0] + 3.0
+    shares = []
+    for found in (trusting, doubting):
+        k = np.flatnonzero(is_at(found.ref_from_curr, true))[0]
+        shares.append(found.log_weight[k] - found.log_ratio[k])
+    assert shares[0] - shares[1] == pytest.approx(np.log(1e-4 / 1e-2), abs=0.01)
