@@ -55,7 +55,7 @@ class Wander:
     def at(self, t_s: float) -> Array:
         """(2,) speed m/s and turn rate rad/s that is wanted at a time."""
         begin, wish = self.plan
-        return wish[np.searchsorted(begin, t_s, side="right") - 1]
+        return np.asarray(wish[np.searchsorted(begin, t_s, side="right") - 1], np.float64)
 
 
 def driven(wander: Wander, start: Array, seconds: float, rate_hz: float) -> Iterator[Array]:

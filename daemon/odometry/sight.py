@@ -107,18 +107,15 @@ def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, f
     size = 2 * half + 1
     cell = np.floor(off * (1.0 / BIN_M)).astype(np.int64) + half
     flat = cell[:, 1] * size + cell[:, 0]
-    single, number, x, y = (
-        np.asarray(np.bincount(flat, w, size * size).reshape(size, size), np.float64)
-        for w in (worth, np.ones(len(off)), worth * off[:, 0], worth * off[:, 1])
-    )
-    votes, number, sum_x, sum_y = (
-        np.asarray(cv2.boxFilter(s, -1, (3, 3), None, (-1, -1), False, 0)) for s in (single, number, x, y)
-    )
+    weights = (worth, np.ones(len(off)), worth * off[:, 0], worth * off[:, 1])
+    sums = [np.bincount(flat, w, size * size).astype(np.float64).reshape(size, size) for w in weights]
+    single = sums[0]
+    votes, number, sum_x, sum_y = (cv2.boxFilter(s, -1, (3, 3), normalize=False, borderType=0) for s in sums)
     # in the middle of its votes a peak is higher, and of equal neighbours the last is
     height = votes + 0.1 * single + np.linspace(0.0, 1e-3, size * size).reshape(size, size)
     row, column = np.nonzero((number > _FEWEST - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
     shifts = np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
-    return np.asarray(shifts, np.float64), votes[row, column]
+    return np.asarray(shifts, np.float64), np.asarray(votes[row, column], np.float64)
 
 
 @dataclass(frozen=True, slots=True)

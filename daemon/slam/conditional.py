@@ -111,7 +111,7 @@ class Predicted:
         """(3, M) covariance of the pose with the innovations."""
         cross = self.cov @ self.rows_h.T
         cross[:, : self.nu.size] -= self.view.joint[:3, 3:]
-        return cross
+        return np.asarray(cross, np.float64)
 
     def chi2(self) -> Array:
         """(K,) squared normalised innovation of every feature by itself, and last of the heading if it was measured."""

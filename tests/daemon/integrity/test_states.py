@@ -312,7 +312,8 @@ def test_what_always_holds(config: States, parts: Any) -> None:
         assert v.reason
         assert "\n" not in v.reason
         assert v.state is not State.TRACKING or (e.motion_ok and not e.in_doubt)
-        assert v.state is State.RELOCALISING or not e.in_doubt
+        blind = v.state is State.DEAD_RECKONING and not e.motion_ok  # asked again when vision is back
+        assert v.state is State.RELOCALISING or blind or not e.in_doubt
         assert v.quality == 0.0 or v.state not in (State.INIT, State.LOST, State.RELOCALISING)
         if e.position_sigma_m > config.lost_sigma_m:
             assert v.state not in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
