@@ -12,6 +12,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.drivers.base.wheel_track import WheelNoise
 from ceilvo.types import Array, Crossings, Displacement, Ints, Pose, WheelMotion
 
@@ -175,8 +176,8 @@ class Eye:
         return self._crossings(xy, kinds, psi - yaw_rad)
 
     def _crossings(self, xy: Array, kinds: Ints, direction_rad: float) -> Crossings:
-        quarter = int(np.rint(direction_rad / (0.5 * np.pi)))
-        psi = direction_rad - quarter * 0.5 * np.pi
+        psi = direction_rad - float(np.rint(direction_rad / (0.5 * np.pi))) * 0.5 * np.pi
+        kinds = turned_type(kinds, quarter_turns(direction_rad, psi))
         px = np.column_stack([xy, np.ones(len(xy))]) @ self._pixel_from_ceiling.T
         common = np.eye(2) * _COMMON_SIGMA_M**2
         cov = np.tile(np.eye(2) * _SAID_SIGMA_M**2 + common, (len(xy), 1, 1))
@@ -186,7 +187,7 @@ class Eye:
 
 
 def _kinds(cell: Ints) -> Ints:
-    """4 is groove on groove; of lamps 0, which no quarter turn changes enough to matter here."""
+    """4 is groove on groove; 0 one corner of a lamp."""
     hashed = (cell[:, 0] * 73856093) ^ (cell[:, 1] * 19349663)
     return np.where(hashed % _LAMP_EVERY == 0, 0, 4)
 

@@ -34,6 +34,13 @@ whole numbers, so most of the calm samples are equal then."""
 _EQUAL_SHARE = 0.995
 """Of the samples, equal in two pictures that are one: 1 in 5 differed at noise 0.1 times the simulator's, the noise of
 rounding alone."""
+_EQUAL_MOVING = 0.7
+"""Of the samples, equal in two pictures of a moving camera, below which its pictures are never equal by nature: 1 in 4
+at the simulator's noise, nearly all without noise; chosen."""
+_MOVING_FRAMES = 10.0
+"""Moving pictures that their usual share is the mean over; chosen."""
+_NOISELESS_GREY = 1e-6
+"""Stands for no noise at all, where 0 says that it is not known."""
 _EQUAL_SIGMAS = 0.01
 """Of the crossings' own error, rms, that is none where there are no samples: standing pictures had 0.056 at the least
 (noise 0.1 times the simulator's), one picture with one random bit 0.002."""
@@ -69,6 +76,7 @@ class PicturesState:
         noise_mean_grey: mean brightness then.
         candidate_grey, candidate_frames: the least difference of this stand and its pictures; they count once the
             picture has moved, which a frozen one does not.
+        equal_moving: usual share of samples that are equal in two pictures in a row of a moving camera; 1 at first.
     """
 
     last: list[Picture] = field(default_factory=list)
@@ -76,6 +84,7 @@ class PicturesState:
     noise_mean_grey: float = 0.0
     candidate_grey: float = 0.0
     candidate_frames: int = 0
+    equal_moving: float = 1.0
 
 
 class Pictures:
@@ -128,8 +137,10 @@ class Pictures:
             s.candidate_frames = 0
         elif moved_m > _MOVES_M or turned_rad > _MOVES_RAD:
             if s.candidate_frames >= _LEARNT_FRAMES:
-                s.noise_grey, s.noise_mean_grey = s.candidate_grey, float(new.sample.mean())
+                s.noise_grey = max(s.candidate_grey, _NOISELESS_GREY)
+                s.noise_mean_grey = float(new.sample.mean())
             s.candidate_frames = 0
+            s.equal_moving += (float(np.mean(new.sample == before.sample)) - s.equal_moving) / _MOVING_FRAMES
         elif moved_m < _STANDS_M and turned_rad < _STANDS_RAD:
             self._stand(new, before, difference)
 
@@ -147,7 +158,13 @@ class Pictures:
             return _same_crossings(a, b)
         known = s.noise_grey > _LEAST_NOISE_GREY and float(a.sample.mean()) > _DIMMER * s.noise_mean_grey
         quiet = known and difference < _QUIET * s.noise_grey
-        return quiet or float(np.mean(a.sample == b.sample)) > _EQUAL_SHARE
+        return quiet or (self._never_equal and float(np.mean(a.sample == b.sample)) > _EQUAL_SHARE)
+
+    @property
+    def _never_equal(self) -> bool:
+        """Whether two pictures of this camera differ: one that stood equal and then moved is live without noise."""
+        s = self.state
+        return s.noise_grey > _LEAST_NOISE_GREY or (s.noise_grey == 0.0 and s.equal_moving < _EQUAL_MOVING)
 
 
 def _picture(crossings: Crossings) -> Picture:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
 from ceilvo.bench.recovery.recovering_filter import RecoveringFilter
 from ceilvo.config import Filter
+from ceilvo.daemon.slam import joint_rule
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
 from ceilvo.daemon.slam.pose_filter import COUNTERS, chi_square_bounds
@@ -68,6 +69,15 @@ def kalman(pose_var, points, map_var, var, steps):
     return mean, cov
 
 
+@pytest.fixture
+def exact_noise(monkeypatch):
+    """The stated noise is all there is: nothing is added for model error."""
+    monkeypatch.setattr(joint_rule, "learnt_model_var", lambda *_: 0.0)
+    fresh = joint_rule.JointRule.fresh
+    monkeypatch.setattr(joint_rule.JointRule, "fresh", lambda rule, rng: replace(fresh(rule, rng), model_var_m2=0.0))
+
+
+@pytest.mark.usefixtures("exact_noise")
 @pytest.mark.parametrize("method", ["joint", "ukf"])
 def test_where_all_is_linear_it_is_the_kalman_filter(method):
     rng = np.random.default_rng(SEED)
@@ -108,6 +118,7 @@ def test_prediction_composes(method):
         f.predict(motion((np.nan, 0, 0)))
 
 
+@pytest.mark.usefixtures("exact_noise")
 @pytest.mark.parametrize("method", ["joint", "ukf"])
 def test_landmarks_are_born_after_enough_sightings_and_forgotten_without(method):
     f = make(method, birth_sightings=3, gate_chi2=9.0)

@@ -22,7 +22,7 @@ FAULT = 100
 
 @pytest.fixture(scope="module")
 def lap() -> Drive:
-    return load("lap", "pfcf")
+    return load("lap", "joint")
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_a_snapshot_in_a_fault_goes_on_as_the_original(lap: Drive) -> None:
 
     pipeline, _ = run(replace(lap, crossings=lap.crossings[: FAULT + 3]), picture, lambda k: lap.wheels[k])
     again = Pipeline(lap.calibration, lap.config, np.random.default_rng(2))
-    restore(again, json.loads(json.dumps(snapshot_json(freeze(pipeline), "pfcf"))))
+    restore(again, json.loads(json.dumps(snapshot_json(freeze(pipeline), "joint"))))
     assert again.checks.counters == pipeline.checks.counters
     for k in range(FAULT + 3, FAULT + 6):
         stamp_ns = 10**9 + round(k * 1e9 / RATE_HZ)
