@@ -18,6 +18,8 @@ MODES = 256
 """Poses kept; chosen for time. In rooms of 15 m the true one may be dropped before a lamp is seen."""
 OUTLIER = 0.05
 """Fraction of features that no landmark explains; higher than when tracking, for a ceiling may have changed."""
+_LEAST_VAR = 1e-14
+"""Added to variances that may be zero, m^2 and rad^2: of a tenth of a micrometre."""
 HOPELESS = 1e-9
 """A pose of less weight is forgotten."""
 CONVINCED = 0.999
@@ -222,7 +224,7 @@ class PoseHypotheses:
         order = np.argsort(-w, kind="stable")[:MODES]
         order = order[w[order] > HOPELESS]
         mean, left, keep = self.mean[order], np.ones(len(order), bool), []
-        information = np.linalg.inv(self.cov[order])
+        information = np.linalg.inv(self.cov[order] + _LEAST_VAR * np.eye(3))
         log_weight = self.log_weight[order]
         for i in range(len(order)):
             if not left[i]:
