@@ -29,6 +29,10 @@ PLACED_SIGMA = np.array([0.05, 0.05, 0.05])
 STORED_WRONG, GIVEN_WRONG, RESET_WRONG = 0.05, 0.2, 0.9
 """Chance that a robot was moved while it was off; that a person mistakes the tile; that a robot whose pose is thrown
 away does not stand where it is told to begin. Chosen."""
+STORED_ALIGNED = float(np.log(72.0))
+"""Log-likelihood ratio at most of tiles that lie as a stored pose says, also against whole tiles; chosen: a robot that
+is put down within 5 cm of the same spot on another tile of 0.6 m by chance is one in 36, and along the same axis every
+other time."""
 _SIGMA_2_RAD2 = 0.05**2
 """Added to the variance of a heading that rivals are judged by, rad^2."""
 _SIGMA_2_M2 = 0.05**2
@@ -48,12 +52,14 @@ class Doubt:
         cov: (3, 3) of the pose as it is believed to be.
         elsewhere: probability that this covariance does not hold, because somebody moved the robot.
         reach_m: how far it can have been moved.
+        aligned: how much of alignment() also speaks against whole tiles: nobody who moved the robot minded the tiles.
     """
 
     reason: str
     cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     elsewhere: float = 0.0
     reach_m: float = 0.0
+    aligned: float = 0.0
 
     @property
     def unmeasured(self) -> bool:
@@ -70,10 +76,11 @@ class Doubt:
         drift_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(self.cov[:2, :2])[-1], 0.0)))
         return min(max(drift_m, self.reach_m if self.elsewhere > 0.0 else 0.0), ANYWHERE_M)
 
-    def log_odds(self, off: Array, here: Array) -> Array:
+    def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
         inverse = np.linalg.inv(self.cov + np.diag([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]))
         moved = np.log(max((1.0 - OFF_MAP) * self.elsewhere, TINY) / (len(off) + 1))
+        moved -= float(np.clip(self.alignment(here, tile_m), 0.0, self.aligned))
         stayed = np.log1p(-self.elsewhere)
         there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
         return np.asarray(np.maximum(there - near, LEAST))

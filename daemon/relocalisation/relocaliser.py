@@ -151,7 +151,7 @@ class Relocaliser:
 
     def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float) -> None:
         """Begin on a map of an earlier run; the robot may have been moved since the pose was stored."""
-        doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf)
+        doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf, doubts.STORED_ALIGNED)
         self.start_at(pose, cov, landmarks, doubt)
         self.state.map_axis_rad = map_axis_rad
         self.survey_map()
@@ -268,18 +268,24 @@ class Relocaliser:
         if lattice is not None:
             expected = pose
             if doubt.unmeasured:
-                pose = lattice.aligned(expected, view)
+                pose = self._aligned(lattice, expected, view, around)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = rival_poses(rivals, pose) - expected
             off[:, 2] = wrap_array(off[:, 2])
             here = _off(pose, expected)
-            s.belief.add(rivals, doubt.log_odds(off, here))
+            s.belief.add(rivals, doubt.log_odds(off, here, lattice.tile_m))
             unknown -= doubt.alignment(here, lattice.tile_m) if doubt.unmeasured else 0.0
         s.belief.doubt_unknown(unknown)
         s.pending = None
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0
+
+    def _aligned(self, lattice: Lattice, expected: Array, view: Observations, around: Surroundings) -> Array:
+        """The expected pose (3,), or the one beside it from which tiles lie on tiles, if that explains the view better."""
+        poses = np.stack([expected, lattice.aligned(expected, view)])
+        poses[0, 2] = poses[1, 2]
+        return np.asarray(poses[np.argmax(ViewEvidence(view, around, np.ones(len(view))).log_ratio(poses))])
 
     def _search(self, view: Observations, pose: Array) -> None:
         """List the places of the whole map that this view can be from, each with its part of what is not listed."""
