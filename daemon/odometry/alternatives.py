@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.crossing_types import CROSSING_TYPES, quarter_turns
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, quarter_turns
 from ceilvo.daemon.odometry.registration import MIN_AGREEING, view_size_m
 from ceilvo.daemon.odometry.sight import BIN_M, CELL_M, Matched, Sight, shifts_by_votes
 from ceilvo.se2 import wrap, wrap_array
@@ -37,9 +37,6 @@ _MISTAKEN = 0.5
 """Where so many crossings are missing, this times as many more are seen as of another type; chosen."""
 _UNSEEN, _UNSEEN_WEIGHT = np.array([0.25, 0.25, 0.5, 0.5]), 2.0
 """The same before anything was seen of a type, and for how many crossings that counts; chosen."""
-_OTHER = np.array([0.04, 0.38, 0.04, 0.38, 0.01, 0.38, 0.04, 0.38, 0.04])
-"""Chance that a crossing is seen as one of another type, by its type: an edge that crosses a joint often is, for the
-joint's nearer edge may be all that is found of it; counted on 7000 crossings in pairs of views up to 0.8 s apart."""
 _TILE_M2 = 0.36
 """Area that one candidate stands for; chosen: an office tile of 0.6 m. It enters by its logarithm only."""
 _FAR = 0.7
@@ -175,7 +172,7 @@ def _log_ratio(at: Array, counts: Array) -> Array:
     """(K,) of Matched, against a wrong place; the other candidates show what chance explains there."""
     chance = _chance(at, counts)[:, None]  # (K, 1, 4, 9)
     missed = np.repeat(_MISSED[:, None], CROSSING_TYPES, axis=1)
-    other = np.minimum(_OTHER + _MISTAKEN * missed, 0.5)
+    other = np.minimum(TYPE_MISTAKEN + _MISTAKEN * missed, 0.5)
     right = np.stack([(1.0 - missed) * (1.0 - other), (1.0 - missed) * other, missed, missed], axis=1)
     gain = np.log(right / chance)
     gain[:, :, 1:] = np.minimum(gain[:, :, 1:], 0.0)  # what is missing or mistaken proves no place
@@ -202,7 +199,7 @@ def _chance(at: Array, counts: Array) -> Array:
     before = found[:, 3:] + np.sum(found[:, :2], axis=1, keepdims=True)  # what is there now was there before
     tried = np.concatenate([np.repeat(now, 3, axis=1), before], axis=1)
     chance = np.maximum((found + _UNSEEN[:, None] * _UNSEEN_WEIGHT) / (tried + _UNSEEN_WEIGHT), _LEAST_CHANCE)
-    chance[:, 0] = np.minimum(chance[:, 0], 1.0 - _OTHER)  # no place explains more than the right one
+    chance[:, 0] = np.minimum(chance[:, 0], 1.0 - TYPE_MISTAKEN)  # no place explains more than the right one
     return np.asarray(chance)
 
 

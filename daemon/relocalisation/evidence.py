@@ -4,6 +4,9 @@ Three things are counted: features that a landmark of their type explains, featu
 none, and landmarks that should be seen and are not. What a wrong place explains by chance is measured on the map: how
 often a landmark, moved by whole tiles, finds one of its type. So a joint between tiles says next to nothing and a
 lamp says much, unless lamps hang in a pattern, in which case they say little too.
+
+Wrong places are of two kinds: any, and those that are as like this one as any. Which kind a place is stays so however
+often it is looked at, so both are weighed apart, and only their sums over all views are put together.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, turned_type
 from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.place_index.blocks import fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
@@ -41,6 +44,8 @@ COMMON = 0.8
 """A type that a wrong place explains more often than this proves no place; chosen."""
 ALIKE = 0.1
 """Of wrong places, how many are as like this one as any: lamps hang in a pattern, and go on so; chosen."""
+OTHER_BY_CHANCE = 0.2
+"""Of a wrong place's features without a landmark, at how many there is one of another rare type; chosen."""
 FEWEST_SAMPLES, ENOUGH = 8, 0.3
 """Landmarks, moved onto known ground, that it takes to measure how often chance explains them, and the same as a part
 of all; chosen."""
@@ -107,7 +112,17 @@ class TypeRaster:
 
     def has(self, xy_m: Array, crossing_type: Ints) -> NDArray[np.bool_]:
         """(...,) whether there is a point of the type (...,) within reach."""
-        return np.asarray((self.at(xy_m) >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0)
+        return is_in(self.at(xy_m), crossing_type)
+
+
+def is_in(bits: NDArray[np.uint16], crossing_type: Ints) -> NDArray[np.bool_]:
+    """(...,) whether types (...,) are among those that bits (...,) say."""
+    return np.asarray((bits >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0)
+
+
+def combined(log_ratio: Array) -> Array:
+    """(...,) log-likelihood ratio against all wrong places, of (..., 2) against any and against one that is alike."""
+    return np.asarray(-np.logaddexp(np.log(1.0 - ALIKE) - log_ratio[..., 0], np.log(ALIKE) - log_ratio[..., 1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,19 +189,21 @@ class ViewEvidence:
     def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
         which = _telling(around.chance[0, view.crossing_type])
         self._view, self._around, self._worth = view.of(which), around, worth[which]
-        self._gain, self._loss = _tables(around.chance)
+        self._gain, self._mistaken, self._loss = _tables(around.chance)
+        self._rare = np.uint16(np.sum(1 << np.flatnonzero(around.chance[0] < COMMON)))
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, view.visible_m)
         self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
 
     def log_ratio(self, poses: Array) -> Array:
-        """(M,) log-likelihood of the view at poses (M, 3) over that at a wrong place.
+        """(M, 2) log-likelihood of the view at poses (M, 3) over that at a wrong place: any, and one that is alike.
 
         What is missing is looked for only where what is there leaves a chance; it can only count against a pose.
         """
         score = self._features(poses)
-        out: Array = _mixed(score)
-        near = np.flatnonzero(out > np.max(out, initial=-np.inf) - CLOSE)
+        out = _mixed(score)
+        whole = combined(out)
+        near = np.flatnonzero(whole > np.max(whole, initial=-np.inf) - CLOSE)
         out[near] = _mixed(score[near] + self._missed(poses[near]))
         return out
 
@@ -195,12 +212,11 @@ class ViewEvidence:
         return self._around.reach_m
 
     def log_ratio_in(self, grid: TypeGrid, poses: Array) -> Array:
-        """(M,) the same for poses (M, 3) anywhere on the map, without what is missing: at least what it would be."""
-        out = np.empty(len(poses))
+        """(M, 2) the same for poses (M, 3) anywhere on the map, without what is missing: at least what it would be."""
+        out = np.empty((len(poses), 2))
         for part in np.array_split(np.arange(len(poses)), len(poses) // AT_ONCE + 1):
-            at, types = _moved(poses[part], self._view.xy_base_m), self._types[self._turns(poses[part])]
-            bits = grid.bits(fine(at[..., 0]), fine(at[..., 1]))
-            out[part] = _mixed(self._scored(poses[part], (bits >> types.astype(np.uint16)) & np.uint16(1) > 0))
+            at = _moved(poses[part], self._view.xy_base_m)
+            out[part] = _mixed(self._scored(poses[part], grid.bits(fine(at[..., 0]), fine(at[..., 1]))))
         return out
 
     def _turns(self, poses: Array) -> Ints:
@@ -208,14 +224,16 @@ class ViewEvidence:
 
     def _features(self, poses: Array) -> Array:
         """(M, R) of what is seen, for each fraction of change."""
-        at = _moved(poses, self._view.xy_base_m)
-        return self._scored(poses, self._around.raster.has(at, self._types[self._turns(poses)]))
+        return self._scored(poses, self._around.raster.at(_moved(poses, self._view.xy_base_m)))
 
-    def _scored(self, poses: Array, matched: NDArray[np.bool_]) -> Array:
+    def _scored(self, poses: Array, bits: NDArray[np.uint16]) -> Array:
+        """(M, R) by the types that the map has where features (M, K) are seen."""
         types = self._types[self._turns(poses)]
         views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
         step = views // _VIEWS_PER_STEP
-        each = np.where(matched[..., None], self._gain[step, types], self._loss[step, types])
+        matched, other = is_in(bits, types), bits & self._rare > 0
+        none = np.where(other[..., None], self._mistaken[step, types], self._loss[step, types])
+        each = np.where(matched[..., None], self._gain[step, types], none)
         each[(views < VIEWS) & ~matched] = 0.0
         return np.asarray(np.einsum("mkr,k->mr", each, self._worth))
 
@@ -233,7 +251,7 @@ class ViewEvidence:
         c, s = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
-        missed = (bits & _VISIBLE > 0) & ((bits >> kind.astype(np.uint16)) & np.uint16(1) == 0)
+        missed = (bits & _VISIBLE > 0) & ~is_in(bits, kind) & (bits & self._rare == 0)
         return (
             np.asarray(missed @ np.concatenate(surprise, axis=1)) * float(np.mean(self._worth))
             if len(self._worth)
@@ -242,10 +260,9 @@ class ViewEvidence:
 
 
 def _mixed(score: Array) -> Array:
-    """(M,) over all fractions of change and both kinds of wrong places, of scores (M, 2 R)."""
+    """(M, 2) over all fractions of change, of scores (M, 2 R)."""
     kinds = (INDEPENDENCE * score).reshape(-1, 2, len(CHANGED)) + np.log(CHANGED_CHANCE)
-    any_, alike = np.logaddexp.reduce(kinds, axis=2).T
-    return np.asarray(-np.logaddexp(np.log(1.0 - ALIKE) - any_, np.log(ALIKE) - alike))
+    return np.asarray(np.logaddexp.reduce(kinds, axis=2))
 
 
 def _telling(chance: Array) -> NDArray[np.bool_]:
@@ -259,17 +276,19 @@ def _telling(chance: Array) -> NDArray[np.bool_]:
     return out
 
 
-def _tables(chance: Array) -> tuple[Array, Array]:
-    """(V, 9, 2 R) log-likelihood ratios of a feature with and without a landmark, by steps of views and type; against
-    any wrong place and against one like it, for every fraction of change."""
+def _tables(chance: Array) -> tuple[Array, Array, Array]:
+    """(V, 9, 2 R) log-likelihood ratios of a feature with a landmark, with one of another type, and without, by steps
+    of views and type; against any wrong place and against one like it, for every fraction of change."""
     views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
     rare = 1.0 / (UNMAPPED_FIRST + views / UNMAPPED_VIEWS)
     unmapped = np.where(chance[0] < COMMON, rare[:, None], UNMAPPED_COMMON)[..., None]
     unmapped = unmapped + (1.0 - unmapped) * CHANGED
-    gains = [np.log((1.0 - unmapped) / q[:, None]) for q in chance]
+    mistaken = TYPE_MISTAKEN[:, None] * (1.0 - unmapped)
+    gains = [np.log((1.0 - unmapped - mistaken) / q[:, None]) for q in chance]
     gains = [np.where(q[:, None] < COMMON, g, np.minimum(g, 0.0)) for q, g in zip(chance, gains, strict=True)]
-    losses = [np.minimum(np.log(unmapped / (1.0 - q[:, None])), 0.0) for q in chance]
-    return np.concatenate(gains, axis=2), np.concatenate(losses, axis=2)
+    others = [np.minimum(np.log(mistaken / ((1.0 - q[:, None]) * OTHER_BY_CHANCE)), 0.0) for q in chance]
+    losses = [np.minimum(np.log(unmapped / ((1.0 - q[:, None]) * (1.0 - OTHER_BY_CHANCE))), 0.0) for q in chance]
+    return np.concatenate(gains, axis=2), np.concatenate(others, axis=2), np.concatenate(losses, axis=2)
 
 
 def _moved(poses: Array, xy: Array) -> Array:

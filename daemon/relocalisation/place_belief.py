@@ -10,7 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ceilvo.daemon.relocalisation.evidence import combined
 from ceilvo.daemon.relocalisation.lattice import rival_poses
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array, Ints
@@ -40,10 +42,10 @@ class PlaceBelief:
 
     Attributes:
         places: (P, 3) place_from_tracked, transforms in map; the first is the tracked place, zero.
-        log_weight: (P,) from spots that were left; the largest of all is zero.
+        log_weight: (P,) but for what was seen; with that, and before this spot, the largest of all is zero.
+        seen: (P, 2) log-likelihood ratios from spots that were left, against ground that is not known: any, and alike.
         unknown: the same of ground that the map does not know.
-        spot: (P,) sum of the views' log-likelihood ratios from this spot, against ground that is not known; nan of a
-            place that no view was weighed at yet.
+        spot: (P, 2) sums of the views' from this spot; nan of a place that no view was weighed at yet.
         spot_views: views from this spot.
         spot_m, spot_rad: moved and turned since the spot began.
         cut: places were left out that may be right.
@@ -51,8 +53,9 @@ class PlaceBelief:
 
     places: Array = field(default_factory=_tracked)
     log_weight: Array = field(default_factory=lambda: np.zeros(1))
+    seen: Array = field(default_factory=lambda: np.zeros((1, 2)))
     unknown: float = LEAST_UNKNOWN
-    spot: Array = field(default_factory=lambda: np.zeros(1))
+    spot: Array = field(default_factory=lambda: np.zeros((1, 2)))
     spot_views: int = 0
     spot_m: float = 0.0
     spot_rad: float = 0.0
@@ -66,10 +69,19 @@ class PlaceBelief:
 
     def weights(self) -> tuple[Array, float]:
         """(P,) log-weights of the places and of the unknown one, this spot included; the largest is zero."""
-        share = np.clip(np.nan_to_num(self.spot) / max(self.spot_views, 1), -SPOT_CAP, SPOT_CAP)
-        weight = self.log_weight + share
+        weight = self.log_weight + combined(self.seen + self._of_spot)
         top = max(float(np.max(weight)), self.unknown)
         return np.maximum(weight - top, LEAST), max(self.unknown - top, LEAST_UNKNOWN)
+
+    @property
+    def _of_spot(self) -> Array:
+        """(P, 2) the mean of the views from this spot."""
+        return np.asarray(np.clip(np.nan_to_num(self.spot) / max(self.spot_views, 1), -SPOT_CAP, SPOT_CAP))
+
+    @property
+    def settled(self) -> Array:
+        """(P,) log-weights before this spot."""
+        return np.asarray(self.log_weight + combined(self.seen))
 
     def shares(self) -> tuple[Array, float]:
         """(P,) probabilities of the places, and that of the unknown one."""
@@ -104,7 +116,7 @@ class PlaceBelief:
         return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
 
     def weigh(self, log_ratio: Array) -> None:
-        """Take in a view: (P,) log-likelihood ratios of the places against ground that is not known."""
+        """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known."""
         if not self.spot_views:
             self.spot_m = self.spot_rad = 0.0
         before = np.where(np.isnan(self.spot), self.spot_views * log_ratio, self.spot)
@@ -117,9 +129,16 @@ class PlaceBelief:
         self._settle()
 
     def _settle(self) -> None:
-        self.log_weight, self.unknown = self.weights()
-        self.spot, self.spot_views = np.zeros(len(self)), 0
+        weight, self.unknown = self.weights()
+        self.seen = self.seen + self._of_spot if len(self) > 1 else np.zeros((1, 2))
+        self.log_weight = weight - combined(self.seen)
+        self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self.spot_m = self.spot_rad = 0.0
+
+    def renew(self) -> None:
+        """Something happened: what was seen before says how likely places were, but no longer which are alike."""
+        self._settle()
+        self.log_weight, self.seen = self.settled, np.zeros((len(self), 2))
 
     def add(self, places: Array, log_odds: Array) -> None:
         """More places (N, 3) with log-odds (N,) against the tracked one; of one that is there they are added up.
@@ -128,33 +147,39 @@ class PlaceBelief:
         """
         at = {key: i for i in range(len(self) - 1, -1, -1) for key in _keys(self.places[i])}
         fresh: list[int] = []
-        weight = log_odds + self.log_weight[0]
+        settled = self.settled
+        weight = log_odds + settled[0]
         for n, g in enumerate(places):
             i = at.get(_key(g))
             if i is None:
                 at.update(dict.fromkeys(_keys(g), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
-                self.log_weight[i] = np.logaddexp(self.log_weight[i], weight[n])
+                self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
         self.log_weight = np.concatenate([self.log_weight, weight[fresh]])
-        self.spot = np.concatenate([self.spot, np.full(len(fresh), np.nan)])
-        self._keep(_best(self.log_weight, MOST_PLACES))
+        self.seen = np.concatenate([self.seen, np.zeros((len(fresh), 2))])
+        self.spot = np.concatenate([self.spot, np.full((len(fresh), 2), np.nan)])
+        if len(self) > MOST_PLACES:
+            self._leave_out(_best(self.settled, MOST_PLACES))
 
-    def _keep(self, which: Ints) -> None:
-        dropped = np.delete(self.log_weight, which)
-        self.cut |= bool(np.max(dropped, initial=LEAST) > LEAST)
-        self.places, self.log_weight, self.spot = self.places[which], self.log_weight[which], self.spot[which]
+    def _leave_out(self, but: Ints) -> None:
+        self.cut |= bool(np.max(np.delete(self.settled, but), initial=LEAST) > LEAST)
+        self._keep(but)
+
+    def _keep(self, which: Ints | NDArray[np.bool_]) -> None:
+        self.places, self.log_weight = self.places[which], self.log_weight[which]
+        self.seen, self.spot = self.seen[which], self.spot[which]
 
     def doubt_unknown(self, log_odds: float) -> None:
         """Something happened after which the robot may be anywhere, with these log-odds against the tracked place."""
-        self.unknown = float(np.logaddexp(self.unknown, log_odds + self.log_weight[0]))
+        self.unknown = float(np.logaddexp(self.unknown, log_odds + self.settled[0]))
 
     def forget(self) -> None:
         """Drop places that have lost; the tracked one alone is left when it is sure."""
         keep = self.weights()[0] > LEAST
         keep[0] = True
-        self.places, self.log_weight, self.spot = self.places[keep], self.log_weight[keep], self.spot[keep]
+        self._keep(keep)
         self.cut &= len(self) > 1
 
     def jump(self, winner: int, tracked: Array) -> Array:
@@ -164,7 +189,7 @@ class PlaceBelief:
         back = inverse(self.places[winner])
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
         self.places = np.asarray(compose(self.places[order], np.broadcast_to(back, self.places.shape)))
-        self.places[0], self.log_weight = 0.0, self.log_weight[order]
+        self.places[0], self.log_weight, self.seen = 0.0, self.log_weight[order], self.seen[order]
         return there
 
 

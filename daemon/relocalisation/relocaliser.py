@@ -12,7 +12,7 @@ from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
-from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence
+from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.survey import MapSurvey
@@ -234,7 +234,7 @@ class Relocaliser:
             self._instantiate(s.pending, view, around)
         evidence = ViewEvidence(view, around, self._worth(view))
         pose = self.filter.estimate()[0]
-        if len(s.belief) == 1 and evidence.log_ratio(pose[None])[0] < SURPRISE:
+        if len(s.belief) == 1 and combined(evidence.log_ratio(pose[None]))[0] < SURPRISE:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around)
         if not self.sure and not s.belief.spot_views:
             self._search(view, pose)
@@ -261,7 +261,7 @@ class Relocaliser:
         """List the places where the robot may be after what happened, and how likely each is."""
         s = self.state
         if doubt.unmeasured:
-            s.belief.leave_spot()
+            s.belief.renew()
             s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
         lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
@@ -282,10 +282,10 @@ class Relocaliser:
             s.reason, s.views = doubt.reason, 0
 
     def _aligned(self, lattice: Lattice, expected: Array, view: Observations, around: Surroundings) -> Array:
-        """The expected pose (3,), or the one beside it from which tiles lie on tiles, if that explains the view better."""
+        """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
         poses = np.stack([expected, lattice.aligned(expected, view)])
         poses[0, 2] = poses[1, 2]
-        return np.asarray(poses[np.argmax(ViewEvidence(view, around, np.ones(len(view))).log_ratio(poses))])
+        return np.asarray(poses[np.argmax(combined(ViewEvidence(view, around, np.ones(len(view))).log_ratio(poses)))])
 
     def _search(self, view: Observations, pose: Array) -> None:
         """List the places of the whole map that this view can be from, each with its part of what is not listed."""
@@ -296,14 +296,14 @@ class Relocaliser:
             return
         poses = s.survey.index.refined(found.pose, view)
         per_place = np.log(max(s.survey.coverage.area_m2, 1.0) * PLACES_PER_M2)
-        odds = s.belief.unknown - s.belief.log_weight[0] - per_place
+        odds = s.belief.unknown - s.belief.settled[0] - per_place
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
     def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
-        """(P,) of all places; those far off are looked up in the index, and nothing is missing there."""
+        """(P, 2) of all places; those far off are looked up in the index, and nothing is missing there."""
         poses = rival_poses(self.state.belief.places, pose)
         far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
-        out = np.empty(len(poses))
+        out = np.empty((len(poses), 2))
         out[~far] = evidence.log_ratio(poses[~far])
         if np.any(far):
             out[far] = evidence.log_ratio_in(self.state.survey.index.grid, poses[far])

@@ -7,7 +7,7 @@ import pytest
 
 from ceilvo.crossing_types import turned_type
 from ceilvo.daemon.relocalisation.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence import Surroundings, TypeRaster, ViewEvidence, chance_matches
+from ceilvo.daemon.relocalisation.evidence import Surroundings, TypeRaster, ViewEvidence, chance_matches, combined
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.se2 import inverse, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations
@@ -49,7 +49,7 @@ def around(landmarks: Landmarks, chance: Array | None = None) -> Surroundings:
 
 
 def ratio(landmarks: Landmarks, view: Observations, poses: Array) -> Array:
-    return ViewEvidence(view, around(landmarks), np.ones(len(view))).log_ratio(poses)
+    return combined(ViewEvidence(view, around(landmarks), np.ones(len(view))).log_ratio(poses))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -132,7 +132,10 @@ def test_far_places_are_weighed_as_near_ones_but_for_what_is_missing(turns: int)
             HERE + np.array([0.0, 1.2, 0.0]),
         ]
     )
-    near, far = evidence.log_ratio(poses), evidence.log_ratio_in(PlaceIndex.of(landmarks).grid, poses)
+    near, far = (
+        combined(evidence.log_ratio(poses)),
+        combined(evidence.log_ratio_in(PlaceIndex.of(landmarks).grid, poses)),
+    )
     assert np.allclose(near, far, atol=2.5)
     assert np.argmax(far) == 0
 
@@ -141,5 +144,7 @@ def test_what_was_looked_at_before_is_worth_less() -> None:
     landmarks = ceiling(7)
     view = view_from(landmarks, HERE)
     poses = np.array([HERE, HERE + np.array([0.6, 0.0, 0.0])])
-    fresh, stale = (ViewEvidence(view, around(landmarks), np.full(len(view), w)).log_ratio(poses) for w in (1.0, 0.1))
+    fresh, stale = (
+        combined(ViewEvidence(view, around(landmarks), np.full(len(view), w)).log_ratio(poses)) for w in (1.0, 0.1)
+    )
     assert fresh[0] - fresh[1] > 5.0 * (stale[0] - stale[1])
