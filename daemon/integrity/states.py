@@ -237,6 +237,8 @@ class StateMachine:
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
         why = e.failure or "no motion"
         kept = self.state.current is State.DEAD_RECKONING
+        if e.crossings >= self._cfg.degraded_inliers and not kept:  # seen, and not where the robot should be
+            return State.DEAD_RECKONING, "blind", f"no motion from this frame: {why}"
         if far or kept or out_s > self._cfg.dead_reckoning_s:
             return State.DEAD_RECKONING, "" if kept else "blind", f"no vision for {out_s:.2f} s: {why}"
         return State.DEGRADED, "missed", f"no motion from this frame: {why}"
