@@ -283,11 +283,13 @@ def _tables(chance: Array) -> tuple[Array, Array, Array]:
     rare = 1.0 / (UNMAPPED_FIRST + views / UNMAPPED_VIEWS)
     unmapped = np.where(chance[0] < COMMON, rare[:, None], UNMAPPED_COMMON)[..., None]
     unmapped = unmapped + (1.0 - unmapped) * CHANGED
-    mistaken = TYPE_MISTAKEN[:, None] * (1.0 - unmapped)
-    gains = [np.log((1.0 - unmapped - mistaken) / q[:, None]) for q in chance]
-    gains = [np.where(q[:, None] < COMMON, g, np.minimum(g, 0.0)) for q, g in zip(chance, gains, strict=True)]
-    others = [np.minimum(np.log(mistaken / ((1.0 - q[:, None]) * OTHER_BY_CHANCE)), 0.0) for q in chance]
-    losses = [np.minimum(np.log(unmapped / ((1.0 - q[:, None]) * (1.0 - OTHER_BY_CHANCE))), 0.0) for q in chance]
+    wrong = [q[:, None] for q in chance]
+    mistaken, by_chance = TYPE_MISTAKEN[:, None], OTHER_BY_CHANCE
+    gains = [np.log((1.0 - unmapped) / q) for q in wrong]  # a landmark of any place is mistaken as often
+    gains = [np.where(q < COMMON, g, np.minimum(g, 0.0)) for q, g in zip(wrong, gains, strict=True)]
+    others = [np.log((1.0 - unmapped) * mistaken / (q * mistaken + (1.0 - q) * by_chance)) for q in wrong]
+    others = [np.minimum(o, 0.0) for o in others]
+    losses = [np.minimum(np.log(unmapped / ((1.0 - q) * (1.0 - by_chance))), 0.0) for q in wrong]
     return np.concatenate(gains, axis=2), np.concatenate(others, axis=2), np.concatenate(losses, axis=2)
 
 

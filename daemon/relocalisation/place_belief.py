@@ -69,7 +69,7 @@ class PlaceBelief:
 
     def weights(self) -> tuple[Array, float]:
         """(P,) log-weights of the places and of the unknown one, this spot included; the largest is zero."""
-        weight = self.log_weight + combined(self.seen + self._of_spot)
+        weight = self._weighed(self.seen + self._of_spot)
         top = max(float(np.max(weight)), self.unknown)
         return np.maximum(weight - top, LEAST), max(self.unknown - top, LEAST_UNKNOWN)
 
@@ -81,7 +81,16 @@ class PlaceBelief:
     @property
     def settled(self) -> Array:
         """(P,) log-weights before this spot."""
-        return np.asarray(self.log_weight + combined(self.seen))
+        return self._weighed(self.seen)
+
+    def _weighed(self, seen: Array) -> Array:
+        """(P,) log-weights, unknown ground's being as it was.
+
+        Places are compared with each other by what any place explains by chance, for of each it is known what would be
+        seen there. The likeliest is compared with unknown ground, which may be alike.
+        """
+        weight = self.log_weight + seen[:, 0]
+        return np.asarray(weight - _too_much(seen[np.argmax(weight)]))
 
     def shares(self) -> tuple[Array, float]:
         """(P,) probabilities of the places, and that of the unknown one."""
@@ -131,7 +140,7 @@ class PlaceBelief:
     def _settle(self) -> None:
         weight, self.unknown = self.weights()
         self.seen = self.seen + self._of_spot if len(self) > 1 else np.zeros((1, 2))
-        self.log_weight = weight - combined(self.seen)
+        self.log_weight = weight - self.seen[:, 0] + _too_much(self.seen[np.argmax(weight)])
         self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self.spot_m = self.spot_rad = 0.0
 
@@ -157,8 +166,8 @@ class PlaceBelief:
             elif 0 < i < len(self):
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
-        self.log_weight = np.concatenate([self.log_weight, weight[fresh]])
-        self.seen = np.concatenate([self.seen, np.zeros((len(fresh), 2))])
+        self.log_weight = np.concatenate([self.log_weight, self.log_weight[0] + log_odds[fresh]])
+        self.seen = np.concatenate([self.seen, np.repeat(self.seen[:1], len(fresh), axis=0)])
         self.spot = np.concatenate([self.spot, np.full((len(fresh), 2), np.nan)])
         if len(self) > MOST_PLACES:
             self._leave_out(_best(self.settled, MOST_PLACES))
@@ -191,6 +200,11 @@ class PlaceBelief:
         self.places = np.asarray(compose(self.places[order], np.broadcast_to(back, self.places.shape)))
         self.places[0], self.log_weight, self.seen = 0.0, self.log_weight[order], self.seen[order]
         return there
+
+
+def _too_much(seen: Array) -> float:
+    """By how much a place (2,) seems likelier against any wrong place than it is against all."""
+    return float(seen[0] - combined(seen))
 
 
 def _best(weight: Array, most: int) -> Ints:
