@@ -234,7 +234,7 @@ class ViewEvidence:
         matched, other = is_in(bits, types), bits & self._rare > 0
         none = np.where(other[..., None], self._mistaken[step, types], self._loss[step, types])
         each = np.where(matched[..., None], self._gain[step, types], none)
-        each[(views < VIEWS) & ~matched] = 0.0
+        each *= np.where(matched, np.minimum(views / VIEWS, 1.0), views >= VIEWS)[..., None]
         return np.asarray(np.einsum("mkr,k->mr", each, self._worth))
 
     def _missed(self, poses: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,11 +10,13 @@ from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.relocalisation.admission import FEWEST_KNOWN, of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
@@ -43,12 +45,6 @@ FRESH_SPOTS = 12
 """While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 WATCH_M = 2.0
 """How far those are looked for; chosen: three tiles, as a robot that jumps without a trace does not jump far."""
-HALF = 0.5
-"""A view of which the map explains less teaches nothing."""
-FEWEST_KNOWN = 10
-"""Features on known ground that it takes to say so; chosen."""
-CONVINCING = 0.85
-"""While the place is in doubt a view corrects the pose where so much of it is explained; chosen."""
 MOST_FOUND = 16_384
 """Places that a view is found at; chosen for time."""
 PLACES_PER_M2 = 4.0 / 0.6**2
@@ -69,6 +65,7 @@ class RelocaliserState:
         gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
+        submap_from: id from which on landmarks were learnt in doubt, see submap.py; None while the place is sure.
         survey: of the map, to find a place on it.
         schedule: when a view is news.
     """
@@ -82,6 +79,7 @@ class RelocaliserState:
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
+    submap_from: int | None = None
     survey: MapSurvey = field(default_factory=MapSurvey)
     schedule: ScheduleState = field(default_factory=ScheduleState)
 
@@ -229,7 +227,7 @@ class Relocaliser:
             return False
         before = self.filter.estimate()[0]
         reach_m = WATCH_M if s.pending is None else s.pending.search_m
-        around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0)
+        around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0, s.submap_from)
         if s.pending is not None:
             self._instantiate(s.pending, view, around)
         evidence = ViewEvidence(view, around, self._worth(view))
@@ -280,6 +278,8 @@ class Relocaliser:
         s.pending = None
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0
+            if s.submap_from is None:
+                s.submap_from = first_id_after(self.filter.landmarks())
 
     def _aligned(self, lattice: Lattice, expected: Array, view: Observations, around: Surroundings) -> Array:
         """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
@@ -314,26 +314,33 @@ class Relocaliser:
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
         if winner is not None:
             s.looked, s.spots = Coverage(), 0
-            self.filter.jump(Pose(s.belief.jump(winner, pose)), np.diag(JUMP_SIGMA**2))
+            self._put(s.belief.jump(winner, pose))
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
-            s.reason = ""
+            s.reason, s.submap_from = "", None
             s.belief.forget()
         return winner is not None
 
+    def _put(self, found: Array) -> None:
+        """The robot is at a pose (3,); what was learnt in doubt comes along."""
+        s, cov = self.state, np.diag(JUMP_SIGMA**2)
+        whole = None
+        if s.submap_from is not None:
+            whole = joined(self.filter.landmarks(), s.submap_from, self.filter.estimate()[0], found)
+        if whole is None:
+            self.filter.jump(Pose(found), cov)
+        else:
+            self.filter.reset(found, cov, whole)
+            s.survey.index.sync(whole.of(whole.ids >= (s.submap_from or 0)))
+        s.submap_from = None
+
     def _admitted(self, view: Observations) -> Observations | None:
         """What of a view may teach the filter; None for nothing of it."""
-        matched = view.label >= 0
+        pose, coverage = self.filter.estimate()[0], self.state.survey.coverage
         if self.sure:
-            at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
-            known = self.state.survey.coverage.knows(at)
-            count = int(np.count_nonzero(known))
-            strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
-            return None if strange else view
-        if np.count_nonzero(matched) >= CONVINCING * len(view):
-            return replace(view.of(matched), visible_m=np.empty((0, 2)))  # what is missing here may be there
-        return None
+            return of_sure_place(view, pose, coverage)
+        return of_doubtful_place(view, pose, coverage, self.state.submap_from is not None)
 
 
 def _off(pose: Array, expected: Array) -> Array:

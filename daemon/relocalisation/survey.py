@@ -10,6 +10,7 @@ from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence import Surroundings, chance_matches
 from ceilvo.daemon.relocalisation.lattice import Lattice
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
+from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.se2 import transform
 from ceilvo.types import Array, Landmarks, Observations, Pose
@@ -45,11 +46,18 @@ class MapSurvey:
         return MapSurvey(Coverage.of(landmarks, tile_m), PlaceIndex.of(landmarks))
 
     def around(
-        self, filter_: PoseFilter, view: Observations, pose: Array, reach_m: float, axis_rad: float
+        self,
+        filter_: PoseFilter,
+        view: Observations,
+        pose: Array,
+        reach_m: float,
+        axis_rad: float,
+        submap_from: int | None = None,
     ) -> Surroundings:
-        """The part of the map that a view is weighed on at poses within reach of a pose (3,)."""
+        """The part of the map that a view is weighed on at poses within reach of a pose (3,), without a submap."""
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
         near = filter_.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
+        near = rest_of(near, submap_from)
         out = Surroundings.of(near, self.coverage, self.chance, reach_m)
         if self.measured_m < MEASURE_AGAIN_M:
             return out

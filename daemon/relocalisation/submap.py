@@ -1,0 +1,51 @@
+"""What is learnt while the place is in doubt: a map of its own, in the frame of the pose as it is tracked.
+
+Its landmarks have the ids from a number on. They lie right to each other and to the robot, but not to the rest of the
+map, so they say nothing of the place. When the place is found they are joined to the rest, moved as the robot is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ceilvo.se2 import compose, inverse, rotation, transform
+from ceilvo.types import Array, Landmarks, Pose
+
+SAME_M = 0.1
+"""A joined landmark so near one of its type is that one; chosen: as far as places are told apart."""
+
+
+def first_id_after(landmarks: Landmarks) -> int:
+    """The least id that no landmark has reached."""
+    return int(np.max(landmarks.ids, initial=-1)) + 1
+
+
+def rest_of(landmarks: Landmarks, first_id: int | None) -> Landmarks:
+    """The landmarks that are not the submap's; all of them where there is none."""
+    return landmarks if first_id is None else landmarks.of(landmarks.ids < first_id)
+
+
+def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) -> Landmarks | None:
+    """All landmarks, those of the submap moved as the robot is from the tracked pose (3,) to the one found (3,).
+
+    Of what both know the rest's is kept. None where the submap is empty.
+    """
+    own = landmarks.ids >= first_id
+    if not np.any(own):
+        return None
+    there_from_here = np.asarray(compose(found, inverse(tracked)))
+    turn = rotation(float(there_from_here[2]))
+    new, old = landmarks.of(own), landmarks.of(~own)
+    xy = transform(Pose(there_from_here), new.xy_map_m)
+    new = replace(new, xy_map_m=xy, cov_m2=turn @ new.cov_m2 @ turn.T)
+    fresh = np.array([not _known(old, at, kind) for at, kind in zip(xy, new.crossing_type, strict=True)], bool)
+    parts = (old, new.of(fresh))
+    columns = ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")
+    return Landmarks(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
+
+
+def _known(old: Landmarks, at: Array, crossing_type: int) -> bool:
+    near = np.hypot(*(old.xy_map_m - at).T) < SAME_M
+    return bool(np.any(near & (old.crossing_type == crossing_type)))
