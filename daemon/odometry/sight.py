@@ -25,7 +25,7 @@ SHOWN = 1 << 15
 """Bit of a cell that would show a crossing if there were one."""
 _FEWEST = 3
 """Crossings that make a candidate; fewer meet by chance."""
-_CROWD_M = 0.1
+CROWD_M = 0.1
 """Cell in which, with its neighbours, crossings share the worth of one: they are of one lamp's corner, or one vent;
 chosen: less than the smallest tile."""
 _MOST_SPEAKERS = 128
@@ -66,7 +66,7 @@ class Sight:
             picture[row[of], column[of]] = 1 << t
             bits |= np.asarray(cv2.dilate(picture, disc), np.uint16)
         which = _rare_first(types)[:_MOST_SPEAKERS]
-        return Sight(xy[which], types[which], 1.0 / _crowd(xy)[which], low, bits)
+        return Sight(xy[which], types[which], 1.0 / crowd(xy, CROWD_M)[which], low, bits)
 
     def turned(self, turn_rad: float, quarters: int) -> tuple[Array, Ints]:
         """Its crossings (N, 2) and types (N,) as seen from axes that are turned back."""
@@ -86,9 +86,11 @@ def _rare_first(types: Ints) -> Ints:
     return np.asarray(np.argsort(count[types], kind="stable"))
 
 
-def _crowd(xy: Array) -> Array:
-    """(N,) crossings around each, itself included: in its cell and the eight about it."""
-    cell = np.floor(xy / _CROWD_M).astype(np.int64)
+def crowd(xy: Array, cell_m: float) -> Array:
+    """(N,) how many points (N, 2) lie around each, itself included: in its cell and the eight about it."""
+    if not len(xy):
+        return np.zeros(0)
+    cell = np.floor(xy / cell_m).astype(np.int64)
     column, row = (cell - cell.min(axis=0)).T
     many = np.zeros((int(row.max()) + 1, int(column.max()) + 1))
     np.add.at(many, (row, column), 1.0)

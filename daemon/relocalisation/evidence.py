@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, turned_type
+from ceilvo.daemon.odometry.sight import crowd
 from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.place_index.blocks import fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
@@ -39,7 +40,10 @@ _VIEWS_PER_STEP = 8
 CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
 """How likely each of those is; chosen: ceilings change seldom and mostly little."""
 INDEPENDENCE = 0.5
-"""Worth of a feature in those of a view: crossings share lines, and both corners of a lamp move with it; chosen."""
+"""Worth of a feature in those of a view: crossings share lines; chosen."""
+LAMP_CELL_M, LAMP_FEATURES = 0.4, 2.0
+"""Rare features of a cell and the eight around it are one lamp's, and are worth so many together: where one corner is,
+the others are; chosen."""
 COMMON = 0.8
 """A type that a wrong place explains more often than this proves no place; chosen."""
 ALIKE = 0.1
@@ -188,9 +192,14 @@ class ViewEvidence:
 
     def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
         which = _telling(around.chance[0, view.crossing_type])
-        self._view, self._around, self._worth = view.of(which), around, worth[which]
+        rare = around.chance[0] < COMMON
+        self._view, self._around = view.of(which), around
+        self._worth = worth[which] * _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
+        self._expected = around.landmarks.of(rare[around.landmarks.crossing_type])  # the others are seen anywhere
+        self._landmarks_worth = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
+        self._landmarks_worth *= float(np.mean(worth[which])) if len(which) else 0.0
         self._gain, self._mistaken, self._loss = _tables(around.chance)
-        self._rare = np.uint16(np.sum(1 << np.flatnonzero(around.chance[0] < COMMON)))
+        self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, view.visible_m)
         self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
@@ -239,7 +248,7 @@ class ViewEvidence:
 
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
-        landmarks = self._around.landmarks
+        landmarks = self._expected
         out = np.zeros((len(poses), 2 * len(CHANGED)))
         if not len(self._view.visible_m) or not len(landmarks):
             return out
@@ -252,11 +261,19 @@ class ViewEvidence:
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
         missed = (bits & _VISIBLE > 0) & ~is_in(bits, kind) & (bits & self._rare == 0)
-        return (
-            np.asarray(missed @ np.concatenate(surprise, axis=1)) * float(np.mean(self._worth))
-            if len(self._worth)
-            else out
-        )
+        return np.asarray(missed @ (np.concatenate(surprise, axis=1) * self._landmarks_worth[:, None]))
+
+
+def view_ratio(view: Observations, around: Surroundings, poses: Array) -> Array:
+    """(M,) log-likelihood ratios of one view by itself at poses (M, 3), against all wrong places."""
+    return combined(ViewEvidence(view, around, np.ones(len(view))).log_ratio(poses))
+
+
+def _of_lamp(xy_m: Array, rare: NDArray[np.bool_]) -> Array:
+    """(N,) worth of features (N, 2) beside those of the same lamp; of a feature that is not rare 1."""
+    out = np.ones(len(xy_m))
+    out[rare] = np.minimum(LAMP_FEATURES / np.maximum(crowd(xy_m[rare], LAMP_CELL_M), 1.0), 1.0)
+    return out
 
 
 def _mixed(score: Array) -> Array:

@@ -106,6 +106,13 @@ def rival_poses(rivals: Array, tracked: Array) -> Array:
     return out
 
 
+def offset(poses: Array, expected: Array) -> Array:
+    """(..., 3) poses less an expected one (3,), in map."""
+    out = np.array(poses - expected)
+    out[..., 2] = wrap_array(out[..., 2])
+    return out
+
+
 def _period(at: Array) -> float:
     """Median distance along the first axis from a landmark to the next in its row; 0 where there is none."""
     order = np.lexsort([at[:, 0], np.round(at[:, 1] / (2.0 * ALIGNED_M))])

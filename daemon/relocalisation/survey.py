@@ -19,6 +19,8 @@ MEASURED_M = 6.0
 """How often chance explains a feature is measured on the map so far around the robot; chosen."""
 MEASURE_AGAIN_M = 1.0
 """And again after so much of the way."""
+FEWEST_MEASURED = 50
+"""Landmarks that it takes, else what was measured last holds; chosen: an office view has as many joints."""
 INDEXED_M = 2.5
 """What a view may change of the map lies so near the robot; most cameras see less."""
 
@@ -59,7 +61,7 @@ class MapSurvey:
         near = filter_.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
         near = rest_of(near, submap_from)
         out = Surroundings.of(near, self.coverage, self.chance, reach_m)
-        if self.measured_m < MEASURE_AGAIN_M:
+        if self.measured_m < MEASURE_AGAIN_M or len(near) < FEWEST_MEASURED:
             return out
         lattice = Lattice.of(near, axis_rad)
         shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
