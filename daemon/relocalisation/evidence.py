@@ -41,7 +41,7 @@ CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
 """How likely each of those is; chosen: ceilings change seldom and mostly little."""
 INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines; chosen."""
-LAMP_CELL_M, LAMP_FEATURES = 0.4, 2.0
+LAMP_CELL_M, LAMP_FEATURES = 0.4, 4.0
 """Rare features of a cell and the eight around it are one lamp's, and are worth so many together: where one corner is,
 the others are; chosen."""
 COMMON = 0.8

@@ -255,7 +255,7 @@ class Relocaliser:
 
     def _worth(self, view: Observations) -> Array:
         at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
-        return np.asarray(1.0 / (1.0 + self.state.looked.views(at)) ** 2)
+        return np.asarray(1.0 / (1.0 + self.state.looked.views(at)))
 
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
