@@ -146,7 +146,7 @@ class JointRule:
         rule.white = normals(self._settings.particles, state.rng)
         kept = [(b, float(w)) for b, w in zip(branches, weight, strict=True) if w > modes.FAINT]
         after = [_after(state, b, w, rows) for b, w in kept]
-        rule.modes, told = modes.settled(after)
+        rule.modes, told = modes.settled(after, mapping=state.known is None)
         joint.mean, joint.cov = told.mean, told.cov
         rule.slipping, rule.sure = told.slipping, told.weight
         state.counters["slips"] += int(best.slip.kind != NONE)
