@@ -1,0 +1,121 @@
+"""What is learnt in doubt, and how it joins the rest: rigid motions known exactly, and a drive with darkness."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo.bench.place.case import drive_in
+from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
+from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_place
+from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
+from ceilvo.daemon.relocalisation.submap import first_id_after, joined, rest_of
+from ceilvo.se2 import compose, inverse, transform
+from ceilvo.types import Array, Landmarks, Observations, State
+
+number = st.floats(-20.0, 20.0)
+poses = st.tuples(number, number, st.floats(-3.1, 3.1)).map(np.array)
+
+
+def landmarks(xy: Array, first_id: int = 0, kind: int = 0) -> Landmarks:
+    n = len(xy)
+    return Landmarks(
+        first_id + np.arange(n), xy, np.tile(np.diag([4e-6, 1e-6]), (n, 1, 1)), np.full(n, kind), np.full(n, 9)
+    )
+
+
+def both(a: Landmarks, b: Landmarks) -> Landmarks:
+    names = ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")
+    return Landmarks(*(np.concatenate([getattr(a, n), getattr(b, n)]) for n in names))
+
+
+@settings(max_examples=50, deadline=None)
+@given(poses, poses)
+def test_a_joined_landmark_is_seen_from_the_found_pose_as_it_was_from_the_tracked_one(
+    tracked: Array, found: Array
+) -> None:
+    rng = np.random.default_rng(4)
+    old, new = landmarks(rng.uniform(200, 220, (5, 2))), landmarks(rng.uniform(-3, 3, (7, 2)), first_id=5)
+    whole = joined(both(old, new), 5, tracked, found)
+    assert whole is not None
+    assert np.array_equal(whole.xy_map_m[:5], old.xy_map_m)
+    before = transform(inverse(tracked), new.xy_map_m)
+    assert np.allclose(transform(inverse(found), whole.xy_map_m[5:]), before, atol=1e-9)
+    assert np.allclose(np.linalg.eigvalsh(whole.cov_m2), [1e-6, 4e-6])
+    assert np.array_equal(whole.ids, np.arange(12))
+
+
+def test_of_what_both_know_the_rest_is_kept_and_an_empty_submap_is_none() -> None:
+    old = landmarks(np.array([[1.0, 1.0], [2.0, 1.0]]))
+    new = landmarks(np.array([[1.03, 1.0], [5.0, 5.0]]), first_id=2)
+    whole = joined(both(old, new), 2, np.zeros(3), np.zeros(3))
+    assert whole is not None
+    assert whole.ids.tolist() == [0, 1, 3]
+    other_kind = replace(new, crossing_type=np.full(2, 8))
+    whole = joined(both(old, other_kind), 2, np.zeros(3), np.zeros(3))
+    assert whole is not None
+    assert len(whole) == 4
+    assert joined(old, 2, np.zeros(3), np.zeros(3)) is None
+    assert rest_of(both(old, new), 2).ids.tolist() == [0, 1]
+    assert len(rest_of(both(old, new), None)) == 4
+    assert first_id_after(both(old, new)) == 4
+
+
+def view(xy: Array, label: list[int]) -> Observations:
+    n = len(xy)
+    return Observations(xy, np.full((n, 2), 1e-5), np.zeros(n, np.int64), np.array(label), 0.0, 1e-6, 0.0, xy[:3])
+
+
+def known_square() -> Coverage:
+    out = Coverage()
+    for _ in range(VIEWS):
+        out.show(np.array([[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]]))
+    return out
+
+
+def test_in_doubt_only_new_ground_is_learnt_and_what_nearly_all_agrees_corrects() -> None:
+    rng = np.random.default_rng(2)
+    xy, far, ground = rng.uniform(-1, 1, (20, 2)), np.array([50.0, 0.0, 0.0]), known_square()
+    here = np.zeros(3)
+    strange, agreed = view(xy, [-1] * 20), view(xy, [*range(18), -1, -1])
+    assert of_doubtful_place(strange, here, ground, submap=True) is None
+    assert of_doubtful_place(strange, far, ground, submap=False) is None
+    learnt = of_doubtful_place(strange, far, ground, submap=True)
+    assert learnt is not None
+    assert len(learnt) == 20
+    assert not len(learnt.visible_m)
+    corrects = of_doubtful_place(agreed, here, ground, submap=True)
+    assert corrects is not None
+    assert corrects.label.tolist() == list(range(18))
+    assert of_sure_place(strange, here, ground) is None
+    assert of_sure_place(agreed, here, ground) is agreed
+    assert of_sure_place(strange, far, ground) is strange
+
+
+@pytest.mark.parametrize("seed", [6])
+def test_a_lap_in_doubt_on_new_ground_is_joined_when_the_robot_is_back(seed: int) -> None:
+    """25 s of mapping in a hall of 20 m, 2 s of darkness without wheels, new ground, and back."""
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    world = make_world(WorldSpec("20", 0.6, "sparse", seed))
+    drive = drive_in(world, rng, False, 10.0, True, 0.8)
+    drive.at_truth()
+    drive.go(3)
+    map_from_truth = compose(np.asarray(drive.tick().pose), inverse(drive.pose))  # type: ignore[union-attr]
+    drive.go(22)
+    before = drive.pipeline.filter.size()
+    drive.conditions.dark = True
+    drive.go(2)
+    drive.conditions.dark = False
+    drive.go(20)
+    assert drive.estimate is not None
+    assert drive.estimate.state is State.RELOCALISING
+    assert drive.pipeline.filter.size() > before + 30  # it goes on mapping
+    assert drive.settle(150.0)
+    off = compose(inverse(compose(map_from_truth, drive.pose)), np.asarray(drive.estimate.pose))
+    assert np.hypot(*off[:2]) < 0.1
+    there = transform(map_from_truth, world.features.xy_map_m)
+    for at in drive.pipeline.filter.landmarks().xy_map_m:
+        assert np.min(np.hypot(*(there - at).T)) < 0.1
