@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo.daemon.relocalisation.lattice import rival_poses
-from ceilvo.daemon.relocalisation.place_belief import LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
+from ceilvo.daemon.relocalisation.place_belief import LEAD_SPOTS, LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
 from ceilvo.types import Array
 
 RIVALS = np.array([[0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.3, 0.3, 0.5 * np.pi]])
@@ -72,9 +72,26 @@ def test_a_rival_wins_only_when_all_others_together_are_less_likely_than_the_rat
     spot(belief, [-9.0, 0.0, -9.0, -9.0])
     assert belief.winner(1e-4) is None
     spot(belief, [-9.0, 0.0, -9.0, -9.0])
+    for _ in range(LEAD_SPOTS - 1):
+        assert belief.doubt() > 1.0 - 1e-4
+        assert belief.winner(1e-4) is None  # what one spot shows may be people
+        spot(belief, [-9.0, 0.0, -9.0, -9.0])
     assert belief.winner(1e-4) == 1
     belief.cut = True
     assert belief.winner(1e-4) is None
+
+
+def test_a_lead_that_was_interrupted_counts_anew() -> None:
+    belief = doubted()
+    for _ in range(LEAD_SPOTS):
+        spot(belief, [-9.0, 0.0, -9.0, -9.0])
+    for first, second in ((20.0, -20.0), (20.0, -20.0), (-20.0, 20.0), (-20.0, 20.0)):
+        spot(belief, [first, second, -9.0, -9.0])
+    assert belief.doubt() > 1.0 - 1e-4
+    assert belief.winner(1e-4) is None
+    for _ in range(LEAD_SPOTS):
+        spot(belief, [-9.0, 0.0, -9.0, -9.0])
+    assert belief.winner(1e-4) == 1
 
 
 def test_the_winner_becomes_the_tracked_place_and_the_old_one_its_rival() -> None:
@@ -100,7 +117,7 @@ def test_places_that_lost_are_dropped_and_a_move_that_left_no_trace_is_found_in_
     belief.add(RIVALS, np.full(3, LEAST))
     belief.weigh(alike(np.array([-15.0, 6.0, -15.0, -15.0])))
     assert belief.doubt() > 1e-4
-    for _ in range(2):
+    for _ in range(LEAD_SPOTS + 1):
         spot(belief, [-15.0, 6.0, -15.0, -15.0])
     assert belief.winner(1e-4) == 1
 
