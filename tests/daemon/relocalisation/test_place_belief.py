@@ -85,7 +85,7 @@ def test_a_lead_that_was_interrupted_counts_anew() -> None:
     belief = doubted()
     for _ in range(LEAD_SPOTS):
         spot(belief, [-9.0, 0.0, -9.0, -9.0])
-    for first, second in ((20.0, -20.0), (20.0, -20.0), (-20.0, 20.0), (-20.0, 20.0)):
+    for first, second in ((12.0, -12.0), (-12.0, 12.0)):
         spot(belief, [first, second, -9.0, -9.0])
     assert belief.doubt() > 1.0 - 1e-4
     assert belief.winner(1e-4) is None
