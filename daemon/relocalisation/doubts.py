@@ -22,7 +22,7 @@ CARRY_MPS = 2.0
 """How fast a person carries it."""
 ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
-OFF_MAP = 0.2
+OFF_MAP = 0.05
 """Of those that were moved, how many stand where the map does not know; chosen."""
 PLACED_SIGMA = np.array([0.05, 0.05, 0.05])
 """[m, m, rad] that a pose which somebody gives or stores is worse than it says; chosen."""

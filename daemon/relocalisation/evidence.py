@@ -187,17 +187,24 @@ class ViewEvidence:
     """One view, to be weighed at many poses.
 
     Args:
-        worth: (K,) of each feature in those of a view from new ground: what was looked at before says less again.
+        worth: (K,) of each feature in those of a view from new ground: what was looked at before says less. Not so
+            against a wrong place that is alike, which shows another part of what differs at every spot.
     """
 
     def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
         which = _telling(around.chance[0, view.crossing_type])
         rare = around.chance[0] < COMMON
         self._view, self._around = view.of(which), around
-        self._worth = worth[which] * _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
+        lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
+        self._worth = np.repeat(
+            np.stack([worth[which] * lamp, np.sqrt(worth[which]) * lamp]), len(CHANGED), axis=0
+        )  # (2 R, K)
         self._expected = around.landmarks.of(rare[around.landmarks.crossing_type])  # the others are seen anywhere
-        self._landmarks_worth = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
-        self._landmarks_worth *= float(np.mean(worth[which])) if len(which) else 0.0
+        lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
+        old = float(np.mean(worth[which])) if np.any(which) else 0.0
+        self._landmarks_worth = np.repeat(
+            np.stack([old * lamp, np.sqrt(old) * lamp]), len(CHANGED), axis=0
+        ).T  # (L, 2 R)
         self._gain, self._mistaken, self._loss = _tables(around.chance)
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
@@ -244,7 +251,7 @@ class ViewEvidence:
         none = np.where(other[..., None], self._mistaken[step, types], self._loss[step, types])
         each = np.where(matched[..., None], self._gain[step, types], none)
         each *= np.where(matched, np.minimum(views / VIEWS, 1.0), views >= VIEWS)[..., None]
-        return np.asarray(np.einsum("mkr,k->mr", each, self._worth))
+        return np.asarray(np.einsum("mkr,rk->mr", each, self._worth))
 
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
@@ -261,7 +268,7 @@ class ViewEvidence:
         back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
         bits = self._raster.at(back)
         missed = (bits & _VISIBLE > 0) & ~is_in(bits, kind) & (bits & self._rare == 0)
-        return np.asarray(missed @ (np.concatenate(surprise, axis=1) * self._landmarks_worth[:, None]))
+        return np.asarray(missed @ (np.concatenate(surprise, axis=1) * self._landmarks_worth))
 
 
 def view_ratio(view: Observations, around: Surroundings, poses: Array) -> Array:
