@@ -271,6 +271,11 @@ class ViewEvidence:
         return np.asarray(missed @ (np.concatenate(surprise, axis=1) * self._landmarks_worth))
 
 
+def _by_kind(any_: Array, alike: Array) -> Array:
+    """(2 R, N) worths (N,) against either kind of wrong place, for every fraction of change."""
+    return np.repeat(np.stack([any_, alike]), len(CHANGED), axis=0)
+
+
 def view_ratio(view: Observations, around: Surroundings, poses: Array) -> Array:
     """(M,) log-likelihood ratios of one view by itself at poses (M, 3), against all wrong places."""
     return combined(ViewEvidence(view, around, np.ones(len(view))).log_ratio(poses))
