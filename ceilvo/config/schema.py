@@ -155,7 +155,9 @@ class Filter:
     ukf_gate: bool = key(True, "ukf: refuse outliers")
     slip_per_m: float = key(0.02, "joint: how often wheels start to slip per metre; 0 = never", low=0.0, high=10.0)
     slip_share: float = key(0.8, "joint: how much of the reported way a slip may swallow", low=0.0, high=1.0)
-    lost_updates: int = key(8, "joint: updates refused in a row that start a search on the map", low=2, high=1000)
+    lost_updates: int = key(
+        8, "benches of joint only: updates refused in a row that start a search on the map", low=2, high=1000
+    )
     resample_ess_ratio: float = key(
         0.5, "resample when ESS falls below this share of the particles", low=0.05, high=1.0
     )
