@@ -81,6 +81,11 @@ class Sight:
         return np.asarray(self.bits.reshape(-1)[np.where(inside, row * width + column, 0)] * inside)
 
 
+def is_in(bits: NDArray[np.uint16], types: Ints) -> NDArray[np.bool_]:
+    """(...,) whether types (...,) are among those that bits (...,) say."""
+    return np.asarray((bits >> types.astype(np.uint16)) & np.uint16(1) > 0)
+
+
 def _rare_first(types: Ints) -> Ints:
     count = np.bincount(types, minlength=CROSSING_TYPES)
     return np.asarray(np.argsort(count[types], kind="stable"))
@@ -140,7 +145,7 @@ class Matched:
         xy, types = now.turned(turn_rad, quarters)
         there = before.at(xy + shifts[:, None])
         back = now.at((before.xy - shifts[:, None]) @ rotation(turn_rad))
-        same = (there >> types.astype(np.uint16)) & np.uint16(1) > 0
+        same = is_in(there, types)
         other = (there & np.uint16(SHOWN - 1) > 0) & ~same
         gone, lost = there == SHOWN, back == SHOWN
         one = np.eye(CROSSING_TYPES)[types] * now.worth[:, None]

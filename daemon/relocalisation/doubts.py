@@ -24,8 +24,6 @@ ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
 OFF_MAP = 0.05
 """Of those that were moved, how many stand where the map does not know; chosen."""
-PLACED_SIGMA = np.array([0.05, 0.05, 0.05])
-"""[m, m, rad] that a pose which somebody gives or stores is worse than it says; chosen."""
 STORED_WRONG, GIVEN_WRONG, RESET_WRONG = 0.05, 0.2, 0.9
 """Chance that a robot was moved while it was off; that a person mistakes the tile; that a robot whose pose is thrown
 away does not stand where it is told to begin. Chosen."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, turned_type
-from ceilvo.daemon.odometry.sight import crowd
+from ceilvo.daemon.odometry.sight import crowd, is_in
 from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.place_index.blocks import fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
@@ -119,11 +119,6 @@ class TypeRaster:
         return is_in(self.at(xy_m), crossing_type)
 
 
-def is_in(bits: NDArray[np.uint16], crossing_type: Ints) -> NDArray[np.bool_]:
-    """(...,) whether types (...,) are among those that bits (...,) say."""
-    return np.asarray((bits >> crossing_type.astype(np.uint16)) & np.uint16(1) > 0)
-
-
 def combined(log_ratio: Array) -> Array:
     """(...,) log-likelihood ratio against all wrong places, of (..., 2) against any and against one that is alike."""
     return np.asarray(-np.logaddexp(np.log(1.0 - ALIKE) - log_ratio[..., 0], np.log(ALIKE) - log_ratio[..., 1]))
@@ -192,24 +187,25 @@ class ViewEvidence:
     """
 
     def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
-        which = _telling(around.chance[0, view.crossing_type])
+        self._which = _telling(around.chance[0, view.crossing_type])
         rare = around.chance[0] < COMMON
-        self._view, self._around = view.of(which), around
-        lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
-        self._worth = np.repeat(
-            np.stack([worth[which] * lamp, np.sqrt(worth[which]) * lamp]), len(CHANGED), axis=0
-        )  # (2 R, K)
+        self._view, self._around = view.of(self._which), around
         self._expected = around.landmarks.of(rare[around.landmarks.crossing_type])  # the others are seen anywhere
-        lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
-        old = float(np.mean(worth[which])) if np.any(which) else 0.0
-        self._landmarks_worth = np.repeat(
-            np.stack([old * lamp, np.sqrt(old) * lamp]), len(CHANGED), axis=0
-        ).T  # (L, 2 R)
+        self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
+        self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
         self._gain, self._mistaken, self._loss = _tables(around.chance)
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, view.visible_m)
         self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
+        self.take(worth)
+
+    def take(self, worth: Array) -> None:
+        """From now on features are of another worth (K,)."""
+        own = worth[self._which]
+        old = float(np.mean(own)) if len(own) else 0.0
+        self._worth = _by_kind(own * self._lamp, np.sqrt(own) * self._lamp)
+        self._landmarks_worth = _by_kind(old * self._expected_lamp, np.sqrt(old) * self._expected_lamp).T
 
     def log_ratio(self, poses: Array) -> Array:
         """(M, 2) log-likelihood of the view at poses (M, 3) over that at a wrong place: any, and one that is alike.
@@ -274,11 +270,6 @@ class ViewEvidence:
 def _by_kind(any_: Array, alike: Array) -> Array:
     """(2 R, N) worths (N,) against either kind of wrong place, for every fraction of change."""
     return np.repeat(np.stack([any_, alike]), len(CHANGED), axis=0)
-
-
-def view_ratio(view: Observations, around: Surroundings, poses: Array) -> Array:
-    """(M,) log-likelihood ratios of one view by itself at poses (M, 3), against all wrong places."""
-    return combined(ViewEvidence(view, around, np.ones(len(view))).log_ratio(poses))
 
 
 def _of_lamp(xy_m: Array, rare: NDArray[np.bool_]) -> Array:

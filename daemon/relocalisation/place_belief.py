@@ -116,7 +116,7 @@ class PlaceBelief:
         rest = unknown + float(np.sum(share)) - float(share[best])
         if best == 0 or rest >= rate or self.cut or self.led_spots < LEAD_SPOTS:
             return None
-        return best if _key(self.leader) in _keys(self.places[best]) else None
+        return best if _same(self.leader, self.places[best]) else None
 
     def alike(self, least: float) -> int:
         """How many places have at least this share of the belief."""
@@ -143,7 +143,7 @@ class PlaceBelief:
     def leave_spot(self) -> None:
         """What this spot says is settled; the next view is from another. Places that have lost are dropped."""
         best = int(np.argmax(self.weights()[0]))
-        same = best > 0 and _key(self.leader) in _keys(self.places[best])
+        same = best > 0 and _same(self.leader, self.places[best])
         self.leader, self.led_spots = self.places[best].copy(), self.led_spots + 1 if same else int(best > 0)
         self.forget()
         self._settle()
@@ -235,3 +235,8 @@ def _keys(g: Array) -> list[tuple[int, int, int]]:
     """Cells of all transforms that are the same as this one."""
     x, y, turn = _key(g)
     return [(x + i, y + j, turn) for i in range(-_CELLS, _CELLS + 1) for j in range(-_CELLS, _CELLS + 1)]
+
+
+def _same(a: Array, b: Array) -> bool:
+    """Whether two transforms (3,) are one."""
+    return _key(a) in _keys(b)

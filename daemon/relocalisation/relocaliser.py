@@ -13,7 +13,7 @@ from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.admission import FEWEST_KNOWN, of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
-from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, view_ratio
+from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
@@ -230,14 +230,15 @@ class Relocaliser:
         before = self.filter.estimate()[0]
         reach_m = WATCH_M if s.pending is None else s.pending.search_m
         around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0, s.submap_from)
+        evidence = ViewEvidence(view, around, np.ones(len(view)))
         if s.pending is not None:
-            self._instantiate(s.pending, view, around)
+            self._instantiate(s.pending, view, around, evidence)
         pose = self.filter.estimate()[0]
-        if len(s.belief) == 1 and view_ratio(view, around, pose[None])[0] < SURPRISE:
-            self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around)
+        if len(s.belief) == 1 and combined(evidence.log_ratio(pose[None]))[0] < SURPRISE:
+            self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around, evidence)
         if not self.sure and not s.belief.spot_views:
             self._search(view, pose)
-        evidence = ViewEvidence(view, around, self._worth(view))
+        evidence.take(self._worth(view))
         s.belief.weigh(self._log_ratio(evidence, pose))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
@@ -257,7 +258,7 @@ class Relocaliser:
         at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
         return np.asarray(1.0 / (1.0 + self.state.looked.views(at)))
 
-    def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings) -> None:
+    def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings, evidence: ViewEvidence) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
         s = self.state
         if doubt.unmeasured:
@@ -268,7 +269,7 @@ class Relocaliser:
         if lattice is not None:
             expected = pose
             if doubt.unmeasured:
-                pose = self._aligned(lattice, expected, view, around)
+                pose = _aligned(lattice, expected, view, evidence)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = offset(rival_poses(rivals, pose), expected)
@@ -281,12 +282,6 @@ class Relocaliser:
             s.reason, s.views = doubt.reason, 0
             if s.submap_from is None:
                 s.submap_from = first_id_after(self.filter.landmarks())
-
-    def _aligned(self, lattice: Lattice, expected: Array, view: Observations, around: Surroundings) -> Array:
-        """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
-        poses = np.stack([expected, lattice.aligned(expected, view)])
-        poses[0, 2] = poses[1, 2]
-        return np.asarray(poses[np.argmax(view_ratio(view, around, poses))])
 
     def _search(self, view: Observations, pose: Array) -> None:
         """List the places of the whole map that this view can be from, each with its part of what is not listed."""
@@ -327,16 +322,15 @@ class Relocaliser:
 
     def _put(self, found: Array) -> None:
         """The robot is at a pose (3,); what was learnt in doubt comes along."""
-        s, cov = self.state, np.diag(JUMP_SIGMA**2)
-        whole = None
-        if s.submap_from is not None:
-            whole = joined(self.filter.landmarks(), s.submap_from, self.filter.estimate()[0], found)
-        if whole is None:
-            self.filter.jump(Pose(found), cov)
-        else:
-            self.filter.reset(found, cov, whole)
-            s.survey.index.sync(whole.of(whole.ids >= (s.submap_from or 0)))
+        s, cov, first_id = self.state, np.diag(JUMP_SIGMA**2), self.state.submap_from
         s.submap_from = None
+        tracked = self.filter.estimate()[0]
+        whole = None if first_id is None else joined(self.filter.landmarks(), first_id, tracked, found)
+        if first_id is None or whole is None:
+            self.filter.jump(Pose(found), cov)
+            return
+        self.filter.reset(found, cov, whole)
+        s.survey.index.sync(whole.of(whole.ids >= first_id))
 
     def _admitted(self, view: Observations) -> Observations | None:
         """What of a view may teach the filter; None for nothing of it."""
@@ -344,3 +338,10 @@ class Relocaliser:
         if self.sure:
             return of_sure_place(view, pose, coverage)
         return of_doubtful_place(view, pose, coverage, self.state.submap_from is not None)
+
+
+def _aligned(lattice: Lattice, expected: Array, view: Observations, evidence: ViewEvidence) -> Array:
+    """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
+    poses = np.stack([expected, lattice.aligned(expected, view)])
+    poses[0, 2] = poses[1, 2]
+    return np.asarray(poses[np.argmax(combined(evidence.log_ratio(poses)))])

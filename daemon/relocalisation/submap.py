@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.se2 import compose, inverse, rotation, transform
 from ceilvo.types import Array, Landmarks, Pose
 
@@ -40,12 +41,9 @@ def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) ->
     new, old = landmarks.of(own), landmarks.of(~own)
     xy = transform(Pose(there_from_here), new.xy_map_m)
     new = replace(new, xy_map_m=xy, cov_m2=turn @ new.cov_m2 @ turn.T)
-    fresh = np.array([not _known(old, at, kind) for at, kind in zip(xy, new.crossing_type, strict=True)], bool)
-    parts = (old, new.of(fresh))
+    near = landmarks_near(old, xy, SAME_M)[1]
+    close = np.hypot(*(xy[:, None] - near.xy_map_m).transpose(2, 0, 1)) < SAME_M
+    known = np.any(close & (new.crossing_type[:, None] == near.crossing_type), axis=1)
+    parts = (old, new.of(~known))
     columns = ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")
     return Landmarks(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
-
-
-def _known(old: Landmarks, at: Array, crossing_type: int) -> bool:
-    near = np.hypot(*(old.xy_map_m - at).T) < SAME_M
-    return bool(np.any(near & (old.crossing_type == crossing_type)))
