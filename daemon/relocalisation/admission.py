@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.se2 import transform
 from ceilvo.types import Array, Observations, Pose
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.evidence import combined
+from ceilvo.daemon.relocalisation.evidence.view_evidence import combined
 from ceilvo.daemon.relocalisation.lattice import rival_poses
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array, Ints

@@ -11,9 +11,9 @@ from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.admission import FEWEST_KNOWN, of_doubtful_place, of_sure_place
-from ceilvo.daemon.relocalisation.coverage import Coverage
 from ceilvo.daemon.relocalisation.doubts import Doubt
-from ceilvo.daemon.relocalisation.evidence import Surroundings, ViewEvidence, combined
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined

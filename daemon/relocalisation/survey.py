@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence import Surroundings, chance_matches
+from ceilvo.daemon.relocalisation.evidence.chance import Chance
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings
 from ceilvo.daemon.relocalisation.lattice import Lattice
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
@@ -32,12 +33,13 @@ class MapSurvey:
     Attributes:
         coverage: ground that the map knows.
         index: of the whole map.
-        chance: (2, 9) how often chance explains a feature of each type; measured_m: way since it was measured.
+        chance: how often a wrong place explains a feature, None before it was measured.
+        measured_m: way since it was.
     """
 
     coverage: Coverage = field(default_factory=Coverage)
     index: PlaceIndex = field(default_factory=PlaceIndex)
-    chance: Array = field(default_factory=lambda: np.full((2, 9), 0.5))
+    chance: Chance | None = None
     measured_m: float = np.inf
 
     @staticmethod
@@ -60,13 +62,15 @@ class MapSurvey:
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
         near = filter_.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
         near = rest_of(near, submap_from)
-        out = Surroundings.of(near, self.coverage, self.chance, reach_m)
+        chance = Chance.unmeasured(near) if self.chance is None else self.chance
+        named = self.index.named(near.ids)
+        out = Surroundings.of(near, self.coverage, chance, reach_m, named)
         if self.measured_m < MEASURE_AGAIN_M or len(near) < FEWEST_MEASURED:
             return out
         lattice = Lattice.of(near, axis_rad)
         shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
-        self.chance, self.measured_m = chance_matches(near, out.raster, self.coverage, shifts), 0.0
-        return Surroundings(near, out.raster, self.coverage, self.chance, reach_m)
+        self.chance, self.measured_m = Chance.measured(near.of(named), out.raster, self.coverage, shifts), 0.0
+        return Surroundings.of(near, self.coverage, self.chance, reach_m, named)
 
     def learnt(self, filter_: PoseFilter, visible_m: Array) -> None:
         """The filter has learnt from a view that showed a polygon (V, 2) in base."""

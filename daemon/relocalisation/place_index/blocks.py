@@ -135,6 +135,8 @@ class LandmarkBlocks:
         head: (B,) first slot of a block's chain, END for none.
         chain: (S,) the slot after this one in its block, END after the last.
         ids, xy, crossing_type: (S,) id, (S, 2) position, type; a free slot has the type END.
+        visibility: (S,) chance that a view shows a landmark that is in it, in 1/255.
+        named: (S,) whether a landmark is not a mistaken name of another one, see names.py.
         free: (F,) free slots, the first `freed` of them.
         table: from ids to slots.
         length: slots that were ever in use.
@@ -147,6 +149,8 @@ class LandmarkBlocks:
     ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     xy: Fine = field(default_factory=lambda: np.empty((0, 2), np.int32))
     crossing_type: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, np.int8))
+    visibility: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
+    named: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
     free: Slots = field(default_factory=lambda: np.empty(0, np.int32))
     freed: int = 0
     table: IdTable = field(default_factory=IdTable)
@@ -178,6 +182,8 @@ class LandmarkBlocks:
         slots = self._take_slots(int(np.count_nonzero(inside)))
         self.ids[slots], self.xy[slots] = landmarks.ids[inside], xy[inside]
         self.crossing_type[slots] = landmarks.crossing_type[inside]
+        self.visibility[slots] = in_255(landmarks.visibility[inside])
+        self.named[slots] = True
         self.table.insert(self.ids[slots], slots, self.ids)
         self._link(slots)
         return slots
@@ -209,14 +215,25 @@ class LandmarkBlocks:
 
     def near(self, xy: Fine, reach: int) -> Slots:
         """Slots, in order, of all landmarks within reach, along both axes, of any of the points (Q, 2)."""
-        found = [np.empty(0, np.int32)]
-        for which, slot in self.walk(self.directory.at(*(_touched(xy, reach) << BLOCK_SHIFT).T)):
-            off = np.abs(self.xy.take(slot, axis=0) - xy.take(which % len(xy), axis=0))
-            found.append(slot[np.max(off, axis=1) <= reach])
-        return np.unique(np.concatenate(found))
+        return np.unique(self.pairs(xy, reach)[1])
 
-    def nearest(self, xy: Fine, kind: Ints, reach: int) -> tuple[Slots, NDArray[np.float64]]:
-        """For each point (Q, 2) the slot of the nearest landmark of its type (Q,), or -1, and its distance in FINE."""
+    def pairs(self, xy: Fine, reach: int) -> tuple[Ints, Slots]:
+        """All pairs of a point (Q, 2) and the slot of a landmark within reach of it along both axes."""
+        number = self.directory.at(*(_touched(xy, reach) << BLOCK_SHIFT).T).astype(np.int64)
+        count = self.directory.count
+        point, number = np.divmod(np.unique((np.arange(len(number)) % max(len(xy), 1)) * count + number), count)
+        found = [(np.empty(0, np.int64), np.empty(0, np.int32))]
+        for which, slot in self.walk(number.astype(np.int32)):
+            mine = point.take(which)
+            off = np.abs(self.xy.take(slot, axis=0) - xy.take(mine, axis=0))
+            on = np.flatnonzero(np.max(off, axis=1) <= reach)
+            found.append((mine.take(on), slot.take(on)))
+        points, slots = zip(*found, strict=True)
+        return np.concatenate(points), np.concatenate(slots)
+
+    def nearest(self, xy: Fine, wanted: NDArray[np.uint16], reach: int) -> tuple[Slots, NDArray[np.float64]]:
+        """For each point (Q, 2) the slot of the nearest landmark of the types whose bits (Q,) are set, or -1, and its
+        distance in FINE."""
         best, label = np.full(len(xy), np.inf), np.full(len(xy), END, np.int32)
         corners = ((-reach, -reach), (-reach, reach), (reach, -reach), (reach, reach))
         blocks = np.array([self.directory.at(xy[:, 0] + np.int32(dx), xy[:, 1] + np.int32(dy)) for dx, dy in corners])
@@ -226,16 +243,14 @@ class LandmarkBlocks:
             for which, slot in self.walk(number):
                 off = (self.xy.take(slot, axis=0) - xy.take(which, axis=0)).astype(np.float64)
                 apart = np.hypot(off[:, 0], off[:, 1])
-                closer = np.flatnonzero(
-                    (apart < best.take(which)) & (self.crossing_type.take(slot) == kind.take(which))
-                )
+                closer = np.flatnonzero((apart < best.take(which)) & (self.own_bit(slot) & wanted.take(which) > 0))
                 best[which[closer]], label[which[closer]] = apart[closer], slot[closer]
         label[best > reach] = END
         return label, best
 
     @property
     def nbytes(self) -> int:
-        arrays = (self.head, self.chain, self.ids, self.xy, self.crossing_type, self.free)
+        arrays = (self.head, self.chain, self.ids, self.xy, self.crossing_type, self.visibility, self.named, self.free)
         return sum(a.nbytes for a in (*arrays, self.table.slot, self.directory.number))
 
     def _take_slots(self, count: int) -> Slots:
@@ -243,7 +258,14 @@ class LandmarkBlocks:
         self.freed -= again
         slots = np.concatenate([self.free[self.freed : self.freed + again], self.length + np.arange(count - again)])
         self.length += count - again
-        for name, fill in (("chain", END), ("ids", 0), ("xy", 0), ("crossing_type", END)):
+        for name, fill in (
+            ("chain", END),
+            ("ids", 0),
+            ("xy", 0),
+            ("crossing_type", END),
+            ("visibility", 0),
+            ("named", True),
+        ):
             setattr(self, name, grown(getattr(self, name), self.length, fill))
         return np.asarray(slots, np.int32)
 
@@ -265,6 +287,10 @@ class LandmarkBlocks:
         while int(self.chain[at]) != slot:
             at = int(self.chain[at])
         self.chain[at] = after
+
+
+def in_255(share: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return np.round(255.0 * share).astype(np.uint8)
 
 
 def _touched(xy: Fine, reach: int) -> Fine:

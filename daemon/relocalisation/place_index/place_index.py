@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.place_index.blocks import fine
+from ceilvo.daemon.relocalisation.place_index.blocks import fine, in_255
 from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_probability
 from ceilvo.daemon.relocalisation.place_index.found import CONTRADICTED, cost
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
+from ceilvo.daemon.relocalisation.place_index.names import name_again, same_corner
 from ceilvo.daemon.relocalisation.place_index.refinement import refined
 from ceilvo.daemon.relocalisation.place_index.search import Search
 from ceilvo.daemon.relocalisation.place_index.type_grid import REACH_M, TypeGrid
@@ -21,6 +23,8 @@ MOST = 16_384
 MARGIN = 3 * CONTRADICTED
 """Cost that a candidate may have beyond the best one's; three features that are false have a chance of 1e-4 if one in
 twenty is."""
+SEEN_255 = 12
+"""A change of visibility by so much, 5 %, is taken in; chosen for time."""
 MOVED_M = 0.02
 """A landmark that moved by less stays where it was indexed: less than a feature's noise."""
 
@@ -106,15 +110,29 @@ class PlaceIndex:
         off = np.hypot(*(at.astype(np.int64) - was).T)
         other = blocks.crossing_type[slots[known]] != landmarks.crossing_type[known]
         changed = known[(off > fine(np.array(moved_m))) | other]
+        self._see(slots[known], in_255(landmarks.visibility[known]))
         self._remove(slots[changed])
         fresh = slots < 0
         fresh[changed] = True
         if np.any(fresh):
             self.add(landmarks.of(fresh))
 
+    def _see(self, slots: Slots, visibility: NDArray[np.uint8]) -> None:
+        """Take in how visible landmarks are now, where that has changed."""
+        blocks = self.grid.blocks
+        changed = np.abs(visibility.astype(np.int64) - blocks.visibility[slots]) > SEEN_255
+        blocks.visibility[slots[changed]] = visibility[changed]
+        name_again(blocks, slots[changed])
+
+    def named(self, ids: Ints) -> NDArray[np.bool_]:
+        """(N,) whether landmarks are not mistaken names of others; those that are not there are not."""
+        slots = self.grid.blocks.find(ids)
+        return np.asarray((slots < 0) | self.grid.blocks.named.take(slots, mode="clip"), np.bool_)
+
     def add(self, landmarks: Landmarks) -> None:
         """Landmarks with ids that are not there yet, each once."""
         slots = self.grid.add(landmarks)
+        name_again(self.grid.blocks, slots)
         self.members.add(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
 
     def remove(self, ids: Ints) -> None:
@@ -123,8 +141,10 @@ class PlaceIndex:
         self._remove(slots[slots >= 0])
 
     def _remove(self, slots: Slots) -> None:
+        beside = same_corner(self.grid.blocks, slots)
         self.members.remove(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
         self.grid.remove(slots)
+        name_again(self.grid.blocks, np.setdiff1d(beside, slots))
 
     def candidates(self, view: Observations, margin: float = MARGIN, most: int = MOST) -> Candidates:
         """The places that a view can be from.

@@ -53,7 +53,8 @@ def _moved(grid: TypeGrid, poses: Array, view: Observations, kind: Ints) -> Arra
 def _residuals(grid: TypeGrid, at: Array, kind: Ints) -> tuple[Array, NDArray[np.bool_]]:
     """(M, K, 2) from points (M, K, 2) to the nearest landmarks of their types, zero where (M, K) none is in reach."""
     points = fine(at.reshape(-1, 2))
-    slot, _ = grid.blocks.nearest(points, kind.ravel(), int(fine(np.array(grid.reach_m))))
+    own = np.left_shift(1, kind.ravel()).astype(np.uint16)
+    slot, _ = grid.blocks.nearest(points, own, int(fine(np.array(grid.reach_m))))
     residual = FINE_M * grid.blocks.xy.take(slot, axis=0) - at.reshape(-1, 2)
     residual[slot < 0] = 0.0
     return residual.reshape(at.shape), (slot >= 0).reshape(at.shape[:2])

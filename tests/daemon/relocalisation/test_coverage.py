@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
+from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.types import Landmarks
 
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

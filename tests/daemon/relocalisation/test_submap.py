@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ceilvo.bench.place.case import drive_in
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_place
-from ceilvo.daemon.relocalisation.coverage import VIEWS, Coverage
+from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined, rest_of
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Landmarks, Observations, State

@@ -119,7 +119,9 @@ def test_near_and_nearest_are_what_brute_force_finds(rows, points, reach_m):
     apart = np.abs(fine(at)[:, None] - fine(known.xy_map_m)).astype(np.int64)
     near = np.flatnonzero(np.any(np.max(apart, axis=2) <= reach, axis=0))
     assert set(blocks.near(fine(at), reach).tolist()) == set(slots[near].tolist())
-    label, distance = blocks.nearest(fine(at), kind, reach)
+    pairs = {(int(i), int(s)) for i, s in zip(*blocks.pairs(fine(at), reach), strict=True)}
+    assert pairs == {(int(i), int(slots[k])) for i, k in zip(*np.nonzero(np.max(apart, axis=2) <= reach), strict=True)}
+    label, distance = blocks.nearest(fine(at), np.left_shift(1, kind).astype(np.uint16), reach)
     true = np.hypot(*np.moveaxis(apart, 2, 0).astype(float))
     true[kind[:, None] != known.crossing_type] = np.inf
     best = np.min(true, axis=1)

@@ -1,0 +1,104 @@
+"""How often a wrong place of the same ceiling explains what is seen: measured on the map itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, TypeRaster
+from ceilvo.types import Array, Landmarks
+
+COMMON = 0.8
+"""A type that a wrong place explains more often than this proves no place; chosen."""
+FEWEST_SAMPLES, ENOUGH = 8, 0.3
+"""Landmarks, moved onto known ground, that it takes to measure how often chance explains them, and the same as a part
+of all; chosen."""
+UNMEASURED, UNMEASURED_COMMON = 0.5, 0.95
+"""How often chance explains a feature where the map is too small to tell; the same of its commonest type, the joints
+between tiles, which are wherever there are tiles. Chosen."""
+LEAST, MOST = 0.02, 0.98
+"""Nothing that was measured is believed beyond these; chosen: a map around the robot has some fifty of a kind."""
+_NAMES = 3
+"""Names that a rare crossing is mistaken for, about: four types are corners, four are edges on joints."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chance:
+    """How often a landmark, moved by whole tiles, finds another: on average, and by the most alike of the shifts.
+
+    Attributes:
+        same: (2, 9) one of its type.
+        rare_one: (2, 9) one of any rare type; never less than `same`.
+    """
+
+    same: Array
+    rare_one: Array
+
+    @property
+    def rare(self) -> NDArray[np.bool_]:
+        """(9,) types that tell places apart."""
+        return np.asarray(self.same[0] < COMMON)
+
+    @property
+    def seen_at_wrong_places(self) -> Array:
+        """(2, 3, 9) how often a feature is where a landmark of its type is, where one of another type is, and neither.
+
+        Names are mistaken at wrong places as often as at the right one.
+        """
+        other, wrong = self.rare_one - self.same, TYPE_MISTAKEN / _NAMES
+        same = self.same * (1.0 - TYPE_MISTAKEN) + other * wrong
+        return np.stack([same, self.rare_one - same, 1.0 - self.rare_one], axis=1)
+
+    @staticmethod
+    def unmeasured(landmarks: Landmarks) -> Chance:
+        """Of a map that is too small to tell."""
+        same = np.full((2, CROSSING_TYPES), UNMEASURED)
+        same[:, np.argmax(np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES))] = UNMEASURED_COMMON
+        return Chance(same, _between(same, same))
+
+    @staticmethod
+    def measured(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Chance:
+        """By shifts (S, 2) of landmarks that are named.
+
+        The most alike is chosen by all types but the commonest together, for the best of many is good by chance where a
+        type has few landmarks; for the same reason such a type takes the rate of all.
+        """
+        if not len(shifts) or not len(landmarks):
+            return Chance.unmeasured(landmarks)
+        at = landmarks.xy_map_m + shifts[:, None]
+        known = coverage.knows(at)
+        bits = raster.at(at)
+        same = raster.has(at, np.broadcast_to(landmarks.crossing_type, at.shape[:2])) & known
+        of = np.eye(CROSSING_TYPES)[landmarks.crossing_type]
+        tried, hits = known @ of, same @ of
+        anyone = (same | (bits & RARE > 0) & known) @ of
+        out, out_any = _rates(landmarks, tried, hits), _rates(landmarks, tried, anyone)
+        return Chance(out, _between(out, out_any))
+
+
+def _rates(landmarks: Landmarks, tried: Array, hits: Array) -> Array:
+    """(2, 9) shares of hits (S, 9) in those that were tried (S, 9): on average, and by the most alike shift."""
+    kinds = np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES)
+    common = int(np.argmax(kinds))
+    rare = np.arange(CROSSING_TYPES) != common
+    all_tried, all_hits = tried[:, rare].sum(axis=1), hits[:, rare].sum(axis=1)
+    rate = (all_hits + 1.0) / (all_tried + 2.0)
+    enough = all_tried >= max(FEWEST_SAMPLES, ENOUGH * float(kinds[rare].sum()))
+    out = Chance.unmeasured(landmarks).same
+    if np.any(enough):
+        best = int(np.argmax(np.where(enough, rate, 0.0)))
+        pooled = float(np.sum(all_hits[enough]) / np.sum(all_tried[enough]))
+        out[0] = (hits[enough].sum(axis=0) + FEWEST_SAMPLES * pooled) / (tried[enough].sum(axis=0) + FEWEST_SAMPLES)
+        out[1] = np.maximum((hits[best] + FEWEST_SAMPLES * rate[best]) / (tried[best] + FEWEST_SAMPLES), out[0])
+    usual = (hits[:, common] + FEWEST_SAMPLES * UNMEASURED_COMMON) / (tried[:, common] + FEWEST_SAMPLES)
+    out[:, common] = float(np.max(usual))
+    return np.asarray(np.clip(out, LEAST, MOST))
+
+
+def _between(same: Array, rare_one: Array) -> Array:
+    """Chances of any rare one, above those of the same one and below 1."""
+    return np.asarray(np.clip(rare_one, same + 0.5 * LEAST, 1.0 - 0.5 * LEAST))

@@ -1,0 +1,285 @@
+"""What a view says of poses: how much likelier it is there than at a wrong place of the same ceiling.
+
+Three things are counted: features that a landmark of their type explains, features where the map knows that there are
+none, and landmarks that should be seen and are not. What a wrong place explains by chance is measured on the map: how
+often a landmark, moved by whole tiles, finds one of its type. So a joint between tiles says next to nothing and a
+lamp says much, unless lamps hang in a pattern, in which case they say little too.
+
+Wrong places are of two kinds: any, and those that are as like this one as any. Which kind a place is stays so however
+often it is looked at, so both are weighed apart, and only their sums over all views are put together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, turned_type
+from ceilvo.daemon.odometry.sight import crowd, is_in
+from ceilvo.daemon.relocalisation.evidence.chance import Chance
+from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
+from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, REACH_M, VISIBLE, TypeRaster
+from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
+from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
+from ceilvo.types import Array, Ints, Landmarks, Observations
+
+CHANGED = np.array([0.0, 0.05, 0.15, 0.35])
+"""Fractions of a view that may be other than when it was mapped."""
+UNMAPPED_COMMON = 0.01
+"""Chance that a joint between tiles on known ground is not in the map; 0.001 was measured, see coverage.VIEWS."""
+UNMAPPED_FIRST, UNMAPPED_VIEWS = 6.0, 3.0
+"""The same of rarer types, that are seen now and then only: 1 / (6 + n / 3) after n views showed the ground. Measured
+0.16, 0.11, 0.09, 0.06, 0.03, 0.015 at 6, 15, 25, 40, 80 and 150 views (two rooms, first laps, seeds 501 and 502)."""
+_VIEWS_PER_STEP = 8
+"""Views are told apart in steps of so many."""
+CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
+"""How likely each of those is; chosen: ceilings change seldom and mostly little."""
+INDEPENDENCE = 0.5
+"""Worth of a feature in those of a view: crossings share lines; chosen."""
+LAMP_CELL_M, LAMP_FEATURES = 0.4, 4.0
+"""Rare features of a cell and the eight around it are one lamp's, and are worth so many together: where one corner is,
+the others are; chosen."""
+ALIKE = 0.1
+"""Of wrong places, how many are as like this one as any: lamps hang in a pattern, and go on so; chosen."""
+MOST_VISIBLE = 0.8
+"""A landmark's own visibility is believed up to here: it was counted from other spots."""
+CLOSE = 15.0
+"""Log-likelihood under the best pose from which landmarks that are not seen are no longer looked for; chosen."""
+MOST_RARE, MOST_COMMON = 40, 16
+"""Features of a view that are weighed at every place, for time: of types that tell places apart, and of others."""
+AT_ONCE = 256
+"""Poses weighed at once, so that their arrays stay in the cache; chosen."""
+_QUARTER = 0.5 * np.pi
+
+
+def combined(log_ratio: Array) -> Array:
+    """(...,) log-likelihood ratio against all wrong places, of (..., 2) against any and against one that is alike."""
+    return np.asarray(-np.logaddexp(np.log(1.0 - ALIKE) - log_ratio[..., 0], np.log(ALIKE) - log_ratio[..., 1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """The part of the map that poses are weighed on, and what chance explains of it.
+
+    Attributes:
+        landmarks: of the map, all that can be seen from the poses.
+        raster: the same to look into.
+        coverage: which ground the map knows.
+        chance: how often a wrong place explains a feature.
+        reach_m: how far from the tracked pose all that a pose sees is in it.
+    """
+
+    landmarks: Landmarks
+    raster: TypeRaster
+    coverage: Coverage
+    chance: Chance
+    reach_m: float
+
+    @staticmethod
+    def of(
+        landmarks: Landmarks,
+        coverage: Coverage,
+        chance: Chance,
+        reach_m: float,
+        named: NDArray[np.bool_] | None = None,
+    ) -> Surroundings:
+        """Of landmarks, of which some (L,) may be mistaken names of others."""
+        raster = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type, chance.rare, named)
+        return Surroundings(landmarks, raster, coverage, chance, reach_m)
+
+
+class ViewEvidence:
+    """One view, to be weighed at many poses.
+
+    Args:
+        worth: (K,) of each feature in those of a view from new ground: what was looked at before says less. Not so
+            against a wrong place that is alike, which shows another part of what differs at every spot.
+    """
+
+    def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
+        rare = around.chance.rare
+        self._which = _telling(around.chance.same[0, view.crossing_type], rare[view.crossing_type])
+        self._view, self._around = view.of(self._which), around
+        self._expected = around.landmarks.of(rare[around.landmarks.crossing_type])  # the others are seen anywhere
+        self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
+        self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
+        self._gain, self._mistaken, self._loss = _tables(around.chance)
+        self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
+        self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
+        self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, rare, corners_m=view.visible_m)
+        self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
+        self.take(worth)
+
+    def take(self, worth: Array) -> None:
+        """From now on features are of another worth (K,)."""
+        own = worth[self._which]
+        self._worth = _by_kind(own * self._lamp, np.sqrt(own) * self._lamp)
+        self._worth_of_missed = float(np.mean(own)) if len(own) else 0.0
+
+    def log_ratio(self, poses: Array) -> Array:
+        """(M, 2) log-likelihood of the view at poses (M, 3) over that at a wrong place: any, and one that is alike.
+
+        What is missing is looked for only where what is there leaves a chance; it can only count against a pose.
+        """
+        return self._without_missed(self._features(poses), poses, self._missed)
+
+    def _without_missed(self, score: Array, poses: Array, missed: Callable[[Array], Array]) -> Array:
+        """(M, 2) log-likelihood ratios of scores (M, R) less what is missing at poses (M, 3), where that matters."""
+        out = _mixed(score)
+        whole = combined(out)
+        near = np.flatnonzero(whole > np.max(whole, initial=-np.inf) - CLOSE)
+        out[near] = _mixed(score[near] + missed(poses[near]))
+        return out
+
+    @property
+    def reach_m(self) -> float:
+        return self._around.reach_m
+
+    def log_ratio_in(self, grid: TypeGrid, poses: Array) -> Array:
+        """(M, 2) the same for poses (M, 3) anywhere on the map."""
+        score = np.empty((len(poses), 2 * len(CHANGED)))
+        for part in np.array_split(np.arange(len(poses)), len(poses) // AT_ONCE + 1):
+            at = _moved(poses[part], self._view.xy_base_m)
+            types = self._types[self._turns(poses[part])]
+            score[part] = self._scored(at, types, *self._found_in(grid, at, types))
+        return self._without_missed(score, poses, partial(self._missed_in, grid))
+
+    def _found_in(self, grid: TypeGrid, at: Array, types: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(M, K) whether features of types (M, K) are where a landmark of theirs is, or another rare one."""
+        bits = grid.bits(fine(at[..., 0]), fine(at[..., 1]))
+        matched, other = is_in(bits, types), bits & self._rare > 0
+        rare = np.nonzero(other & (self._rare >> types.astype(np.uint16) & 1 > 0))
+        points, own, reach = (
+            fine(at[rare]),
+            np.left_shift(1, types[rare]).astype(np.uint16),
+            int(fine(np.array(REACH_M))),
+        )
+        same, _ = grid.blocks.nearest(points, own, reach)
+        matched[rare] = (same >= 0) & grid.blocks.named.take(same, mode="clip")
+        other[rare] = matched[rare] | (grid.blocks.nearest(points, np.full(len(own), self._rare), reach)[0] >= 0)
+        return matched, other
+
+    def _turns(self, poses: Array) -> Ints:
+        return np.asarray(np.round((self._view.heading_rad - poses[..., 2]) / _QUARTER).astype(np.int64) % 4)
+
+    def _features(self, poses: Array) -> Array:
+        """(M, R) of what is seen, for each fraction of change."""
+        at, types = _moved(poses, self._view.xy_base_m), self._types[self._turns(poses)]
+        bits = self._around.raster.at(at)
+        return self._scored(at, types, is_in(bits, types), bits & RARE > 0)
+
+    def _scored(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
+        """(M, R) of features (M, K) seen at (M, K, 2): whether a landmark of their type is there, or one beside."""
+        views = self._around.coverage.views(at)
+        step = views // _VIEWS_PER_STEP
+        none = np.where(other[..., None], self._mistaken[step, types], self._loss[step, types])
+        each = np.where(matched[..., None], self._gain[step, types], none)
+        each *= np.where(matched, np.minimum(views / VIEWS, 1.0), views >= VIEWS)[..., None]
+        return np.asarray(np.einsum("mkr,rk->mr", each, self._worth))
+
+    def _missed(self, poses: Array) -> Array:
+        """(M, R) of landmarks that should be seen and are not."""
+        landmarks = self._expected
+        out = np.zeros((len(poses), 2 * len(CHANGED)))
+        if not len(self._view.visible_m) or not len(landmarks):
+            return out
+        surprise = self._surprise(landmarks.crossing_type, landmarks.visibility, self._expected_lamp)
+        kind = np.broadcast_to(landmarks.crossing_type, (len(poses), len(landmarks)))
+        missed = self._is_missed(poses[:, None], landmarks.xy_map_m, kind)
+        return np.asarray(missed @ surprise)
+
+    def _missed_in(self, grid: TypeGrid, poses: Array) -> Array:
+        """(M, R) the same anywhere on the map."""
+        out = np.zeros((len(poses), 2 * len(CHANGED)))
+        if not len(self._view.visible_m) or not len(poses):
+            return out
+        blocks = grid.blocks
+        reach = fine(np.max(np.hypot(*self._view.visible_m.T)))
+        which, slot = blocks.pairs(fine(poses[:, :2]), int(reach))
+        rare = np.flatnonzero(self._rare >> blocks.crossing_type.take(slot).astype(np.uint16) & 1)
+        which, (slot, of) = which[rare], np.unique(slot[rare], return_inverse=True)
+        xy, kind = (
+            FINE_M * blocks.xy.take(slot, axis=0).astype(np.float64),
+            blocks.crossing_type.take(slot).astype(np.int64),
+        )
+        surprise = self._surprise(kind, blocks.visibility.take(slot) / 255.0, _of_lamp(xy, np.ones(len(xy), bool)))
+        missed = np.flatnonzero(self._is_missed(poses[which], xy[of], kind[of]))
+        np.add.at(out, which[missed], surprise[of[missed]])
+        return out
+
+    def _is_missed(self, poses: Array, xy_map_m: Array, kind: Ints) -> NDArray[np.bool_]:
+        """(...,) whether landmarks (..., 2) of types (...,) would be in view from poses (..., 3) and are not seen."""
+        off = xy_map_m - poses[..., :2]
+        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        back = np.stack([c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]], axis=-1)
+        bits = self._raster.at(back)
+        seen_as = self._seen_as[np.broadcast_to(self._turns(poses), kind.shape), kind]
+        return np.asarray((bits & VISIBLE > 0) & ~is_in(bits, seen_as) & (bits & RARE == 0))
+
+    def _surprise(self, kind: Ints, visibility: Array, lamp: Array) -> Array:
+        """(N, R) log-likelihood ratios of landmarks of types (N,), worth (N,) of a lamp, not seen."""
+        hit = np.minimum(visibility, MOST_VISIBLE)[:, None] * (1.0 - CHANGED)
+        by_chance = self._around.chance.same[:, kind]
+        each = [np.minimum(np.log((1.0 - hit) / (1.0 - q[:, None])), 0.0) for q in by_chance]
+        worth = self._worth_of_missed
+        return np.asarray(np.concatenate(each, axis=1) * _by_kind(worth * lamp, np.sqrt(worth) * lamp).T)
+
+
+def _by_kind(any_: Array, alike: Array) -> Array:
+    """(2 R, N) worths (N,) against either kind of wrong place, for every fraction of change."""
+    return np.repeat(np.stack([any_, alike]), len(CHANGED), axis=0)
+
+
+def _of_lamp(xy_m: Array, rare: NDArray[np.bool_]) -> Array:
+    """(N,) worth of features (N, 2) beside those of the same lamp; of a feature that is not rare 1."""
+    out = np.ones(len(xy_m))
+    out[rare] = np.minimum(LAMP_FEATURES / np.maximum(crowd(xy_m[rare], LAMP_CELL_M), 1.0), 1.0)
+    return out
+
+
+def _mixed(score: Array) -> Array:
+    """(M, 2) over all fractions of change, of scores (M, 2 R)."""
+    kinds = (INDEPENDENCE * score).reshape(-1, 2, len(CHANGED)) + np.log(CHANGED_CHANCE)
+    return np.asarray(np.logaddexp.reduce(kinds, axis=2))
+
+
+def _telling(chance: Array, rare: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(K,) features that are weighed: of the rare ones those that chance (K,) explains least, and a few others."""
+    out = np.zeros(len(chance), bool)
+    few = np.flatnonzero(rare)
+    out[few[np.argsort(chance[few], kind="stable")[:MOST_RARE]]] = True
+    usual = np.flatnonzero(~rare)
+    out[usual[:: max(len(usual) // MOST_COMMON, 1)]] = True
+    return out
+
+
+def _tables(chance: Chance) -> tuple[Array, Array, Array]:
+    """(V, 9, 2 R) log-likelihood ratios of a feature with a landmark of its type, with one of another type, and without
+    any, by steps of views and type; against any wrong place and against one like it, for every fraction of change."""
+    views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
+    unmapped = np.where(chance.rare, 1.0 / (UNMAPPED_FIRST + views[:, None] / UNMAPPED_VIEWS), UNMAPPED_COMMON)[
+        ..., None
+    ]
+    unmapped = unmapped + (1.0 - unmapped) * CHANGED
+    mistaken = TYPE_MISTAKEN[:, None]
+    known = np.log(1.0 - unmapped)
+    out: list[list[Array]] = [[], [], []]
+    for wrong in chance.seen_at_wrong_places:
+        same, other, none = (np.log(p)[:, None] for p in wrong)
+        out[0].append(known + np.log(1.0 - mistaken) - same)
+        out[1].append(known + np.log(mistaken) - other)
+        out[2].append(np.minimum(np.log(unmapped) - none, 0.0))
+    rare = chance.rare[:, None]
+    ratios = [np.concatenate(kinds, axis=2) for kinds in out]
+    return np.where(rare, ratios[0], np.minimum(ratios[0], 0.0)), np.where(rare, ratios[1], ratios[2]), ratios[2]
+
+
+def _moved(poses: Array, xy: Array) -> Array:
+    """(M, K, 2) points (K, 2) in base, seen from poses (M, 3)."""
+    c, s = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
+    x, y = xy[:, 0], xy[:, 1]
+    return np.stack([poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y], axis=-1)
