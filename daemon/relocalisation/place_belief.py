@@ -26,9 +26,9 @@ SPOT_M, SPOT_RAD = 0.25, 0.25
 """A robot that has moved or turned so far sees other things, or the same ones with other errors; chosen."""
 SPOT_CAP = 25.0
 """What one spot may add to log-odds, either way; chosen: no single view is surer than that."""
-LEAD_SPOTS = 3
-"""From so many spots in a row a place must be the likeliest to take over; chosen: what people, dirt or a line that is
-called by another type add to it is gone after 0.75 m, and it may be as much as a lamp adds."""
+LEAD_M = 0.6
+"""For so much of the way a place must have been the likeliest to take over; chosen: what people, dirt or a line that is
+called by another type add to it is gone then, and it may be as much as a lamp adds. Turning shows the same ceiling."""
 _CELL_M, _CELLS = 0.05, 2
 """Places that are no more cells apart are one: 0.1 to 0.15 m, half the smallest tile at most."""
 MOST_PLACES = 20_000
@@ -52,7 +52,7 @@ class PlaceBelief:
         spot_views: views from this spot.
         spot_m, spot_rad: moved and turned since the spot began.
         cut: places were left out that may be right.
-        leader, led_spots: the likeliest place (3,) but for the tracked one, and from how many spots in a row it was.
+        leader, led_m: the likeliest place (3,) but for the tracked one, and for how much of the way it was.
     """
 
     places: Array = field(default_factory=_tracked)
@@ -65,7 +65,7 @@ class PlaceBelief:
     spot_rad: float = 0.0
     cut: bool = False
     leader: Array = field(default_factory=lambda: np.zeros(3))
-    led_spots: int = 0
+    led_m: float = 0.0
 
     def __len__(self) -> int:
         """Places, the tracked one included."""
@@ -114,7 +114,7 @@ class PlaceBelief:
         share, unknown = self.shares()
         best = int(np.argmax(share))
         rest = unknown + float(np.sum(share)) - float(share[best])
-        if best == 0 or rest >= rate or self.cut or self.led_spots < LEAD_SPOTS:
+        if best == 0 or rest >= rate or self.cut or self.led_m < LEAD_M:
             return None
         return best if _same(self.leader, self.places[best]) else None
 
@@ -144,7 +144,7 @@ class PlaceBelief:
         """What this spot says is settled; the next view is from another. Places that have lost are dropped."""
         best = int(np.argmax(self.weights()[0]))
         same = best > 0 and _same(self.leader, self.places[best])
-        self.leader, self.led_spots = self.places[best].copy(), self.led_spots + 1 if same else int(best > 0)
+        self.leader, self.led_m = self.places[best].copy(), self.led_m + self.spot_m if same else 0.0
         self.forget()
         self._settle()
 
@@ -205,7 +205,7 @@ class PlaceBelief:
     def jump(self, winner: int, tracked: Array) -> Array:
         """The winner becomes the tracked place; returns its pose (3,) for the tracked pose (3,)."""
         self._settle()
-        self.led_spots = 0
+        self.led_m = 0.0
         there: Array = rival_poses(self.places[winner : winner + 1], tracked)[0]
         back = inverse(self.places[winner])
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])

@@ -36,6 +36,11 @@ class Stretch:
         return float(self.wheels[2])
 
     @property
+    def bend_rad(self) -> float:
+        """The larger turn of the two: where one is late without being known to be, only one of them has turned."""
+        return max(abs(float(self.wheels[2])), abs(float(self.eye[2])))
+
+    @property
     def angle_rad(self) -> float:
         """From the wheels' direction to the eye's, in [-pi, pi]."""
         (wx, wy), (ex, ey) = self.wheels[:2].tolist(), self.eye[:2].tolist()

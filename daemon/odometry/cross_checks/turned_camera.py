@@ -44,8 +44,10 @@ _KNOCK_RADPS, _KNOCK_GAP_RADPS = 0.7, 0.3
 by some 0.5 rad/s, but steadily."""
 _KNOCK_S = 0.6
 """Longest time that a knock takes; chosen: odometry finds its way again within 8 frames."""
-_KNOCK_STEADY_RAD = 0.02
-"""Most that wheels may turn meanwhile; chosen: a late picture then shows a part of it."""
+_KNOCK_SHARE = 0.5
+"""Part of the wheels' turn meanwhile that they may have lost: they slip most in bends; chosen."""
+_KNOCK_LAGS = 7
+"""Lags that are tried: a late picture shows another part of what the wheels turned."""
 _KNOCK_SIGMAS = 6.0
 """Of the wheels' heading, likewise."""
 _KNOCK_STRETCHES = 4
@@ -109,7 +111,7 @@ class TurnedCamera:
         else:
             self._knock(paths, lag_s)
             found = stretch(paths, s.start_s, late_s)
-            if found is None or found.way_m >= _STRETCH_M or abs(found.turned_rad) >= _STRETCH_RAD:
+            if found is None or found.way_m >= _STRETCH_M or found.bend_rad >= _STRETCH_RAD:
                 s.start_s = float(paths.time_s[-1])
                 if found is not None:
                     self._weigh(found)
@@ -121,21 +123,24 @@ class TurnedCamera:
         if not len(before):
             return
         row, now_s = int(before[-1]), float(paths.time_s[-1])
-        gap_s, heading = now_s - float(paths.time_s[row]), paths.wheels[:, 2]
-        around = heading[paths.time_s >= paths.time_s[row] - lag_s]
-        if gap_s > _KNOCK_S or np.ptp(around) > _KNOCK_STEADY_RAD:
+        gap_s = now_s - float(paths.time_s[row])
+        if gap_s > _KNOCK_S:
             return
-        off_rad = float(paths.eye[-1, 2] - paths.eye[row, 2] - heading[-1] + heading[row])
+        ends = np.array([now_s, now_s - gap_s])[:, None] - np.linspace(0.0, lag_s, _KNOCK_LAGS)
+        told_rad = -np.diff(paths.wheels_at(ends)[..., 2], axis=0)[0]
+        offs_rad = float(paths.eye[-1, 2] - paths.eye[row, 2]) - told_rad
+        off_rad = float(offs_rad[np.argmin(np.abs(offs_rad))])
         sigma_rad = math.sqrt(paths.wheel_variance(float(paths.time_s[row]), now_s)[1])
         rate = _KNOCK_RADPS if row == len(paths) - 2 else _KNOCK_GAP_RADPS
-        if abs(off_rad) > max(_KNOCK_RAD, _KNOCK_SIGMAS * sigma_rad, rate * gap_s):
+        slip_rad = _KNOCK_SHARE * float(np.max(np.abs(told_rad)))
+        if abs(off_rad) > max(_KNOCK_RAD, _KNOCK_SIGMAS * sigma_rad, rate * gap_s, slip_rad):
             s.knock_rad, s.knock_mean_rad, s.knock_stretches = s.knock_rad + off_rad, 0.0, 0
             s.start_s = None
 
     def _weigh(self, found: Stretch) -> None:
         angle_rad = found.angle_rad
         whole = found.way_m >= _STRETCH_M and found.seen_m >= _SEEN_SHARE * found.way_m
-        if not whole or abs(found.turned_rad) >= _STRETCH_RAD or abs(angle_rad) > _REVERSED_RAD:
+        if not whole or found.bend_rad >= _STRETCH_RAD or abs(angle_rad) > _REVERSED_RAD:
             return
         self._explain_knock(angle_rad)
         variance = _SIGMA_RAD**2 + found.var_xy_m2 / found.way_m**2

@@ -6,10 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo.daemon.relocalisation.lattice import rival_poses
-from ceilvo.daemon.relocalisation.place_belief import LEAD_SPOTS, LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
+from ceilvo.daemon.relocalisation.place_belief import LEAD_M, LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
 from ceilvo.types import Array
 
 RIVALS = np.array([[0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.3, 0.3, 0.5 * np.pi]])
+STEP_M = 0.26
+LEAD_SPOTS = 1 + int(np.ceil(LEAD_M / STEP_M))
+"""The first of them says who leads."""
 TRACKED = np.array([2.0, 1.0, 0.4])
 
 
@@ -24,8 +27,8 @@ def doubted(odds: float = -2.0) -> PlaceBelief:
     return belief
 
 
-def spot(belief: PlaceBelief, ratio: list[float], views: int = 1) -> None:
-    belief.moved(1.0, 0.0)
+def spot(belief: PlaceBelief, ratio: list[float], views: int = 1, way_m: float = STEP_M) -> None:
+    belief.moved(way_m, 1.0)
     belief.leave_spot()
     for _ in range(views):
         belief.weigh(alike(np.array(ratio[: len(belief)])))
@@ -78,6 +81,14 @@ def test_a_rival_wins_only_when_all_others_together_are_less_likely_than_the_rat
         spot(belief, [-9.0, 0.0, -9.0, -9.0])
     assert belief.winner(1e-4) == 1
     belief.cut = True
+    assert belief.winner(1e-4) is None
+
+
+def test_turning_on_the_spot_is_no_lead() -> None:
+    belief = doubted()
+    for _ in range(20):
+        spot(belief, [-9.0, 0.0, -9.0, -9.0], way_m=0.0)
+    assert belief.doubt() > 1.0 - 1e-4
     assert belief.winner(1e-4) is None
 
 

@@ -11,7 +11,7 @@ from ceilvo.bench.cross_checks.drives import DriveSpec
 from ceilvo.daemon.odometry.cross_checks.paths import Paths
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
 from ceilvo.daemon.odometry.cross_checks.turned_camera import TurnedCamera
-from ceilvo.types import Displacement, Motion
+from ceilvo.types import Displacement, Motion, WheelMotion
 
 SLIPPING = replace(DRIVING, slips_per_m=0.5, slip_share=0.95, slip_radps=0.6, wheel_turn_scale=0.9)
 
@@ -24,18 +24,19 @@ def bumped(motion: Motion, yaw_rad: float) -> Motion:
 
 
 def said_of(
-    deg: float, seconds: float, seed: int, begin_s: float = 0.0, jump: bool = False
+    deg: float, seconds: float, seed: int, begin_s: float = 0.0, jump: bool = False, bend: bool = False
 ) -> tuple[dict[Kind, float], list[Suspicion], float]:
     """Way since the bump when each kind is first said, what is said at the end, and the angle then.
 
     Args:
-        jump: the bump happens while the camera looks, so the picture turns at once; the robot goes straight on then.
+        jump: the bump happens while the camera looks, so the picture turns at once; the robot goes straight on then, or
+            with `bend` in a steady turn.
     """
     check, way_m, first_m, said, paths = TurnedCamera(), 0.0, {}, [], Paths()
     begun = False
     for now_s, motion, wheels, elapsed_s in told(DRIVING, seconds, seed):
         turned = abs(float(paths.wheels[-1, 2] - paths.wheels_at(now_s - 0.5)[2])) if len(paths) else 0.0
-        on = now_s > begin_s and (begun or not jump or turned < 0.01)
+        on = now_s > begin_s and (begun or not jump or (0.3 < turned < 0.6 if bend else turned < 0.01))
         step = bumped(motion, np.radians(deg) * on)
         if jump and on and not begun:
             step = replace(
@@ -69,6 +70,21 @@ def test_a_bump_in_the_light_is_said_at_once_and_explained_soon(deg: float, seed
     assert first_m[Kind.CAMERA_TURNED] < 8.0
     assert [s.kind for s in said] == [Kind.CAMERA_TURNED]
     assert yaw_deg == pytest.approx(-deg, abs=1.5)
+
+
+@pytest.mark.parametrize("seed", [94, 95])
+def test_a_bump_in_a_bend_is_said_at_once_too(seed: int) -> None:
+    assert said_of(8.0, 200.0, seed, begin_s=60.0, jump=True, bend=True)[0][Kind.KNOCKED] < 0.1
+
+
+def test_an_eye_in_a_bend_while_the_wheels_go_straight_says_nothing_of_the_camera() -> None:
+    """As behind stamps that run at another rate: a bump of 9 deg was said, and the heading "corrected" by it."""
+    check, paths = TurnedCamera(), Paths()
+    motion = next(told(DRIVING, 1.0, 1))[1]
+    for _ in range(900):
+        wheels = WheelMotion(Displacement(np.array([0.02, 0.0, 0.0])), np.diag([1e-6, 1e-6, 1e-6]))
+        paths.add(replace(motion, prev_from_curr=Displacement(np.array([0.02, 0.0, 0.02]))), wheels, 0.033)
+        assert Kind.CAMERA_TURNED not in {s.kind for s in check.step(paths, 0.0, 0.2, False)}
 
 
 def test_a_robot_that_was_knocked_itself_has_its_camera_where_it_was() -> None:
