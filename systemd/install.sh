@@ -24,6 +24,7 @@ UNIT=/etc/systemd/system/ceilvod.service
 WANTED=/etc/systemd/system/multi-user.target.wants/ceilvod.service
 RULES=/etc/udev/rules.d/60-ceilvo.rules
 SYSUSERS=/etc/sysusers.d/ceilvo.conf
+NETWORK=$UNIT.d/10-network.conf
 COMMANDS="ceilvod calib"
 
 say() { printf 'ceilvo: %s\n' "$*"; }
@@ -161,6 +162,19 @@ install_service() {
   install -d -m750 "$root$STATE"
 }
 
+# The unit speaks to this computer only, unless the configuration wants more.
+install_network() {
+  if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$CONF/config.yaml"; then
+    install -d "$root${NETWORK%/*}"
+    printf '%s\n' '# Written by install.sh: config.yaml needs the network.' '[Service]' 'IPAddressDeny=' 'IPAddressAllow=' \
+      >"$root$NETWORK"
+    say "$CONF/config.yaml needs the network: $NETWORK lets the service use it"
+  elif [ -e "$root$NETWORK" ]; then
+    rm -f "$root$NETWORK"
+    rmdir --ignore-fail-on-non-empty "$root${NETWORK%/*}"
+  fi
+}
+
 tell_system() {
   [ -z "$root" ] || return 0
   systemctl daemon-reload
@@ -176,6 +190,7 @@ do_install() {
   install_user
   install_config
   install_service
+  install_network
   tell_system
   if [ -z "$root" ]; then
     chown ceilvo:ceilvo "$STATE"

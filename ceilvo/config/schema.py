@@ -242,7 +242,10 @@ class Zenoh:
     mode: str = key("peer", "peer needs no router", choices=("peer", "client"))
     listen: tuple[str, ...] = key(["tcp/127.0.0.1:0"], "endpoints to listen on; loopback unless you say otherwise")
     connect: tuple[str, ...] = key([], "endpoints to connect to, for example a router")
-    multicast: bool = key(True, "find peers by multicast on the loopback interface")
+    multicast: bool = key(
+        True,
+        "be found by multicast on loopback; a client without zenoh.connect: use the router of this computer",
+    )
     config_file: str = key("", "a Zenoh configuration file (JSON5) passed through whole: TLS, access control")
     health_period_s: float = key(1.0, "period of the health message", low=0.1, high=60.0)
     landmarks_period_s: float = key(1.0, "shortest period of the landmarks message", low=0.1, high=60.0)

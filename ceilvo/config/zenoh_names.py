@@ -67,6 +67,12 @@ def endpoint_address(end: str) -> tuple[str, int] | None:
     return None if address is None else (address["host"].strip("[]"), int(address["port"]))
 
 
+def needs_network(config: Zenoh) -> bool:
+    """Whether the daemon is to be reached from another computer, or to reach one; with a Zenoh file: it may."""
+    ends = (*config.listen, *config.connect)
+    return config.enabled and bool(config.config_file or not all(map(on_this_computer, ends)))
+
+
 def on_this_computer(end: str) -> bool:
     """Whether an endpoint cannot be reached from the network."""
     return bool(_LOOPBACK.match(end)) or end.partition("/")[0] in _LOCAL_PROTOCOLS

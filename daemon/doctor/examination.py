@@ -30,7 +30,7 @@ CHECKS: tuple[Check, ...] = (
     bus,
     lambda p: clock(p.machine),
     lambda p: disk(p.machine, p.state_dir, p.config),
-    lambda p: unit_file(p.machine),
+    lambda p: unit_file(p.machine, p.config),
     lambda p: limits(p.machine),
     lambda p: compiled_kernel(),
 )

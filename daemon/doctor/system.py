@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ceilvo.config import Config
+from ceilvo.config.zenoh_names import needs_network
 from ceilvo.daemon.doctor.findings import Finding, fine, note, wrong
 from ceilvo.daemon.map.map_file import load_map, load_state
 from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME
@@ -44,8 +45,8 @@ def daemon_state(machine: Machine) -> tuple[list[Finding], str]:
     return [note("service", f"ceilvod is {state or 'not there'}; sudo systemctl start ceilvod")], ""
 
 
-def unit_file(machine: Machine) -> Iterator[Finding]:
-    """Installed, the one of this package, accepted by systemd, and loaded."""
+def unit_file(machine: Machine, config: Config | None) -> Iterator[Finding]:
+    """Installed, the one of this package, accepted by systemd, loaded, and with the network that is configured."""
     installed = machine.text(INSTALLED)
     if installed is None:
         return  # the service check has said so
@@ -62,10 +63,18 @@ def unit_file(machine: Machine) -> Iterator[Finding]:
     if verified is not None and verified.code:
         good = False
         yield wrong("unit", f"systemd-analyze verify: {_first_line(verified.text)}; install again")
-    shown = machine.run("systemctl", "show", UNIT, "-p", "NeedDaemonReload,UnitFileState")
+    shown = machine.run("systemctl", "show", UNIT, "-p", "NeedDaemonReload,UnitFileState,IPAddressDeny")
     if shown is not None and "NeedDaemonReload=yes" in shown.text:
         good = False
         yield wrong("unit", "systemd has an older version of it loaded; sudo systemctl daemon-reload")
+    denied = shown is not None and re.search(r"IPAddressDeny=.*/0", shown.text)
+    if config is not None and needs_network(config.zenoh) and denied:
+        good = False
+        yield wrong(
+            "unit",
+            "zenoh.listen, zenoh.connect or zenoh.config_file need the network and the service may not use it; run "
+            f"{Path(PACKAGED).parent}/install.sh again",
+        )
     if shown is not None and "UnitFileState=disabled" in shown.text:
         yield note("unit", "it does not start with the computer; sudo systemctl enable ceilvod")
     if good:

@@ -27,6 +27,11 @@ _RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 1.0
 """Of a client without a router, and of a peer's links: a router that restarts is found within a second."""
 _REASON_CHARS = 200
 """Of a Zenoh error: the log keeps one line."""
+_ONLY_FOUND: dict[str, Any] = {"scouting/multicast/autoconnect": {"router": [], "peer": [], "client": []}}
+"""The daemon is found by multicast and connects to nobody it finds: its scouting socket takes answers from the network,
+and whoever forges one would have the daemon come to him."""
+_LOCAL_ROUTER = "tcp/127.0.0.1:7447"
+"""Where a Zenoh router listens by default."""
 _RECEIVED: dict[str, Any] = {
     "transport/link/rx/max_message_size": 1 << 20,
     "low_pass_filter": [
@@ -51,7 +56,7 @@ def session_config(config: Zenoh) -> zenoh.Config:
     if config.config_file:
         return _from_file(config.config_file)
     listen, connect = _checked_endpoints(config)
-    return _from_settings(_settings(config, listen, connect) | _RECEIVED)
+    return _from_settings(_settings(config, listen, connect) | _RECEIVED | _ONLY_FOUND)
 
 
 def watcher_config(config: Zenoh) -> zenoh.Config:
@@ -79,7 +84,8 @@ def _checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
     """
     for keys, problem in endpoint_problems(config):
         raise BusError(f"{keys[0]}: {problem}")
-    return list(config.listen), list(config.connect)
+    router = [_LOCAL_ROUTER] if config.mode == "client" and not config.connect else []
+    return list(config.listen), [*config.connect, *router]
 
 
 def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str, Any]:

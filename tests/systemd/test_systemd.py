@@ -7,20 +7,13 @@ import os
 import shutil
 import socket
 import subprocess
-import sys
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from installer import INSTALL, REPO, UNIT, as_root, run_installer, unit_settings
 
 from ceilvo.drivers.host.systemd_notify import STATUS_MAX_CHARS, Notifier
-
-REPO = Path(__file__).resolve().parents[2]
-Done = subprocess.CompletedProcess[str]
-UNIT = REPO / "systemd" / "ceilvod.service"
-INSTALL = REPO / "systemd" / "install.sh"
-
 
 # --- Notifier
 
@@ -148,16 +141,6 @@ def test_manager_that_goes_away_is_one_warning(tmp_path: Path, caplog: pytest.Lo
 # --- unit
 
 
-def unit_settings() -> dict[str, list[str]]:
-    """Key to values, in order; the keys of this unit are unique across its sections."""
-    out: dict[str, list[str]] = {}
-    for line in UNIT.read_text().splitlines():
-        if "=" in line and not line.startswith("#"):
-            key, _, value = line.partition("=")
-            out.setdefault(key, []).append(value)
-    return out
-
-
 def test_unit_restarts_for_ever_but_not_on_a_wrong_configuration() -> None:
     s = unit_settings()
     assert s["Type"] == ["notify"]
@@ -190,53 +173,6 @@ def test_unit_exposure_is_low() -> None:
 
 
 # --- installer
-
-
-as_root = pytest.mark.skipif(
-    os.geteuid() != 0 or shutil.which("systemd-sysusers") is None,
-    reason="the installer needs root and systemd-sysusers",
-)
-
-
-@pytest.fixture
-def kit(tmp_path: Path) -> Path:
-    """A folder as a robot gets it: the installer, its files and a wheel (a small stand-in for ceilvo's)."""
-    kit = tmp_path / "kit"
-    shutil.copytree(REPO / "systemd", kit)
-    info = "ceilvo-9.9.9.dist-info"
-    with zipfile.ZipFile(kit / "ceilvo-9.9.9-py3-none-any.whl", "w") as z:
-        z.writestr("ceilvo/__init__.py", "def main():\n    print('stub')\n")
-        z.writestr("ceilvo/config/rendering.py", "print('robot: {name: robot1}')\n")
-        z.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: ceilvo\nVersion: 9.9.9\n")
-        z.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
-        z.writestr(f"{info}/entry_points.txt", "[console_scripts]\nceilvod = ceilvo:main\ncalib = ceilvo:main\n")
-        z.writestr(f"{info}/RECORD", "")
-    return kit
-
-
-PYTHON = """#!/bin/bash
-# A Python whose `-I -m venv ... FOLDER` is made once and then copied: pip is unpacked and compiled only once.
-made={template}
-for folder; do :; done
-if [ "$2 $3" != "-m venv" ]; then exec {python} "$@"; fi
-if [ ! -e "$made" ]; then {python} "$@" && cp -a "$folder" "$made" && echo "$folder" >"$made.path"; exit; fi
-cp -a "$made" "$folder"
-grep -rlIZ --fixed-strings "$(cat "$made.path")" "$folder/bin" "$folder/pyvenv.cfg" |
-  xargs -0r sed -i "s|$(cat "$made.path")|$folder|g"
-"""
-
-
-@pytest.fixture(scope="session")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("python")
-    (folder / "python3").write_text(PYTHON.format(template=folder / "venv", python=sys.executable))
-    (folder / "python3").chmod(0o755)
-    return folder / "python3"
-
-
-def run_installer(kit: Path, root: Path, *args: str, python: Path | str = sys.executable) -> Done:
-    command = ["bash", str(kit / "install.sh"), "--root", str(root), "--python", str(python), *args]
-    return subprocess.run(command, capture_output=True, text=True)
 
 
 def tree(root: Path) -> dict[str, str]:

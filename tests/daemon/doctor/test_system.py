@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fake_machine import RUNNING, fake, levels, wrongs
 
-from ceilvo.config import Config
+from ceilvo.config import Config, Zenoh
 from ceilvo.daemon.doctor.findings import fine
 from ceilvo.daemon.doctor.system import INSTALLED, clock, compiled_kernel, daemon_state, disk, limits, unit_file
 from ceilvo.daemon.vision import kernel
@@ -39,22 +39,27 @@ def test_the_service(tmp_path: Path) -> None:
 
 
 def test_the_unit_file(tmp_path: Path) -> None:
-    assert levels(unit_file(fake(tmp_path))) == ["fine"]
+    assert levels(unit_file(fake(tmp_path), None)) == ["fine"]
     shown = "systemctl show"
     bad = {
         "verify: x.service:7: Unknown key": {"systemd-analyze verify": Done(1, "x.service:7: Unknown key\nmore")},
         "daemon-reload": {shown: Done(0, "NeedDaemonReload=yes\nUnitFileState=enabled")},
     }
     for expected, answers in bad.items():
-        (text,) = wrongs(unit_file(fake(tmp_path, answers=answers)))
+        (text,) = wrongs(unit_file(fake(tmp_path, answers=answers), None))
         assert expected in text
     disabled = fake(tmp_path, answers={shown: Done(0, "NeedDaemonReload=no\nUnitFileState=disabled")})
-    assert levels(unit_file(disabled)) == ["note", "fine"]
+    assert levels(unit_file(disabled, None)) == ["note", "fine"]
+    deaf = fake(tmp_path, answers={shown: Done(0, "NeedDaemonReload=no\nIPAddressDeny=::/0 0.0.0.0/0")})
+    assert levels(unit_file(deaf, Config())) == ["fine"]
+    fleet = Config(zenoh=Zenoh(connect=("tcp/10.0.0.9:7447",)))
+    assert "the service may not use it" in wrongs(unit_file(deaf, fleet))[0]
+    assert levels(unit_file(fake(tmp_path), fleet)) == ["fine"]
     machine = fake(tmp_path)
     machine.path(INSTALLED).write_text("[Unit]\n# edited\n")
-    assert "differs from the package's" in wrongs(unit_file(machine))[0]
+    assert "differs from the package's" in wrongs(unit_file(machine, None))[0]
     machine.path(INSTALLED).unlink()
-    assert list(unit_file(machine)) == []
+    assert list(unit_file(machine, None)) == []
 
 
 def test_the_clock(tmp_path: Path) -> None:
