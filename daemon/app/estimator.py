@@ -126,11 +126,14 @@ class Estimator:
             self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns)))
             return self._last
 
-    def load_map(self, stored_map: StoredMap, state: StoredState) -> None:
-        """Begin on the map of an earlier run; its last pose is a hypothesis."""
+    def load_map(self, stored_map: StoredMap, state: StoredState | None) -> None:
+        """Begin on the map of an earlier run; its last pose is a hypothesis. Without one the robot may be anywhere."""
         with self._lock:
-            cov = state.cov + np.diag(_RESTART_SIGMA**2)
-            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, state.pose, cov))
+            pose = Pose(np.zeros(3)) if state is None else state.pose
+            cov = np.diag(_RESTART_SIGMA**2) + (0.0 if state is None else state.cov)
+            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, pose, cov))
+            if state is None:
+                self._do(Reset(keep_map=True))
 
     def set_pose(self, pose: Pose, sigma: Array, why: str) -> None:
         """Continue from a pose given from outside, (3,) map_from_base with standard deviations (3,)."""

@@ -101,7 +101,7 @@ class Daemon:
         self._first_frame_ns: int | None = None
         self._map_full = False
         self._camera_reason = "camera not opened yet"
-        self._store = Store.choose(config.service.state_dir)
+        self._store = Store.choose(config.service.state_dir, config.service.map_generations)
         self._recording = recording_of(
             config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
         )
@@ -144,8 +144,8 @@ class Daemon:
         """
         stored = self._store.load()
         if stored is not None:
-            self._estimator.load_map(*stored)
-            self._outputs.event("map", "stored map loaded; its last pose is a hypothesis until landmarks confirm it")
+            self._estimator.load_map(stored.map, stored.state)
+            self._outputs.event("map", stored.said)
         with ExitStack() as ending:
             ending.enter_context(stop_on_signals(self._stop))
             ending.enter_context(watch_threads(self._crash))

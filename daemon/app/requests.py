@@ -37,12 +37,16 @@ def handlers(
         if store.folder is None:
             raise CeilvoError("no state directory: set service.state_dir or run under systemd")
         if not save():
-            raise CeilvoError("nothing saved: no landmarks yet, or the disk refused; see the log")
+            raise CeilvoError(f"nothing saved: {store.error or 'no landmarks yet'}")
         return {"did": "saved", "folder": str(store.folder), "landmarks": len(estimator.map()[0])}
 
     def reset(c: commands.Reset) -> Result:
         estimator.reset(keep_map=c.keep_map)
-        kept = f"{len(estimator.map()[0])} landmarks kept" if c.keep_map else "map forgotten"
+        if not c.keep_map:
+            store.begin_anew()
+        kept = f"{len(estimator.map()[0])} landmarks kept"
+        if not c.keep_map:
+            kept = "map forgotten; the last one that was saved stays as map.json.1"
         return {"did": f"started again at the configured initial pose, {kept}"}
 
     return Handlers(

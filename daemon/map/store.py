@@ -6,9 +6,11 @@ import contextlib
 import logging
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from ceilvo.daemon.map.generations import Generations
 from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_map, save_state
 from ceilvo.errors import CeilvoError, FileFormatError
 from ceilvo.types import Estimate, Landmarks
@@ -18,19 +20,41 @@ _log = logging.getLogger("ceilvo.store")
 _T = TypeVar("_T")
 
 MAP_NAME, STATE_NAME = "map.json", "state.json"
+BESIDE_NAME = "map.smaller.json"
+"""A map that is much smaller than the one that is kept."""
 REJECTED = ".rejected"
+SMALLER = 0.5
+"""A map with less than this share of the landmarks does not replace the one that is kept; chosen: what was renovated
+or forgotten is less, and a robot that begins again on another ceiling has less for minutes."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What an earlier run left.
+
+    Attributes:
+        state: the last pose on this map; None where it is not known.
+        said: what was loaded, for people.
+    """
+
+    map: StoredMap
+    state: StoredState | None
+    said: str
 
 
 class Store:
     """Map and state files of one robot; without a folder nothing is kept. Problems are logged, once each.
 
     A file that cannot be used is set aside as NAME.rejected before it would be overwritten: it may be mendable, or of
-    a newer ceilvo.
+    a newer ceilvo. Maps of earlier runs stay as generations, and a map never gives way to a much smaller one.
     """
 
-    def __init__(self, folder: Path | None) -> None:
+    def __init__(self, folder: Path | None, generations: int = 5) -> None:
         self._folder = folder
         self._complained = ""
+        self._landmarks = 0
+        self._written = False
+        self._generations = None if folder is None else Generations(folder / MAP_NAME, generations)
 
     @property
     def error(self) -> str:
@@ -38,19 +62,36 @@ class Store:
         return self._complained
 
     @staticmethod
-    def choose(configured: str) -> Store:
+    def choose(configured: str, generations: int) -> Store:
         """service.state_dir, else the directory that systemd made, else none."""
         name = configured or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-        return Store(Path(name) if name else None)
+        return Store(Path(name) if name else None, generations)
 
-    def load(self) -> tuple[StoredMap, StoredState] | None:
-        """Map and last pose of an earlier run, None when either is missing or damaged."""
+    def load(self) -> Kept | None:
+        """The map of an earlier run and its last pose; None where no map can be used."""
         if self._folder is None:
             return None
         self._sweep(self._folder)
-        stored_map = self._read(self._folder / MAP_NAME, load_map)
+        stored = self._read(self._folder / MAP_NAME, load_map)
         state = self._read(self._folder / STATE_NAME, load_state)
-        return (stored_map, state) if stored_map is not None and state is not None else None
+        said = "stored map loaded; its last pose is a hypothesis until landmarks confirm it"
+        if stored is None:
+            stored, state, said = self._earlier(), None, "an earlier map loaded, for the last one is missing or damaged"
+        elif state is None:
+            said = "stored map loaded without a pose: the robot is searched for on all of it"
+        if stored is None:
+            return None
+        self._landmarks = len(stored.landmarks)
+        return Kept(stored, state, said)
+
+    def _earlier(self) -> StoredMap | None:
+        """The newest generation that can be used."""
+        for path in [] if self._generations is None else self._generations.paths():
+            stored = self._read(path, load_map)
+            if stored is not None:
+                _log.warning("%s: used instead of %s", path.name, MAP_NAME)
+                return stored
+        return None
 
     def _read(self, path: Path, load: Callable[[Path], _T | None]) -> _T | None:
         try:
@@ -69,30 +110,54 @@ class Store:
     @staticmethod
     def _sweep(folder: Path) -> None:
         """What a process left that was killed while it wrote."""
-        for name in (MAP_NAME, STATE_NAME):
+        for name in (MAP_NAME, STATE_NAME, BESIDE_NAME):
             for left in folder.glob(f".{name}.*.tmp"):
                 with contextlib.suppress(OSError):
                     left.unlink()
 
+    def begin_anew(self) -> None:
+        """The map was given up by its owner: what is saved next may be smaller; the old one stays as a generation."""
+        self._landmarks, self._written = 0, False
+        if self._generations is not None:
+            try:
+                self._generations.keep(whatever_the_age=True)
+            except OSError as e:
+                self._complain(f"map not kept as a generation: {e}")
+
     def save(self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate) -> bool:
-        """Write both files; False when nothing was written, with the reason in the log.
+        """Write both files; False when they were not, with the reason in the log.
 
         The map goes first: a state without its map would be a pose in another map.
         """
-        if self._folder is None or map_axis_rad is None:
+        if self._folder is None or self._generations is None or map_axis_rad is None:
             return False
+        smaller = len(landmarks) < SMALLER * self._landmarks
         try:
-            save_map(self._folder / MAP_NAME, landmarks, map_axis_rad)
-            save_state(self._folder / STATE_NAME, estimate.pose, estimate.cov, estimate.state, estimate.stamp_ns)
-        except CeilvoError as e:
-            if str(e) != self._complained:
-                self._complained = str(e)
-                _log.error("map and pose not saved: %s", e)
-            return False
+            if smaller:
+                save_map(self._folder / BESIDE_NAME, landmarks, map_axis_rad)
+            else:
+                if not self._written:
+                    self._generations.keep()
+                save_map(self._folder / MAP_NAME, landmarks, map_axis_rad)
+                save_state(self._folder / STATE_NAME, estimate.pose, estimate.cov, estimate.state, estimate.stamp_ns)
+        except (CeilvoError, OSError) as e:
+            return self._complain(f"map and pose not saved: {e}")
+        if smaller:
+            return self._complain(
+                f"{MAP_NAME} with {self._landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
+                f"that one is in {BESIDE_NAME}. If it is the right one: cmd/reset without the map, then save"
+            )
         if self._complained:
             _log.info("map and pose are saved again")
-        self._complained = ""
+        self._complained, self._landmarks, self._written = "", len(landmarks), True
         return True
+
+    def _complain(self, why: str) -> bool:
+        """Once for each kind of trouble: figures in it change at every save."""
+        if why[:20] != self._complained[:20]:
+            _log.error("%s", why)
+        self._complained = why
+        return False
 
     @property
     def folder(self) -> Path | None:

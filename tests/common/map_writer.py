@@ -54,7 +54,7 @@ def start(folder: Path) -> tuple[ForkServerProcess, Connection]:
 def write(folder: Path, to: Connection) -> None:
     store = Store(folder)
     loaded = store.load()
-    n = 0 if loaded is None else int(loaded[1].stamp_ns)
+    n = 0 if loaded is None or loaded.state is None else int(loaded.state.stamp_ns)
     to.send((n, len(list(folder.iterdir()))))
     while True:
         n += 1

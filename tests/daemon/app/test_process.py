@@ -19,6 +19,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.daemon.app.process import Daemon, Plan, run
+from ceilvo.daemon.map.map_file import load_map
 from ceilvo.drivers.bus.messages import Pose, decode_pose
 from ceilvo.drivers.camera.mock_camera import Crash, Good, MockCamera
 from ceilvo.drivers.host.systemd_notify import Notifier
@@ -167,6 +168,27 @@ def test_second_start_uses_the_stored_map(world: World, base: SimBase, tmp_path:
         assert summary["frames"] == 30
         loaded = any("stored map" in e for e in daemon.events)
         assert loaded == (attempt == 1)
+
+
+@pytest.mark.parametrize("spoilt", ["state.json", "map.json"])
+def test_a_damaged_file_costs_no_map(world: World, base: SimBase, tmp_path: Path, spoilt: str) -> None:
+    """The daemon began without the map and wrote the few landmarks of its first seconds over it."""
+    held = []
+    for run_ in range(3):
+        config = config_of(world, base.port, free_port(), tmp_path)
+        camera = SimCamera(World(WorldSpec(seed=SEED)), 15.0, realtime=False, duration_s=8.0 if run_ == 0 else 1.0)
+        daemon = Daemon(Plan(config, world.calibration, camera), Notifier({}))
+        daemon.run()
+        stored = load_map(tmp_path / "map.json")
+        assert stored is not None
+        held.append(set(stored.landmarks.ids.tolist()))
+        if run_ == 0:
+            (tmp_path / "map.json.1").write_bytes((tmp_path / "map.json").read_bytes())
+            (tmp_path / spoilt).write_bytes((tmp_path / spoilt).read_bytes()[:40])
+        elif run_ == 1:
+            assert any(("without a pose" if spoilt == "state.json" else "an earlier map") in e for e in daemon.events)
+            assert (tmp_path / f"{spoilt}.rejected").exists()
+    assert len(held[0]) > 30 and held[0] <= held[1] and held[0] <= held[2]
 
 
 def small_world_camera(script: list[object]) -> tuple[MockCamera, Calibration]:
