@@ -43,6 +43,7 @@ from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.camera.paced import PacedCamera
 from ceilvo.drivers.camera.selection import make_camera
 from ceilvo.drivers.host.machine import give_back_memory
+from ceilvo.drivers.host.ownership import owner_of_folder, owner_of_name
 from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.drivers.ports import Base, Camera
 from ceilvo.errors import CeilvoError
@@ -142,11 +143,12 @@ class Daemon:
         Raises:
             Exception: what took the process down; a CeilvoError carries the exit code.
         """
-        stored = self._store.load()
-        if stored is not None:
-            self._estimator.load_map(stored.map, stored.state)
-            self._outputs.event("map", stored.said)
         with ExitStack() as ending:
+            self._own(ending)
+            stored = self._store.load()
+            if stored is not None:
+                self._estimator.load_map(stored.map, stored.state)
+                self._outputs.event("map", stored.said)
             ending.enter_context(stop_on_signals(self._stop))
             ending.enter_context(watch_threads(self._crash))
             if self._recording is not None:
@@ -168,6 +170,13 @@ class Daemon:
         if not self._crashes.empty():
             raise self._crashes.get()
         return summary
+
+    def _own(self, ending: ExitStack) -> None:
+        """Nobody else keeps a map in the same folder, or answers to the same name where both can be found."""
+        if self._store.folder is not None:
+            ending.enter_context(owner_of_folder(self._store.folder))
+        if self._config.zenoh.enabled and self._config.zenoh.multicast:
+            ending.enter_context(owner_of_name(f"{self._config.zenoh.prefix}/{self._config.robot.name}"))
 
     def stop(self) -> None:
         """Ask for an orderly end; from any thread."""
