@@ -37,8 +37,14 @@ class QuietLog:
         self._left_out = 0
 
     def warning(self, text: str) -> None:
+        self._say(logging.WARNING, text)
+
+    def info(self, text: str) -> None:
+        self._say(logging.INFO, text)
+
+    def _say(self, level: int, text: str) -> None:
         if not self._bucket.take():
             self._left_out += 1
             return
         left_out, self._left_out = self._left_out, 0
-        self._log.warning("%s%s", text, f" ({left_out} more like this were not logged)" if left_out else "")
+        self._log.log(level, "%s%s", text, f" ({left_out} more like this were not logged)" if left_out else "")

@@ -90,6 +90,7 @@ class BaseLink:
         self._failures_in_row = 0
         self._warned_s = -math.inf
         self._warnings = QuietLog(_log, _WARNED_PER_S, _WARN_BURST)
+        self._said_up = QuietLog(_log, _WARNED_PER_S, _WARN_BURST)
 
     @property
     def wheels(self) -> WheelTrack:
@@ -185,7 +186,7 @@ class BaseLink:
     def _note_answer(self, status: BaseStatus) -> None:
         now_ns = self._clock()
         if not self._snapshot.up:
-            _log.info("base link up on %s", self._settings.port)
+            self._said_up.info(f"base link up on {self._settings.port}")
         if self._settings.use_wheels:
             self._wheels.add(status, now_ns - self._status_response_ns)
         self._failures_in_row = 0

@@ -167,6 +167,24 @@ def test_logs_say_when_the_link_breaks_and_comes_back_once_each(
     assert [r.levelname for r in caplog.records] == ["INFO", "WARNING", "INFO"]
 
 
+def test_a_link_that_comes_and_goes_does_not_fill_the_log(
+    base: Watched, link: BaseLink, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It said `base link up` 581 times in 5 minutes."""
+    caplog.set_level(logging.INFO, logger="ceilvo.base")
+    link.start()
+    for _ in range(40):
+        base.model.faults.silent = True
+        exchanges = base.exchanges
+        base.wait(lambda before=exchanges: base.exchanges >= before + 2)
+        base.model.faults.silent = False
+        wait_more(base)
+    assert link.stop()
+    for level in (logging.INFO, logging.WARNING):
+        said = [r.getMessage() for r in caplog.records if r.levelno == level]
+        assert 5 <= len(said) <= 15, said
+
+
 def test_the_rate_is_kept_when_estimates_come_faster(base: Watched) -> None:
     link = BaseLink(config.Base(port="mock", rate_hz=0.1), base, clock=FakeClock())
     link.start()
