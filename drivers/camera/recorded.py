@@ -16,6 +16,7 @@ import csv
 import gzip
 import io
 import math
+import reprlib
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -205,6 +206,8 @@ def write_folder(folder: Path | str, frames: Iterable[Frame], image_format: str 
 
 
 Row = tuple[int, Path, str]
+_STAMP_DIGITS = 19
+"""Of the largest number of 64 bits."""
 
 
 def _read_index(index: Path) -> list[Row]:
@@ -214,28 +217,37 @@ def _read_index(index: Path) -> list[Row]:
     except (OSError, UnicodeDecodeError) as exc:
         raise FileFormatError(f"{index}: cannot be read: {exc}") from exc
     reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
-    missing = [c for c in COLUMNS if c not in (reader.fieldnames or ())]
-    if missing:
-        raise FileFormatError(
-            f"{index}: column {missing[0]!r} is missing, found {reader.fieldnames or 'nothing'}; "
-            f"the first line must be {','.join(COLUMNS)}"
-        )
     rows: list[Row] = []
-    for record in reader:
-        rows.append(_index_row(index, f"{index} line {reader.line_num}", record, rows[-1][0] if rows else -1))
+    try:
+        missing = [c for c in COLUMNS if c not in (reader.fieldnames or ())]
+        if missing:
+            found = reprlib.repr(reader.fieldnames) if reader.fieldnames else "nothing"
+            raise FileFormatError(
+                f"{index}: column {missing[0]!r} is missing, found {found}; the first line must be {','.join(COLUMNS)}"
+            )
+        for record in reader:
+            rows.append(_index_row(index, f"{index} line {reader.line_num}", record, rows[-1][0] if rows else -1))
+    except csv.Error as exc:
+        raise FileFormatError(f"{index} line {reader.line_num + 1}: {exc}; expected a stamp and a file name") from exc
     return rows
 
 
 def _index_row(index: Path, where: str, record: dict[str, str | None], last_ns: int) -> Row:
     stamp, name = record["stamp_ns"], record["file"]
-    if not stamp or not stamp.isascii() or not stamp.isdigit():
-        raise FileFormatError(f"{where}: stamp_ns {stamp!r}, expected whole nanoseconds")
+    if not stamp or not stamp.isascii() or not stamp.isdigit() or len(stamp) > _STAMP_DIGITS:
+        raise FileFormatError(f"{where}: stamp_ns {reprlib.repr(stamp)}, expected whole nanoseconds below 2^63")
     stamp_ns = int(stamp)
+    if stamp_ns >= 1 << 63:
+        raise FileFormatError(f"{where}: stamp_ns {stamp_ns}, expected whole nanoseconds below 2^63")
     if stamp_ns <= last_ns:
         raise FileFormatError(f"{where}: stamp_ns {stamp_ns} is not after the one before, {last_ns}")
     path = index.parent / (name or "")
-    if not name or not path.is_file():
-        raise FileFormatError(f"{where}: file {name!r} does not exist in {index.parent}")
+    try:
+        there = bool(name) and path.is_file()
+    except (OSError, ValueError):  # longer than a name may be, or with a zero byte
+        there = False
+    if not there:
+        raise FileFormatError(f"{where}: file {reprlib.repr(name)} does not exist in {index.parent}")
     return stamp_ns, path, where
 
 
