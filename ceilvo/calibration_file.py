@@ -134,10 +134,10 @@ def _migrated(path: str, content: dict[str, Any], *, signed: bool) -> dict[str, 
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
         newer = isinstance(version, int) and version > VERSION
         hint = "a newer ceilvo wrote it, update this one" if newer else "calib writes a calibration"
-        raise CalibrationError(f"{path}: version: found {version!r}, expected 1 to {VERSION}; {hint}")
+        raise CalibrationError(f"{path}: version: found {_short(version)}, expected 1 to {VERSION}; {hint}")
     if signed and content.get("checksum") != (right := _checksum(content)):
         raise CalibrationError(
-            f"{path}: checksum: found {content.get('checksum')!r}, expected {right!r}; the file was edited or "
+            f"{path}: checksum: found {_short(content.get('checksum'), 90)}, expected {right!r}; the file was edited or "
             f"damaged after calib wrote it: restore it from its .bak or a copy, or accept it with 'calib sign {path}'"
         )
     for step in range(version, VERSION):
@@ -188,7 +188,7 @@ def _simple(value: Any, path: str, key: str) -> Any:
         return [_simple(v, path, f"{key}[{i}]") for i, v in enumerate(value)]
     if value is None or isinstance(value, str | bool | int) or (isinstance(value, float) and math.isfinite(value)):
         return value
-    raise CalibrationError(f"{path}: {key}: found {value!r}, expected text, finite numbers, lists or mappings")
+    raise CalibrationError(f"{path}: {key}: found {_short(value)}, expected text, finite numbers, lists or mappings")
 
 
 def _calibration(path: str, content: dict[str, Any]) -> Calibration:
@@ -196,8 +196,8 @@ def _calibration(path: str, content: dict[str, Any]) -> Calibration:
     camera, noise = (_mapping(path, content, k) for k in ("camera", "noise"))
     _check_keys(path, camera, _CAMERA_KEYS, "camera.")
     _check_keys(path, noise, _NOISE_KEYS, "noise.")
-    if camera["kind"] not in DISTORTION_COUNTS:
-        raise CalibrationError(f"{path}: camera.kind: found {camera['kind']!r}, expected pinhole or fisheye")
+    if not isinstance(camera["kind"], str) or camera["kind"] not in DISTORTION_COUNTS:
+        raise CalibrationError(f"{path}: camera.kind: found {_short(camera['kind'])}, expected pinhole or fisheye")
     rows = content["projection"]
     if not isinstance(rows, list) or [len(r) if isinstance(r, list) else -1 for r in rows] != [4, 4, 4]:
         raise CalibrationError(f"{path}: projection: found something else, expected 3 rows of 4 numbers (M of eq. 5)")
@@ -267,6 +267,6 @@ def _text(path: str, key: str, value: Any) -> str:
     return value
 
 
-def _short(value: Any) -> str:
+def _short(value: Any, chars: int = _SHORT_CHARS) -> str:
     text = repr(value)
-    return text if len(text) <= _SHORT_CHARS else text[: _SHORT_CHARS - 3] + "..."
+    return text if len(text) <= chars else text[: chars - 3] + "..."
