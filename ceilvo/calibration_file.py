@@ -137,8 +137,9 @@ def _migrated(path: str, content: dict[str, Any], *, signed: bool) -> dict[str, 
         raise CalibrationError(f"{path}: version: found {_short(version)}, expected 1 to {VERSION}; {hint}")
     if signed and content.get("checksum") != (right := _checksum(content)):
         raise CalibrationError(
-            f"{path}: checksum: found {_short(content.get('checksum'), 90)}, expected {right!r}; the file was edited or "
-            f"damaged after calib wrote it: restore it from its .bak or a copy, or accept it with 'calib sign {path}'"
+            f"{path}: checksum: found {_short(content.get('checksum'), 90)}, expected {right!r}; the file was edited "
+            "or damaged after calib wrote it: restore it from its .bak or a copy, or accept it with "
+            f"'calib sign {path}'"
         )
     for step in range(version, VERSION):
         content = _MIGRATIONS[step](content)
@@ -196,7 +197,7 @@ def _calibration(path: str, content: dict[str, Any]) -> Calibration:
     camera, noise = (_mapping(path, content, k) for k in ("camera", "noise"))
     _check_keys(path, camera, _CAMERA_KEYS, "camera.")
     _check_keys(path, noise, _NOISE_KEYS, "noise.")
-    if not isinstance(camera["kind"], str) or camera["kind"] not in DISTORTION_COUNTS:
+    if camera["kind"] not in list(DISTORTION_COUNTS):  # a list may be asked for what has no hash
         raise CalibrationError(f"{path}: camera.kind: found {_short(camera['kind'])}, expected pinhole or fisheye")
     rows = content["projection"]
     if not isinstance(rows, list) or [len(r) if isinstance(r, list) else -1 for r in rows] != [4, 4, 4]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
+import lz4.frame
 import zstandard
 from mcap.exceptions import McapError, RecordLengthLimitExceeded
 from mcap.records import Attachment, Chunk, Footer, McapRecord, Metadata, Schema
@@ -115,9 +116,35 @@ def _records(stream: IO[bytes]) -> Iterator[McapRecord]:
         if not isinstance(record, Chunk):
             yield record
             continue
-        if record.uncompressed_size > _MAX_BYTES:
-            raise ValueError(f"a chunk of {record.uncompressed_size} bytes, expected at most {_MAX_BYTES}")
-        yield from breakup_chunk(record, validate_crc=True)
+        yield from breakup_chunk(_unpacked(record), validate_crc=True)
+
+
+def _unpacked(chunk: Chunk) -> Chunk:
+    """Never more than the chunk says of itself: a few kilobytes may unpack to a computer's memory.
+
+    Raises:
+        ValueError: it says too much, or is more than it says.
+    """
+    size = chunk.uncompressed_size
+    if size > _MAX_BYTES:
+        raise ValueError(f"a chunk of {size} bytes, expected at most {_MAX_BYTES}")
+    if chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().decompressobj().decompress(_bounded_zstd(chunk.data, size))
+    else:
+        return chunk
+    if len(data) != size:
+        raise ValueError(f"a chunk of {len(data)} bytes or more says that it has {size}")
+    return replace(chunk, compression="", data=data)
+
+
+def _bounded_zstd(data: bytes, size: int) -> bytes:
+    """The frame, whose own header must not promise more either."""
+    promised = zstandard.frame_content_size(data)
+    if promised != size:
+        raise ValueError(f"a chunk of {size} bytes whose frame has {promised}")
+    return data
 
 
 def _what(error: BaseException, path: Path) -> str:
