@@ -247,6 +247,9 @@ class Zenoh:
         "be found by multicast on loopback; a client without zenoh.connect: use the router of this computer",
     )
     config_file: str = key("", "a Zenoh configuration file (JSON5) passed through whole: TLS, access control")
+    command_token_file: str = key(
+        "", "a file with the owner's token, which every command must bring then; needed where others can reach the bus"
+    )
     health_period_s: float = key(1.0, "period of the health message", low=0.1, high=60.0)
     landmarks_period_s: float = key(1.0, "shortest period of the landmarks message", low=0.1, high=60.0)
     particles_period_s: float = key(0.2, "shortest period of the particles message", low=0.02, high=60.0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.app.command_log import CommandLog
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.store import Store
 from ceilvo.drivers.bus import commands
@@ -57,4 +58,5 @@ def handlers(
         relocalise=relocalise,
         save_map=save_map,
         reset=reset,
+        told=CommandLog(store.folder),
     )

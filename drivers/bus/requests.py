@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.drivers.bus import commands, messages
+from ceilvo.drivers.bus.command_guard import CommandGuard
 from ceilvo.drivers.ports import Clock
 from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
 from ceilvo.errors import BusError, CeilvoError
@@ -37,6 +38,8 @@ class Handlers:
     relocalise: Callable[[commands.Relocalise], Result]
     save_map: Callable[[commands.SaveMap], Result]
     reset: Callable[[commands.Reset], Result]
+    told: Callable[[str, str, str, str], None] = lambda command, arguments, who, outcome: None
+    """Hears of every command that was taken, or refused for want of a right to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,26 +60,34 @@ class Requests:
 
     NAMES: tuple[str, ...] = (*messages.QUERIES, *(f"cmd/{c}" for c in commands.COMMANDS))
 
-    def __init__(self, robot: str, handlers: Handlers, clock: Clock = time.monotonic_ns) -> None:
-        self._robot = robot
+    def __init__(
+        self,
+        robot: str,
+        handlers: Handlers,
+        clock: Clock = time.monotonic_ns,
+        guard: CommandGuard | None = None,
+    ) -> None:
+        self._robot, self._guard = robot, guard or CommandGuard()
         self._allowed = TokenBucket(self.COMMANDS_PER_S, self.COMMAND_BURST, clock)
+        self._strangers = TokenBucket(self.LOGGED_PER_S, self.LOG_BURST, clock)
         self._refusals = QuietLog(log, self.LOGGED_PER_S, self.LOG_BURST, clock)
         self._handlers = handlers
         self._command_lock = threading.Lock()
         self._count_lock = threading.Lock()
         self._counts = {"queries": 0, "commands": 0, "request_errors": 0}
 
-    def answer(self, name: str, payload: bytes, *, exact: bool = True) -> Answer:
+    def answer(self, name: str, payload: bytes, attachment: bytes = b"", *, exact: bool = True) -> Answer:
         """Carry out one request; never raises.
 
         Args:
+            attachment: the owner's token, for commands that need one.
             exact: False when the request was for many keys (a wildcard): commands are then refused, because reading
                 everything must not reset a robot.
         """
         short_name = name.removeprefix("cmd/")
         is_command = name != short_name
         try:
-            body = self._command(short_name, payload, exact) if is_command else self._query(name)
+            body = self._command(short_name, payload, attachment, exact) if is_command else self._query(name)
         except CeilvoError as e:
             self._refusals.warning(f"{name} refused: {e}")
             return self._count("request_errors", Answer(False, messages.encode_error(self._robot, short_name, str(e))))
@@ -105,15 +116,27 @@ class Requests:
         stamp = messages.Stamp(time.monotonic_ns(), time.time_ns())
         return messages.encode_map(self._robot, stamp, h.map())
 
-    def _command(self, name: str, payload: bytes, exact: bool) -> bytes:
+    def _command(self, name: str, payload: bytes, attachment: bytes, exact: bool) -> bytes:
         request = commands.parse_command(name, payload, exact=exact)
+        arguments = payload.decode(errors="replace")
+        try:  # before the rate is counted: strangers must not use up the owner's
+            who = self._guard.admit(name, attachment)
+        except BusError as e:
+            if self._strangers.take():
+                self._handlers.told(name, arguments, "somebody", f"refused: {e}")
+            raise
         if not self._allowed.take():
             raise BusError(
                 f"command {name}: more than {self.COMMANDS_PER_S:g} commands per second, nothing was done; try again"
             )
-        with self._command_lock:
-            result = self._dispatch(request)
-        log.info("command %s: %s", name, dict(result))
+        try:
+            with self._command_lock:
+                result = self._dispatch(request)
+        except CeilvoError as e:
+            self._handlers.told(name, arguments, who, f"failed: {e}")
+            raise
+        log.info("command %s by %s: %s", name, who, dict(result))
+        self._handlers.told(name, arguments, who, "done")
         return messages.encode_reply(self._robot, name, result)
 
     def _dispatch(self, request: commands.Command) -> Result:

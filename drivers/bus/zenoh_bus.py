@@ -12,6 +12,7 @@ from typing import Any
 import zenoh
 
 from ceilvo.config import Zenoh
+from ceilvo.drivers.bus.command_guard import CommandGuard
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES
 from ceilvo.drivers.bus.messages import robot_key
 from ceilvo.drivers.bus.requests import Handlers, Requests
@@ -53,7 +54,7 @@ class ZenohBus:
             BusError: an endpoint, the prefix, the robot's name or the configuration file cannot be used.
         """
         self._stem = robot_key(config.prefix, robot_name)
-        self._requests = Requests(robot_name, handlers)
+        self._requests = Requests(robot_name, handlers, guard=CommandGuard.of(config))
         self._clock = clock
         self._period_ns = {
             Topic.LANDMARKS: int(config.landmarks_period_s * 1e9),
@@ -167,8 +168,8 @@ class ZenohBus:
 
         def respond(query: zenoh.Query) -> None:
             with query:
-                payload = _start_of(query.payload)
-                answer = self._requests.answer(name, payload, exact=str(query.key_expr) == key)
+                payload, attachment = _start_of(query.payload), _start_of(query.attachment)
+                answer = self._requests.answer(name, payload, attachment, exact=str(query.key_expr) == key)
                 try:
                     if answer.ok:
                         query.reply(key, answer.payload, encoding=zenoh.Encoding.APPLICATION_JSON)
