@@ -37,6 +37,8 @@ _SIGMA_2_M2 = 0.05**2
 """The same of a position, m^2."""
 MOST_ALIGNED = 6.0
 """Log-likelihood ratio at most of tiles that lie as expected; chosen: a robot is put down along the tiles, too."""
+FEWEST_JUMPED, FEWEST_EVER = 10, 4
+"""Crossings of a view that says so, and where views are poor; chosen: odometry needs three."""
 _NEIGHBOURS = 8
 """Tiles around one."""
 
@@ -98,6 +100,14 @@ class Doubt:
         """Log-odds of standing where the map does not know, or where no rival was listed."""
         share = 1.0 if self.anywhere else OFF_MAP
         return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
+
+
+def shows_a_jump(crossings: int, usual: float) -> bool:
+    """Whether a view that no motion explains has so many crossings that a motion should have explained it.
+
+    Of large tiles a view shows five or six: half of what is usual there says as much as ten elsewhere.
+    """
+    return crossings >= min(FEWEST_JUMPED, max(0.5 * usual, FEWEST_EVER))
 
 
 def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float) -> Doubt:

@@ -10,14 +10,14 @@ from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
-from ceilvo.daemon.relocalisation.admission import FEWEST_KNOWN, of_doubtful_place, of_sure_place
+from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
-from ceilvo.daemon.relocalisation.survey import MapSurvey
+from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
@@ -37,6 +37,8 @@ YOUNG_M2 = 12.0
 """A map that knows less ground, a view and a half, is all around the robot: after a gap it goes on with it; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
+USUAL_WEIGHT = 0.05
+"""Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
@@ -64,7 +66,9 @@ class RelocaliserState:
         pending: what may have happened since the last view that could be weighed.
         reason: why the place is in doubt, "" while it is not.
         views: weighed since the last doubt.
+        surprised: the last of them speaks against the tracked place.
         gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
+        usual: crossings of a view of late.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         submap_from: id from which on landmarks were learnt in doubt, see submap.py; None while the place is sure.
@@ -76,8 +80,10 @@ class RelocaliserState:
     pending: Doubt | None = None
     reason: str = ""
     views: int = 0
+    surprised: bool = False
     gapped: bool = False
     jumped: bool = False
+    usual: float = 0.0
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
@@ -167,7 +173,9 @@ class Relocaliser:
         self._schedule.travelled(track.moved_m, track.turned_rad)
         s.survey.measured_m += track.moved_m
         if track.gap is not None:
-            s.gapped, s.jumped = True, s.jumped or crossings >= FEWEST_KNOWN
+            s.gapped, s.jumped = True, s.jumped or doubts.shows_a_jump(crossings, s.usual)
+        else:
+            s.usual += USUAL_WEIGHT * (crossings - s.usual)
         if track.final is None:
             return
         self.filter.predict(track.final)
@@ -208,7 +216,7 @@ class Relocaliser:
         admitted = self._admitted(view)
         if admitted is not None:
             self.filter.update(admitted)
-            if self.sure and len(self._visible_m):
+            if self.sure and not self.state.surprised and len(self._visible_m):
                 s.survey.learnt(self.filter, self._visible_m)
         return view
 
@@ -234,7 +242,8 @@ class Relocaliser:
         if s.pending is not None:
             self._instantiate(s.pending, view, around, evidence)
         pose = self.filter.estimate()[0]
-        if len(s.belief) == 1 and combined(evidence.log_ratio(pose[None]))[0] < SURPRISE:
+        s.surprised = bool(combined(evidence.log_ratio(pose[None]))[0] < SURPRISE)
+        if len(s.belief) == 1 and s.surprised:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around, evidence)
         if not self.sure and not s.belief.spot_views:
             self._search(view, pose)
@@ -263,13 +272,13 @@ class Relocaliser:
         s = self.state
         if doubt.unmeasured:
             s.belief.renew()
-            s.looked, s.spots = Coverage(), 0
+        s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
         lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
         if lattice is not None:
             expected = pose
             if doubt.unmeasured:
-                pose = _aligned(lattice, expected, view, evidence)
+                pose = aligned_pose(lattice, expected, view, evidence)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
             off = offset(rival_poses(rivals, pose), expected)
@@ -335,13 +344,6 @@ class Relocaliser:
     def _admitted(self, view: Observations) -> Observations | None:
         """What of a view may teach the filter; None for nothing of it."""
         pose, coverage = self.filter.estimate()[0], self.state.survey.coverage
-        if self.sure:
+        if self.sure and not self.state.surprised:
             return of_sure_place(view, pose, coverage)
         return of_doubtful_place(view, pose, coverage, self.state.submap_from is not None)
-
-
-def _aligned(lattice: Lattice, expected: Array, view: Observations, evidence: ViewEvidence) -> Array:
-    """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
-    poses = np.stack([expected, lattice.aligned(expected, view)])
-    poses[0, 2] = poses[1, 2]
-    return np.asarray(poses[np.argmax(combined(evidence.log_ratio(poses)))])

@@ -8,7 +8,7 @@ import numpy as np
 
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
@@ -80,3 +80,10 @@ class MapSurvey:
         self.index.sync(near)
         there = self.index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
         self.index.remove(np.setdiff1d(there, near.ids))
+
+
+def aligned_pose(lattice: Lattice, expected: Array, view: Observations, evidence: ViewEvidence) -> Array:
+    """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
+    poses = np.stack([expected, lattice.aligned(expected, view)])
+    poses[0, 2] = poses[1, 2]
+    return np.asarray(poses[np.argmax(combined(evidence.log_ratio(poses)))])
