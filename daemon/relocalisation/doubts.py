@@ -31,6 +31,9 @@ STORED_ALIGNED = float(np.log(72.0))
 """Log-likelihood ratio at most of tiles that lie as a stored pose says, also against whole tiles; chosen: a robot that
 is put down within 5 cm of the same spot on another tile of 0.6 m by chance is one in 36, and along the same axis every
 other time."""
+UNLIKELY = 0.005
+"""A doubt that is less likely is over with the first view that bears the place out; chosen: a frame that was lost while
+driving, whose way may be another one by a whole tile with one chance in a thousand, is no reason to stop for."""
 _SIGMA_2_RAD2 = 0.05**2
 """Added to the variance of a heading that rivals are judged by, rad^2."""
 _SIGMA_2_M2 = 0.05**2

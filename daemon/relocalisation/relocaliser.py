@@ -288,7 +288,7 @@ class Relocaliser:
         s.belief.doubt_unknown(unknown)
         s.pending = None
         if s.belief.doubt() >= self._rate:
-            s.reason, s.views = doubt.reason, 0
+            s.reason, s.views = doubt.reason, 0 if doubt.elsewhere >= doubts.UNLIKELY else FEWEST_VIEWS - 1
             if s.submap_from is None:
                 s.submap_from = first_id_after(self.filter.landmarks())
 

@@ -1,0 +1,21 @@
+"""Cases of `make bench-place` in which a wrong place was called good, each for another reason."""
+
+from __future__ import annotations
+
+import pytest
+
+from ceilvo.bench.place.case import Case, run_case
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(Case("snatched", 4000, 56, ("5", "20", "60", "150")), id="what contradicted was learnt"),
+        pytest.param(Case("another building", 3000, 26, ("5",)), id="lamps 0.1 m off matched"),
+        pytest.param(Case("stamps behind", 3000, 18, ("5",)), id="a bump of the camera that there was not"),
+    ],
+)
+def test_it_is_not_wrong_any_more(case: Case) -> None:
+    figures = run_case(case)
+    wrong_s = figures["fault"]["wrong_s"]
+    assert sum(wrong_s.values()) < 0.3, wrong_s
