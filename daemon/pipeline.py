@@ -188,9 +188,9 @@ class Pipeline:
         self.relocaliser.start_at(pose, cov, self.filter.landmarks(), doubt)
         self._begin(reason)
 
-    def load_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Pose, cov: Array) -> None:
-        """Start on a map of an earlier run; the pose is a hypothesis that landmarks must confirm."""
-        self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad)
+    def load_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Pose, cov: Array, recent: bool = False) -> None:
+        """Start on a map of an earlier run, which ended just now or long ago; the pose is to be confirmed."""
+        self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, recent)
         self._begin("stored map and pose, to be confirmed")
 
     def _begin(self, reason: str) -> None:

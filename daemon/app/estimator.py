@@ -21,6 +21,8 @@ Wheels = Callable[[int, int], WheelMotion | None]
 InputListener = Callable[[Input, Estimate | None, Pipeline], None]
 """Gets every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
+RECENT_NS = 60 * 10**9
+"""A run whose pose was stored less long ago ended just now: a service that was restarted, by whatever; chosen."""
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 """m, m, rad, added to a stored pose; chosen: a robot that is switched off may be nudged."""
 _SEARCH_SIGMA = np.array([0.3, 0.3, 0.1])
@@ -131,7 +133,9 @@ class Estimator:
         with self._lock:
             pose = Pose(np.zeros(3)) if state is None else state.pose
             cov = np.diag(_RESTART_SIGMA**2) + (0.0 if state is None else state.cov)
-            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, pose, cov))
+            ago_ns = self._clock() - (0 if state is None else state.stamp_ns)
+            recent = state is not None and 0 <= ago_ns < RECENT_NS  # the clock begins anew with the computer
+            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, pose, cov, recent))
             if state is None:
                 self._do(Reset(keep_map=True))
 

@@ -76,7 +76,7 @@ class Store:
         state = self._read(self._folder / STATE_NAME, load_state)
         said = "stored map loaded; its last pose is a hypothesis until landmarks confirm it"
         if stored is None:
-            stored, state, said = self._earlier(), None, "an earlier map loaded, for the last one is missing or damaged"
+            stored, said = self._earlier(), "an earlier map loaded, for the last one is missing or damaged"
         elif state is None:
             said = "stored map loaded without a pose: the robot is searched for on all of it"
         if stored is None:

@@ -155,9 +155,10 @@ class Relocaliser:
         s.pending = doubt
         s.reason = "" if doubt is None else doubt.reason
 
-    def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float) -> None:
-        """Begin on a map of an earlier run; the robot may have been moved since the pose was stored."""
-        doubt = Doubt("stored map and pose", cov, doubts.STORED_WRONG, np.inf, doubts.STORED_ALIGNED)
+    def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float, recent: bool) -> None:
+        """Begin on a map of an earlier run; the robot may have been moved since, less likely if it ended just now."""
+        moved = doubts.LIFTED if recent else doubts.STORED_WRONG
+        doubt = Doubt("stored map and pose", cov, moved, np.inf, doubts.STORED_ALIGNED)
         self.start_at(pose, cov, landmarks, doubt)
         self.state.map_axis_rad = map_axis_rad
         self.survey_map()

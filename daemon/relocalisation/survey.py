@@ -20,7 +20,7 @@ MEASURED_M = 6.0
 """How often chance explains a feature is measured on the map so far around the robot; chosen."""
 MEASURE_AGAIN_M = 1.0
 """And again after so much of the way."""
-FEWEST_MEASURED = 50
+FEWEST_MEASURED = 25
 """Landmarks that it takes, else what was measured last holds; chosen: an office view has as many joints."""
 INDEXED_M = 2.5
 """What a view may change of the map lies so near the robot; most cameras see less."""

@@ -40,12 +40,13 @@ class Silence:
 
 @dataclass(frozen=True, slots=True)
 class LoadMap:
-    """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at."""
+    """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at; recent: it ended just now."""
 
     landmarks: Landmarks
     map_axis_rad: float
     pose: Pose
     cov: Array
+    recent: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
     if isinstance(given, Silence):
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
     if isinstance(given, LoadMap):
-        pipeline.load_map(given.landmarks, given.map_axis_rad, given.pose, given.cov)
+        pipeline.load_map(given.landmarks, given.map_axis_rad, given.pose, given.cov, given.recent)
     elif isinstance(given, SetPose):
         pipeline.set_pose(given.pose, given.cov, given.why)
     elif isinstance(given, Continuation):
@@ -118,6 +119,7 @@ def input_json(given: Input, number: int) -> bytes:
         }
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
+        body["recent"] = given.recent
         body["landmarks"] = {key: getattr(given.landmarks, name).tolist() for key, (name, _, _) in _LANDMARKS.items()}
     elif isinstance(given, SetPose):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
@@ -175,7 +177,9 @@ def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     }
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")
-    return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body))
+    return LoadMap(
+        Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body), bool(body.get("recent", False))
+    )
 
 
 def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:

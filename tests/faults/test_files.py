@@ -164,7 +164,7 @@ def test_a_damaged_map_gives_way_to_the_one_before(tmp_path: Path, caplog: pytes
     assert sorted(p.name for p in tmp_path.glob("map.json.*")) == ["map.json.1", "map.json.2", "map.json.3"]
     (tmp_path / MAP_NAME).write_bytes(b"gone")
     (tmp_path / "map.json.1").write_bytes(b"gone, too")
-    assert kept(Store(tmp_path)) == (290, False)
+    assert kept(Store(tmp_path)) == (290, True)
     assert "map.json.2: used instead of map.json" in caplog.text
     assert (tmp_path / ("map.json" + REJECTED)).read_bytes() == b"gone"
 

@@ -32,7 +32,7 @@ frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
 inputs = st.one_of(
     st.builds(FrameInput, frames, wheels),
     st.builds(Silence, counts, texts, wheels),
-    st.builds(LoadMap, landmarks(), floats, poses, covs),
+    st.builds(LoadMap, landmarks(), floats, poses, covs, st.booleans()),
     st.builds(SetPose, poses, covs, texts),
     st.builds(Reset, st.booleans()),
 )
