@@ -43,12 +43,11 @@ def handlers(
 
     def reset(c: commands.Reset) -> Result:
         estimator.reset(keep_map=c.keep_map)
-        if not c.keep_map:
-            store.begin_anew()
-        kept = f"{len(estimator.map()[0])} landmarks kept"
-        if not c.keep_map:
-            kept = "map forgotten; the last one that was saved stays as map.json.1"
-        return {"did": f"started again at the configured initial pose, {kept}"}
+        if c.keep_map:
+            map_now = f"{len(estimator.map()[0])} landmarks kept"
+        else:
+            map_now = "map forgotten" + ("; the last one that was saved stays as map.json.1" * store.begin_anew())
+        return {"did": f"started again at the configured initial pose, {map_now}"}
 
     return Handlers(
         map=lambda: estimator.map()[0],

@@ -33,7 +33,7 @@ class Generations:
         newest = self._numbered(1)
         if newest.exists():
             apart_s = abs(self._path.stat().st_mtime - newest.stat().st_mtime)
-            if apart_s < (0.0 if whatever_the_age else APART_S) or newest.samefile(self._path):
+            if newest.samefile(self._path) or (apart_s < APART_S and not whatever_the_age):
                 return
         for n in range(self._most, 1, -1):
             with contextlib.suppress(FileNotFoundError):

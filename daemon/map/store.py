@@ -115,14 +115,17 @@ class Store:
                 with contextlib.suppress(OSError):
                     left.unlink()
 
-    def begin_anew(self) -> None:
-        """The map was given up by its owner: what is saved next may be smaller; the old one stays as a generation."""
+    def begin_anew(self) -> bool:
+        """The map was given up by its owner: what is saved next may be smaller. True where the old one stays as the
+        newest generation."""
         self._landmarks, self._written = 0, False
-        if self._generations is not None:
-            try:
-                self._generations.keep(whatever_the_age=True)
-            except OSError as e:
-                self._complain(f"map not kept as a generation: {e}")
+        if self._generations is None:
+            return False
+        try:
+            self._generations.keep(whatever_the_age=True)
+        except OSError as e:
+            return self._complain(f"map not kept as a generation: {e}")
+        return bool(self._generations.paths())
 
     def save(self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate) -> bool:
         """Write both files; False when they were not, with the reason in the log.

@@ -206,8 +206,8 @@ def write_folder(folder: Path | str, frames: Iterable[Frame], image_format: str 
 
 
 Row = tuple[int, Path, str]
-_STAMP_DIGITS = 19
-"""Of the largest number of 64 bits."""
+_STAMPS, _STAMP_DIGITS = 1 << 63, 19
+"""The first stamp that no 64 bits hold, and its digits: more are not even turned into a number."""
 
 
 def _read_index(index: Path) -> list[Row]:
@@ -234,11 +234,10 @@ def _read_index(index: Path) -> list[Row]:
 
 def _index_row(index: Path, where: str, record: dict[str, str | None], last_ns: int) -> Row:
     stamp, name = record["stamp_ns"], record["file"]
-    if not stamp or not stamp.isascii() or not stamp.isdigit() or len(stamp) > _STAMP_DIGITS:
+    digits = stamp if stamp and stamp.isascii() and stamp.isdigit() and len(stamp) <= _STAMP_DIGITS else ""
+    stamp_ns = int(digits) if digits else _STAMPS
+    if stamp_ns >= _STAMPS:
         raise FileFormatError(f"{where}: stamp_ns {reprlib.repr(stamp)}, expected whole nanoseconds below 2^63")
-    stamp_ns = int(stamp)
-    if stamp_ns >= 1 << 63:
-        raise FileFormatError(f"{where}: stamp_ns {stamp_ns}, expected whole nanoseconds below 2^63")
     if stamp_ns <= last_ns:
         raise FileFormatError(f"{where}: stamp_ns {stamp_ns} is not after the one before, {last_ns}")
     path = index.parent / (name or "")

@@ -131,20 +131,14 @@ def _unpacked(chunk: Chunk) -> Chunk:
     if chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     elif chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().decompressobj().decompress(_bounded_zstd(chunk.data, size))
+        if zstandard.frame_content_size(chunk.data) != size:  # what the frame promises is what would be taken
+            raise ValueError(f"a chunk of {size} bytes whose frame says otherwise")
+        data = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
     else:
         return chunk
     if len(data) != size:
         raise ValueError(f"a chunk of {len(data)} bytes or more says that it has {size}")
     return replace(chunk, compression="", data=data)
-
-
-def _bounded_zstd(data: bytes, size: int) -> bytes:
-    """The frame, whose own header must not promise more either."""
-    promised = zstandard.frame_content_size(data)
-    if promised != size:
-        raise ValueError(f"a chunk of {size} bytes whose frame has {promised}")
-    return data
 
 
 def _what(error: BaseException, path: Path) -> str:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.relocalisation.evidence.type_raster import REACH_M
 from ceilvo.types import Array, Ints, Landmarks
 
 CELL_M = 0.25
@@ -24,8 +25,6 @@ _MOST = 255
 _GAP_TILES = 0.75
 """Of a map that came without coverage, ground is known between landmarks that are so many tiles apart at most: a tile's
 diagonal is 1.41, half of it 0.71."""
-BESIDE_M = 0.05
-"""Ground so near a landmark is known as its own is: what is seen there is taken for it, see type_raster.REACH_M."""
 GAP_M = 0.45
 """The same where there are no tiles; chosen."""
 
@@ -64,7 +63,7 @@ class Coverage:
             (1, -1),
             (1, 1),
         ):  # a feature beside a landmark at the edge lies on known ground
-            column, row = (_cells(landmarks.xy_map_m + BESIDE_M * np.array([dx, dy])) - low).T
+            column, row = (_cells(landmarks.xy_map_m + REACH_M * np.array([dx, dy])) - low).T
             there[row, column] = 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
         inside = np.nonzero(cv2.morphologyEx(there, cv2.MORPH_CLOSE, disc))
