@@ -167,6 +167,7 @@ install_network() {
   if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$CONF/config.yaml"; then
     install -d "$root${NETWORK%/*}"
     printf '%s\n' '# Written by install.sh: config.yaml needs the network.' '[Service]' 'IPAddressDeny=' 'IPAddressAllow=' \
+      '# Zenoh lists the network interfaces.' 'RestrictAddressFamilies=AF_NETLINK' \
       >"$root$NETWORK"
     say "$CONF/config.yaml needs the network: $NETWORK lets the service use it"
   elif [ -e "$root$NETWORK" ]; then

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 LEAD_S = 30.0
 """Nothing happens before: the robot starts and builds its map."""
+WARM_UP_S = 600.0
+"""Memory counts from here on (docs/faults.md)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
     """One cause, how long it lasts and how long the robot is left alone afterwards.
 
-    part: whom it strikes (camera, base, zenoh, process).
+    part: whom it strikes (camera, base, zenoh, process, flood).
     """
 
     name: str
@@ -25,7 +28,6 @@ FAULTS = (
     Fault("unplugged", "camera", 3.0),
     Fault("silent", "base", 3.0),
     Fault("stalled", "camera", 3.0),
-    Fault("command flood", "zenoh", 3.0),
     Fault("frozen picture", "camera", 2.0),
     Fault("garbage", "base", 3.0),
     Fault("black picture", "camera", 2.0),
@@ -37,7 +39,6 @@ FAULTS = (
     Fault("stamps run backwards", "camera", 2.0),
     Fault("adapter unplugged", "base", 3.0),
     Fault("stamps jump", "camera", 3.0),
-    Fault("query flood", "zenoh", 3.0),
     Fault("slow", "base", 3.0),
     Fault("wrong version", "base", 3.0),
     Fault("stopped", "process", 1.0),
@@ -78,3 +79,11 @@ def strokes(until_s: float, faults: tuple[Fault, ...] = FAULTS) -> list[Stroke]:
 def current(plan: list[Stroke], t_s: float, part: str) -> str:
     """Name of the fault of a part at a time, "" when there is none."""
     return next((s.fault.name for s in plan if s.fault.part == part and s.from_s <= t_s < s.to_s), "")
+
+
+def floods(until_s: float, names: Sequence[str]) -> list[Stroke]:
+    """One flood after the other, all of one length and with a fifth of it to rest, after the warm-up of a long run."""
+    first_s = max(LEAD_S, min(WARM_UP_S, until_s / 6.0))
+    share_s = (until_s - first_s) / max(1, len(names))
+    lasts_s = share_s * 5.0 / 6.0
+    return [Stroke(Fault(n, "flood", lasts_s, share_s - lasts_s), first_s + k * share_s) for k, n in enumerate(names)]

@@ -13,11 +13,11 @@ import numpy as np
 
 from ceilvo.bench.soak.fault_plan import Stroke
 from ceilvo.bench.soak.parts import Heard, Usage
-from ceilvo.bench.soak.verdict import Poses
+from ceilvo.bench.soak.poses import Poses
 from ceilvo.sim.world import World
 from ceilvo.types import State
 
-_COLOURS = {"camera": "tab:red", "base": "tab:green", "zenoh": "tab:blue", "process": "tab:purple"}
+_COLOURS = {"camera": "tab:red", "base": "tab:green", "zenoh": "tab:blue", "process": "tab:purple", "flood": "tab:gray"}
 
 
 def draw(heard: Heard, usage: Sequence[Usage], plan: Sequence[Stroke], world: World, t0_ns: int, path: Path) -> Path:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.bench.soak.fault_plan import LEAD_S, Stroke
+from ceilvo.bench.soak.fault_plan import WARM_UP_S, Stroke
+from ceilvo.bench.soak.flood_verdict import calm, flood_bars, flood_lines, floods_met
 from ceilvo.bench.soak.parts import Heard, Usage
-from ceilvo.drivers.base.link import GOOD
+from ceilvo.bench.soak.poses import Poses
 from ceilvo.sim.world import World
 from ceilvo.types import State
 
-WARM_UP_S = 600.0  # docs/faults.md (memory: after 10 min)
 GROWTH_BAR_BYTES = 1e6  # the bar of docs/faults.md, from first to last tenth
 RECOVERY_BAR_S = 2.0  # a bar, chosen; docs/faults.md has what was found
 WRONG_M = 0.3  # the bar of docs/faults.md, half a tile
@@ -27,7 +27,13 @@ Floats = NDArray[np.float64]
 
 
 def judge(
-    heard: Heard, usage: Sequence[Usage], plan: Sequence[Stroke], world: World, t0_ns: int, code: int, asked: int
+    heard: Heard,
+    usage: Sequence[Usage],
+    plan: Sequence[Stroke],
+    world: World,
+    t0_ns: int,
+    code: int,
+    struck: Mapping[str, int],
 ) -> dict[str, Any]:
     """Figures, lines to print, and whether every bar was met."""
     poses = Poses(heard, world, t0_ns)
@@ -41,7 +47,7 @@ def judge(
         "hours": (usage[-1].t_s if usage else 0.0) / 3600.0,
         "exit_code": code,
         "strokes": len(plan),
-        "requests_in_floods": asked,
+        "floods": floods_met(poses, usage, plan, struck),
         "poses": len(poses.t_s),
         "growth": growth,
         "recovery_s": recovery,
@@ -59,65 +65,29 @@ def judge(
     return out
 
 
-class Poses:
-    """Columns of the pose samples, times in seconds since the start of the world."""
-
-    def __init__(self, heard: Heard, world: World, t0_ns: int) -> None:
-        rows = heard.poses
-        self.recv_s = _NS * (np.array([r.recv_ns for r in rows], np.int64) - t0_ns)
-        self.t_s = _NS * (np.array([r.stamp_ns for r in rows], np.int64) - t0_ns)
-        self.state = np.array([r.state for r in rows], np.int64)
-        xy = np.array([(r.x_m, r.y_m) for r in rows], np.float64).reshape(-1, 2)
-        truth = world.truth_at(self.t_s)[:, :2] if len(rows) else xy
-        self.error_m: Floats = np.hypot(*(xy - truth).T)
-        self.latency_s: Floats = self.recv_s - self.t_s
-        self.gap_s: Floats = np.diff(self.recv_s, append=self.recv_s[-1:])
-
-    def quiet(self, plan: Sequence[Stroke]) -> NDArray[np.bool_]:
-        """Whether the last stroke is more than 3 s ago, and none is under way."""
-        out = self.recv_s > LEAD_S / 2
-        for s in plan:
-            a, b = np.searchsorted(self.recv_s, [s.from_s, s.to_s + 3.0])
-            out[a:b] = False
-        return out
-
-    def first(self, after_s: float, states: Sequence[State], wanted: bool = True) -> float | None:
-        """Time since after_s until a pose came whose state is (not) among some."""
-        k = int(np.searchsorted(self.recv_s, after_s))
-        found = np.flatnonzero(np.isin(self.state[k:], [int(s) for s in states]) == wanted)
-        return float(self.recv_s[k + found[0]] - after_s) if len(found) else None
-
-    def flagged_after_s(self, stroke: Stroke) -> float | None:
-        """How long after a stroke the pose was no longer called good; None when it was not good before."""
-        before = self.state[: int(np.searchsorted(self.recv_s, stroke.from_s))]
-        if not len(before) or before[-1] not in GOOD:
-            return None
-        return self.first(stroke.from_s, GOOD, wanted=False)
-
-
 def _growth(usage: Sequence[Usage], plan: Sequence[Stroke]) -> dict[str, Any]:
     """Memory, descriptors and threads after warm-up, looked at between the strokes."""
     last_s = usage[-1].t_s if usage else 0.0
     warm_s = min(WARM_UP_S, last_s / 3.0)
-    calm = [u for u in usage if u.t_s > warm_s and not any(s.from_s <= u.t_s < s.to_s + 3.0 for s in plan)]
-    if len(calm) < 4:
+    still = [u for u in calm(usage, plan) if u.t_s > warm_s]
+    if len(still) < 4:
         return {
             "rss_growth_bytes_per_hour": math.nan,
             "descriptors": _thirds([]),
             "threads": _thirds([]),
             "warm_up_s": warm_s,
         }
-    t, rss = np.array([u.t_s for u in calm]), np.array([u.rss_bytes for u in calm], np.float64)
-    tenth = max(1, len(calm) // 10)
+    t, rss = np.array([u.t_s for u in still]), np.array([u.rss_bytes for u in still], np.float64)
+    tenth = max(1, len(still) // 10)
     return {
         "warm_up_s": warm_s,
         "rss_growth_bytes_per_hour": 3600.0 * float(np.polyfit(t, rss, 1)[0]),
         "rss_first_tenth_bytes": float(np.median(rss[:tenth])),
         "rss_last_tenth_bytes": float(np.median(rss[-tenth:])),
         "rss_max_bytes": float(rss.max()),
-        "descriptors": _thirds([u.descriptors for u in calm]),
-        "threads": _thirds([u.threads for u in calm]),
-        "cpu_share": (calm[-1].cpu_s - calm[0].cpu_s) / (calm[-1].t_s - calm[0].t_s),
+        "descriptors": _thirds([u.descriptors for u in still]),
+        "threads": _thirds([u.threads for u in still]),
+        "cpu_share": (still[-1].cpu_s - still[0].cpu_s) / (still[-1].t_s - still[0].t_s),
     }
 
 
@@ -163,6 +133,7 @@ def _bars(r: dict[str, Any]) -> list[tuple[str, bool, str]]:
         ("blind camera flagged", flagged["max"] <= STALL_BAR_S + 0.05,
          f"median {1e3 * flagged['median']:.0f}, max {1e3 * flagged['max']:.0f} ms after the cause "
          "(<= 200 ms after the first missing frame, which is up to 50 ms later)"),
+        *flood_bars(r["floods"]),
         ("TRACKING but wrong", r["tracking_but_wrong_s"] == 0.0, f"{r['tracking_but_wrong_s']:.2f} s (0 s)"),
     ]  # fmt: skip
 
@@ -170,8 +141,8 @@ def _bars(r: dict[str, Any]) -> list[tuple[str, bool, str]]:
 def _rest(r: dict[str, Any]) -> list[str]:
     lat, err = r["latency_ms"], r["error_m"]
     return [
-        f"       {r['hours']:.2f} h, {r['strokes']} strokes, {r['poses']} poses, "
-        f"{r['requests_in_floods']} requests in floods",
+        *flood_lines(r["floods"]),
+        f"       {r['hours']:.2f} h, {r['strokes']} strokes, {r['poses']} poses",
         f"       latency between strokes: median {lat['median']:.1f} ms, p99 {lat['p99']:.1f} ms",
         f"       error between strokes: median {1e3 * err['median']:.1f} mm, max {1e3 * err['max']:.1f} mm",
         f"       TRACKING {100 * r['share_tracking']:.1f} % of the poses, LOST {r['lost_s']:.1f} s, "

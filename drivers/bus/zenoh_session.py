@@ -33,7 +33,9 @@ and whoever forges one would have the daemon come to him."""
 _LOCAL_ROUTER = "tcp/127.0.0.1:7447"
 """Where a Zenoh router listens by default."""
 _RECEIVED: dict[str, Any] = {
-    "transport/link/rx/max_message_size": 1 << 20,
+    # Sessions with shared memory take one of 351 counters each: strangers that do nothing would lock everybody out.
+    "transport/shared_memory/enabled": False,
+    "transport/link/rx/max_message_size": 1 << 17,
     "low_pass_filter": [
         {
             "id": "requests",
@@ -107,7 +109,8 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         # wait at all, but healthy subscribers lose images.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 1000,
         "scouting/multicast/enabled": config.multicast,
-        "scouting/multicast/interface": "lo",
+        # By address: a name would be looked up by netlink, which the unit does without.
+        "scouting/multicast/interface": "127.0.0.1",
         # A stranger found by multicast may be on the network, and gossip would make us connect to its peers there.
         "scouting/gossip/enabled": not (config.multicast and all(map(on_this_computer, [*listen, *connect]))),
     }

@@ -44,6 +44,13 @@ drive() {
   note restarts_before "$(show NRestarts)"
 }
 
+# A program that does not know where the daemon listens.
+be_found() {
+  /opt/ceilvo/bin/python listener.py "" "$out/found.jsonl" "$STEM/pose" &
+  wait_for 15 test -s "$out/found.jsonl" && note found yes
+  kill $!
+}
+
 # restarted NAME SIGNAL: how long until another process is ready, then some of its poses.
 restarted() {
   local pid n t0
@@ -86,8 +93,8 @@ uninstall() {
 }
 
 rc=0
-rm -f $out/facts.txt "$out/samples.jsonl"
-for phase in install_service start_without_camera plug_camera_in drive kill_hard hang stop refuse_wrong_config; do
+rm -f $out/facts.txt "$out"/{samples,found}.jsonl
+for phase in install_service start_without_camera plug_camera_in drive be_found kill_hard hang stop refuse_wrong_config; do
   step "$phase"
   $phase || { step "$phase failed"; rc=1; note failed_phase $phase; break; }
 done

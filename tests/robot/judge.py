@@ -23,7 +23,7 @@ DRIVEN_M = 10.0
 FED_HZ = 14.0
 RESTART_S = 5.0
 STOP_S = 2.0
-EXPOSURE = 2.0
+EXPOSURE = 1.1
 MIN_SHARE_OF_FRAMES = 0.9
 LENGTH_UNIT_M = 1e-4
 ANGLE_UNIT_RAD = 1e-5
@@ -97,6 +97,7 @@ def _installation(run: Run) -> Iterator[Check]:
     yield Check("start without camera", f"status {f.get('start_status')}", "0", f.get("start_status") == "0")
     status = f.get("status_without_camera", "")
     yield Check("STATUS= without camera", status, "names it", "camera" in status.lower())
+    yield Check("found by multicast", f.get("found", "no"), "yes", f.get("found") == "yes")
     status = f.get("status_tracking", "")
     yield Check("STATUS= at the end", status, "has TRACKING", "TRACKING" in status)
 

@@ -1,6 +1,7 @@
 """Writes down what the robot publishes, with the time of its arrival. Knows Zenoh and JSON, not ceilvo.
 
 listener.py ENDPOINT FILE KEY...: a JSON line for each sample: key, recv_ns (CLOCK_MONOTONIC), recv_unix_ns, body.
+With "" as ENDPOINT the robot is found by multicast on this computer.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ def main() -> None:
     config = zenoh.Config()
     for name, value in {
         "mode": "peer",
-        "connect/endpoints": [endpoint],
+        "connect/endpoints": [endpoint] if endpoint else [],
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 1.5},
-        "listen/endpoints": [],
-        "scouting/multicast/enabled": False,
+        "listen/endpoints": [] if endpoint else ["tcp/127.0.0.1:0"],
+        "scouting/multicast/enabled": not endpoint,
+        "scouting/multicast/interface": "lo",
     }.items():
         config.insert_json5(name, json.dumps(value))
     samples: SimpleQueue[tuple[int, int, str, bytes]] = SimpleQueue()

@@ -59,7 +59,7 @@ def main() -> None:
         },
         # The serial lines of User-Mode-Linux know no parity; the simulated base does not know the recorded path.
         "base": {"port": "/dev/ttyS1", "baud": BAUD, "parity": "N", "use_wheels": False},
-        "zenoh": {"listen": [ENDPOINT], "multicast": False},
+        "zenoh": {"listen": [ENDPOINT]},
     }
     camera_id = yaml.safe_load((recording / "calibration.yaml").read_text())["camera"]["id"]
     (share / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))

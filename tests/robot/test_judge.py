@@ -63,7 +63,14 @@ def run() -> Any:
     poses = [pose(k, i, truth, seq) for k, (i, seq) in enumerate(zip(index, seqs, strict=True))]
     telegrams = [telegram(p) for p in poses]
     telegrams.append({**telegrams[-1], "state": "STOPPED"})
-    facts = {"install_ms": "1", "verify": "", "exposure": "1.3", "check_config_status": "0", "start_status": "0"}
+    facts = {
+        "install_ms": "1",
+        "verify": "",
+        "exposure": "1.1",
+        "check_config_status": "0",
+        "start_status": "0",
+        "found": "yes",
+    }
     facts |= {"status_without_camera": "no camera", "status_tracking": "TRACKING", "go_ns": "0", "played_ns": "1e9"}
     facts |= {"cpu_before_ns": "0", "cpu_after_ns": "1", "memory_bytes": "1", "kill_ready_ms": "900", "kill_ns": "0"}
     facts |= {"hang_ready_ms": "5000", "hang_ns": "0", "stop_ms": "200", "stop_code": "1", "stop_status": "0"}
@@ -128,8 +135,9 @@ def test_pose_sent_again_long_after_it_was_published_is_no_other_pose(run: Any) 
         ({"stop_ms": "2100"}, "stopped in"),
         ({"stop_status": "9"}, "how it ended"),
         ({"verify": "Unknown key"}, "systemd-analyze verify"),
-        ({"exposure": "2.1"}, "exposure"),
+        ({"exposure": "1.2"}, "exposure"),
         ({"exposure": ""}, "exposure"),
+        ({"found": ""}, "found by multicast"),
         ({"leftovers": "/etc/ceilvo /opt/ceilvo /var/lib/ceilvo"}, "left by uninstall"),
         ({"failed_phase": "drive"}, "phases"),
         ({"wrong_config": "status 78, restarts 3, activating"}, "wrong configuration"),

@@ -21,5 +21,6 @@ def test_the_unit_has_the_network_only_where_the_configuration_needs_it(
         assert done.returncode == 0, done.stderr
         assert ("needs the network" in done.stdout) == network == drop_in.exists()
         assert drop_in.parent.exists() == network
+        assert not network or "RestrictAddressFamilies=AF_NETLINK\n" in drop_in.read_text()
     assert unit_settings()["IPAddressDeny"] == ["any"]
-    assert unit_settings()["IPAddressAllow"] == ["localhost 224.0.0.224"]
+    assert unit_settings()["IPAddressAllow"] == ["localhost"]

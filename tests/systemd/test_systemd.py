@@ -166,7 +166,7 @@ def test_unit_verifies_silently(tmp_path: Path) -> None:
 
 @analyze
 def test_unit_exposure_is_low() -> None:
-    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=15", str(UNIT)]
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=11", str(UNIT)]
     r = subprocess.run(command, capture_output=True, text=True)
     assert r.returncode == 0, r.stdout + r.stderr
     assert "Overall exposure level" in r.stdout

@@ -20,6 +20,7 @@ from patience import PATIENCE_S, until
 from zenoh_world import Robot, World, bus_config, free_port, get, peer
 
 from ceilvo import config
+from ceilvo.bench.soak.floods import session
 from ceilvo.drivers.bus import zenoh_bus
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import ON_DEMAND, Topic
@@ -309,3 +310,12 @@ def test_close_ends_a_client_that_never_found_its_router() -> None:
     bus.open()
     bus.close()
     until(lambda: not any(t.name.startswith("zenoh-o") for t in threading.enumerate()), "its threads end")
+
+
+# many
+
+
+def test_hundreds_of_sessions_that_do_nothing_lock_nobody_out(world: World) -> None:
+    """It took 351, one for each counter in shared memory, and then nobody."""
+    world.sessions += [session(f"tcp/127.0.0.1:{world.port}") for _ in range(400)]
+    assert get(session(f"tcp/127.0.0.1:{world.port}"), "ceilvo/robot1/map")[0][0]

@@ -62,7 +62,7 @@ def test_endpoints_that_zenoh_knows(end: str) -> None:
 def test_defaults_stay_on_this_computer() -> None:
     c = session_config(config.Zenoh())
     assert json.loads(c.get_json("listen/endpoints")) == ["tcp/127.0.0.1:0"]
-    assert json.loads(c.get_json("scouting/multicast/interface")) == "lo"
+    assert json.loads(c.get_json("scouting/multicast/interface")) == "127.0.0.1"
     assert json.loads(c.get_json("connect/exit_on_failure")) is False
     assert json.loads(c.get_json("scouting/gossip/enabled")) is False
 

@@ -1,0 +1,54 @@
+"""The pose samples of a soak against the truth, as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.bench.soak.fault_plan import LEAD_S, Stroke
+from ceilvo.bench.soak.parts import Heard
+from ceilvo.drivers.base.link import GOOD
+from ceilvo.sim.world import World
+from ceilvo.types import State
+
+_NS = 1e-9  # s in a nanosecond
+
+Floats = NDArray[np.float64]
+
+
+class Poses:
+    """Columns of the pose samples, times in seconds since the start of the world."""
+
+    def __init__(self, heard: Heard, world: World, t0_ns: int) -> None:
+        rows = heard.poses
+        self.recv_s: Floats = _NS * (np.array([r.recv_ns for r in rows], np.int64) - t0_ns).astype(np.float64)
+        self.t_s: Floats = _NS * (np.array([r.stamp_ns for r in rows], np.int64) - t0_ns).astype(np.float64)
+        self.state = np.array([r.state for r in rows], np.int64)
+        xy = np.array([(r.x_m, r.y_m) for r in rows], np.float64).reshape(-1, 2)
+        truth = world.truth_at(self.t_s)[:, :2] if len(rows) else xy
+        self.error_m: Floats = np.hypot(*(xy - truth).T)
+        self.latency_s: Floats = self.recv_s - self.t_s
+        self.gap_s: Floats = np.diff(self.recv_s, append=self.recv_s[-1:])
+
+    def quiet(self, plan: Sequence[Stroke]) -> NDArray[np.bool_]:
+        """Whether the last stroke is more than 3 s ago, and none is under way."""
+        out = self.recv_s > LEAD_S / 2
+        for s in plan:
+            a, b = np.searchsorted(self.recv_s, [s.from_s, s.to_s + 3.0])
+            out[a:b] = False
+        return out
+
+    def first(self, after_s: float, states: Sequence[State], wanted: bool = True) -> float | None:
+        """Time since after_s until a pose came whose state is (not) among some."""
+        k = int(np.searchsorted(self.recv_s, after_s))
+        found = np.flatnonzero(np.isin(self.state[k:], [int(s) for s in states]) == wanted)
+        return float(self.recv_s[k + found[0]] - after_s) if len(found) else None
+
+    def flagged_after_s(self, stroke: Stroke) -> float | None:
+        """How long after a stroke the pose was no longer called good; None when it was not good before."""
+        before = self.state[: int(np.searchsorted(self.recv_s, stroke.from_s))]
+        if not len(before) or before[-1] not in GOOD:
+            return None
+        return self.first(stroke.from_s, GOOD, wanted=False)
