@@ -6,6 +6,7 @@ import os
 from functools import lru_cache
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the daemon has it: the last bits depend on it
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(7680 * 4320))  # as ceilvo/__init__.py has it
 
 import cv2
 from hypothesis import settings

@@ -8,18 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.drivers.camera.recorded import IMAGE_SUFFIXES, INDEX
 from ceilvo.drivers.camera.selection import make_camera, source_camera
+from ceilvo.drivers.pictures import Gray, decoded
 from ceilvo.drivers.ports import Camera
 from ceilvo.errors import BadFrameError, CameraError, FileFormatError
 from ceilvo.types import Frame
 
-Gray = NDArray[np.uint8]
 Array = NDArray[np.float64]
 
 
@@ -86,11 +85,10 @@ class FolderSource:
 
 def _read_gray(path: Path) -> Gray:
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) if data.size else None
-    except (OSError, cv2.error):
+        image = decoded(path.read_bytes())
+    except OSError:
         image = None
-    return np.zeros((0, 0), np.uint8) if image is None else np.asarray(image, np.uint8)
+    return np.zeros((0, 0), np.uint8) if image is None else image
 
 
 class CameraSource:

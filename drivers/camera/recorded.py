@@ -11,11 +11,9 @@ FileFormatError: trying again does not help.
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import gzip
 import io
-import math
 import reprlib
 import zlib
 from collections.abc import Iterable, Iterator
@@ -23,8 +21,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ceilvo.drivers.pictures import Gray, decoded
 from ceilvo.drivers.ports import CameraInfo
 from ceilvo.errors import CameraError, FileFormatError
 from ceilvo.files import write_atomic
@@ -36,9 +34,11 @@ IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".t
 RAW_SUFFIX = ".raw.gz"
 DEFAULT_RATE_HZ = 30.0
 """Of a video that does not say, and of folders without times."""
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the calibration knows the sensor's rows and columns
+_RATES_HZ = (0.01, 1e5)
+"""Of a video; chosen: from a picture in two minutes to the fastest cameras. What says otherwise says nothing."""
+_LATEST_MSEC = 1e12
+"""Of a video's frame: 30 years; chosen, it fits into 64 bits of nanoseconds."""
 
-Gray = NDArray[np.uint8]
 Shot = tuple[int, Gray, str]
 """stamp_ns, image, and where it is from, for messages."""
 
@@ -155,7 +155,7 @@ class VideoCamera(_Recording):
             raise FileFormatError(f"{self.path}: no video that OpenCV can read; 'ffprobe {self.path}' tells what it is")
         self._capture = capture
         rate_hz, notes = capture.get(cv2.CAP_PROP_FPS), ()
-        if not math.isfinite(rate_hz) or rate_hz <= 0:
+        if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
             rate_hz = self._rate_hz
             return self._video_shots(capture, rate_hz), rate_hz, (f"{self.path} tells no rate: {rate_hz:g} assumed",)
         return self._video_shots(capture, rate_hz), rate_hz, notes
@@ -168,7 +168,7 @@ class VideoCamera(_Recording):
             if not ok:
                 return
             pos_msec = capture.get(cv2.CAP_PROP_POS_MSEC)
-            stamp_ns = period_ns + (round(pos_msec * 1e6) if math.isfinite(pos_msec) else 0)
+            stamp_ns = period_ns + (round(pos_msec * 1e6) if abs(pos_msec) < _LATEST_MSEC else 0)
             if stamp_ns <= last_ns:  # a container without times, or with broken ones
                 stamp_ns = last_ns + period_ns
             last_ns = stamp_ns
@@ -256,16 +256,13 @@ def _indexed_shots(rows: list[Row]) -> Iterator[Shot]:
 
 def _read_image(path: Path, where: str) -> Gray:
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
+        data = path.read_bytes()
     except OSError as exc:
         raise FileFormatError(f"{where}: {path} cannot be read: {exc}") from exc
-    image = None
-    if data.size:
-        with contextlib.suppress(cv2.error):
-            image = cv2.imdecode(data, _AS_STORED)
+    image = decoded(data)
     if image is None:
-        raise FileFormatError(f"{where}: {path.name} is no image that OpenCV can read ({data.size} bytes)")
-    return np.asarray(image, np.uint8)
+        raise FileFormatError(f"{where}: {path.name} is no image that OpenCV can read ({len(data)} bytes)")
+    return image
 
 
 def _read_raw(path: Path, width_px: int, height_px: int) -> Iterator[tuple[Gray, str]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.drivers.camera.v4l2_device import Capture, Device, LinuxDevice
+from ceilvo.drivers.pictures import decoded
 from ceilvo.drivers.ports import CameraInfo
 from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
@@ -19,10 +20,11 @@ MAX_FUTURE_NS = 50_000_000
 """Some drivers stamp the end of an exposure that is still running; more than this is a wrong clock."""
 MAX_AGE_NS = 2_000_000_000
 """A buffer older than this was not stamped with CLOCK_MONOTONIC."""
+_LATEST_MSEC = 1e13
+"""300 years, later than any clock; beyond it a stamp is rubbish, and might be more than a number holds."""
 PROBE_FRAMES = 5
 """Frames that open() looks at before it gives up on the driver's stamps."""
 
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 _BUFFERS = 4  # OpenCV's own default, so no extra stream reset; the capture loop keeps the queue empty
 _BYTES_PER_PIXEL = {"GREY": 1, "YUYV": 2}  # linux/videodev2.h; two pixels of YUYV share four bytes
 _AUTO_EXPOSURE_MANUAL = 1  # V4L2_EXPOSURE_MANUAL
@@ -64,21 +66,21 @@ def luma(raw: NDArray[np.uint8], pixel_format: str, width_px: int, height_px: in
 
 def _jpeg_luma(data: NDArray[np.uint8], width_px: int, height_px: int) -> NDArray[np.uint8]:
     whole = data.size > 0 and data.tobytes().rfind(b"\xff\xd9") >= 0  # some versions decode half a file without a word
-    image = cv2.imdecode(data, _AS_STORED) if whole else None
+    image = decoded(data) if whole else None
     if image is None:
         raise BadFrameError(f"frame of {data.size} bytes is no whole JPEG; the transfer was cut short")
     if image.shape != (height_px, width_px):
         raise BadFrameError(f"JPEG of {image.shape[1]}x{image.shape[0]}, expected {width_px}x{height_px}")
-    return np.asarray(image, np.uint8)
+    return image
 
 
 def stamp_ns_from_msec(pos_msec: float, now_ns: int, last_ns: int) -> int:
     """CLOCK_MONOTONIC stamp from CAP_PROP_POS_MSEC, the buffer's time in ms with microseconds after the point.
 
     Raises:
-        BadFrameError: not a number, zero, in the future, of another clock, or not after the last one.
+        BadFrameError: not a number, zero, beyond all time, in the future, of another clock, or not after the last one.
     """
-    if not math.isfinite(pos_msec) or pos_msec <= 0:
+    if not 0 < pos_msec < _LATEST_MSEC:
         raise BadFrameError(f"buffer stamp {pos_msec} ms, expected the monotonic time of capture")
     stamp = round(pos_msec * 1000) * 1000
     ahead = stamp - now_ns

@@ -10,10 +10,10 @@ import json
 import struct
 from collections.abc import Iterator, Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.drivers.pictures import decoded
 from ceilvo.errors import FileFormatError
 
 _VARINT, _BYTES, _FIXED32 = 0, 2, 5
@@ -90,12 +90,10 @@ def read_compressed_image(data: bytes) -> NDArray[np.uint8]:
         FileFormatError: it is anything else.
     """
     picture = dict(_fields(data)).get(2)
-    gray = None
-    if isinstance(picture, bytes) and picture:
-        gray = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE)
+    gray = decoded(picture) if isinstance(picture, bytes) else None
     if gray is None:
         raise FileFormatError(f"picture of {len(data)} bytes cannot be decoded; the recording is damaged")
-    return np.asarray(gray, np.uint8)
+    return gray
 
 
 def pose_in_frame(unix_ns: int, frame_id: str, x_m: float, y_m: float, qz: float, qw: float) -> bytes:
