@@ -18,7 +18,7 @@ from ceilvo import yaml_nodes
 from ceilvo.calibration import Calibration, NoiseCurves
 from ceilvo.calibration_check import DISTORTION_COUNTS, check_fits, value_problems
 from ceilvo.camera import CameraModel
-from ceilvo.errors import CalibrationError
+from ceilvo.errors import CalibrationError, one_line
 from ceilvo.files import write_atomic
 
 __all__ = [
@@ -228,7 +228,7 @@ def _check_keys(
     path: str, content: Mapping[str, Any], keys: tuple[str, ...], prefix: str, optional: tuple[str, ...] = ()
 ) -> None:
     missing = [prefix + k for k in keys if k not in content and k not in optional]
-    unknown = [prefix + k for k in content if k not in keys]
+    unknown = [prefix + one_line(k, _SHORT_CHARS) for k in content if k not in keys]
     problems = [f"{path}: {k}: found nothing, expected a value; calib writes it" for k in missing]
     problems += [f"{path}: {k}: found an unknown key, expected one of {', '.join(keys)}" for k in unknown]
     if problems:

@@ -13,6 +13,16 @@ A message is one line: what (file, key or device), the value found, what was exp
 A failed estimate is not an error but a status in the result.
 """
 
+_CHARS = 120
+"""Of what a message repeats; chosen: it stays one line."""
+
+
+def one_line(text: object, most: int = _CHARS) -> str:
+    """What somebody else wrote, fit for a message: on one line, printable, not long."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
+    return line if len(line) <= most else line[: most - 3] + "..."
+
+
 EXIT_CONFIG = 78
 """EX_CONFIG of sysexits.h: systemd must not restart after it."""
 

@@ -12,10 +12,16 @@ from typing import Any
 
 import yaml
 
+from ceilvo.errors import one_line
+
 MAX_BYTES = 1 << 20
 """Of a file; ours have some kilobytes, and PyYAML is slow."""
 _DEPTH_MOST = 20
 """Of nesting; chosen, far more than ours have."""
+_MESSAGE_CHARS = 300
+"""Of a message, which may repeat what is in the file."""
+_TAG_CHARS = 60
+"""Of a tag in a message."""
 _WIDTH = 110
 """Characters of a line that is written."""
 _TAG = "tag:yaml.org,2002:"
@@ -60,7 +66,7 @@ class YamlProblem(Exception):
     def __init__(self, line: int, what: str) -> None:
         super().__init__(what)
         self.line = line
-        self.what = what
+        self.what = one_line(what, _MESSAGE_CHARS)
 
 
 @dataclass(frozen=True)
@@ -128,7 +134,12 @@ def line_of(node: yaml.Node) -> int:
 def odd_tag(node: yaml.Node) -> str:
     """The tag of a list or mapping that is more than that, else nothing."""
     usual = _TAG + ("map" if isinstance(node, yaml.MappingNode) else "seq")
-    return "" if isinstance(node, yaml.ScalarNode) or node.tag == usual else node.tag.replace(_TAG, "!!")
+    return "" if isinstance(node, yaml.ScalarNode) or node.tag == usual else _short_tag(node)
+
+
+def _short_tag(node: yaml.Node) -> str:
+    """For messages."""
+    return one_line(node.tag.replace(_TAG, "!!"), _TAG_CHARS)
 
 
 def scalar(node: yaml.ScalarNode) -> bool | int | float | str | Tagged | None:
@@ -148,7 +159,7 @@ def scalar(node: yaml.ScalarNode) -> bool | int | float | str | Tagged | None:
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     except (KeyError, ValueError):
         pass
-    return Tagged(node.tag.replace(_TAG, "!!"))
+    return Tagged(_short_tag(node))
 
 
 def plain(node: yaml.Node | None, _depth: int = 0) -> Any:

@@ -18,7 +18,7 @@ from ceilvo import yaml_nodes
 from ceilvo.config.checks import conflicts
 from ceilvo.config.schema import SECTIONS, Config
 from ceilvo.config.values import WrongValue, checked_value, shown
-from ceilvo.errors import ConfigError
+from ceilvo.errors import ConfigError, one_line
 
 log = logging.getLogger(__name__)
 _ALIKE = 0.6
@@ -98,7 +98,7 @@ class _Reader:
     def override(self, text: str) -> None:
         name, eq, value = text.partition("=")
         section, dot, key = name.strip().partition(".")
-        where = f"--set {text}"
+        where = f"--set {one_line(text)}"
         if not eq or not dot:
             self._problems.append(f"{where}: expected section.key=value; for example camera.rate_hz=15")
             return
@@ -128,7 +128,9 @@ class _Reader:
         full = f"{section}.{key}"
         schema = {f.name: f for f in _keys(section)}
         if key not in schema:
-            self._problems.append(f"{where}: {full}: found an unknown key, expected {_known_key(section, key)}")
+            self._problems.append(
+                f"{where}: {one_line(full)}: found an unknown key, expected {_known_key(section, key)}"
+            )
             return
         self._where[full] = where
         kind = get_type_hints(_TYPES[section])[key]
@@ -158,7 +160,9 @@ class _Reader:
         return list(out.values())
 
     def _problem(self, node: yaml.Node, name: str, text: str) -> None:
-        self._problems.append(f"{self._source}:{yaml_nodes.line_of(node)}: {name}{': ' if name else ''}{text}")
+        self._problems.append(
+            f"{self._source}:{yaml_nodes.line_of(node)}: {one_line(name)}{': ' if name else ''}{text}"
+        )
 
 
 def _is_mapping(node: yaml.Node) -> TypeGuard[yaml.MappingNode]:

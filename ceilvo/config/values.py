@@ -13,8 +13,9 @@ import yaml
 
 from ceilvo import yaml_nodes
 from ceilvo.config.rendering import quoted, range_text, yaml_text
+from ceilvo.errors import one_line
 
-_LONGEST = 60
+LONGEST = 60
 """Characters of a wrong value that a message repeats: it stays one line."""
 _ALIKE = 0.5
 """difflib's ratio from which a choice is suggested; chosen: a letter or two may be wrong."""
@@ -67,7 +68,7 @@ def _checked_text(value: str, field: dataclasses.Field[Any], expected: str) -> s
 
 def _checked_list(node: yaml.Node, field: dataclasses.Field[Any], expected: str) -> tuple[str, ...]:
     if not isinstance(node, yaml.SequenceNode) or yaml_nodes.odd_tag(node):
-        text = node.value if isinstance(node, yaml.ScalarNode) else ""
+        text = one_line(node.value, LONGEST) if isinstance(node, yaml.ScalarNode) else ""
         hint = f"write [{quoted(text)}]" if text else "write [] for none"
         raise WrongValue(f"found {shown(node)}, expected {expected}; {hint}")
     out = []
@@ -107,12 +108,13 @@ def shown(node: yaml.Node) -> str:
 
 
 def _clip(text: str, *, quote: bool = True) -> str:
-    short = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
-    return repr(short) if quote else short
+    if not quote:
+        return one_line(text, LONGEST)
+    return repr(text if len(text) <= LONGEST else text[: LONGEST - 3] + "...")
 
 
 def _type_hint(node: yaml.Node, base: type, field: dataclasses.Field[Any]) -> str:
-    text = str(node.value) if isinstance(node, yaml.ScalarNode) else ""
+    text = one_line(node.value, LONGEST) if isinstance(node, yaml.ScalarNode) else ""
     if base is str and text:
         return "put it in quotes"
     if base is bool and text.lower() in ("yes", "on", "y", "1"):

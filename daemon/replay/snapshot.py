@@ -22,7 +22,7 @@ import numpy as np
 from ceilvo.config.schema import OLD_METHODS
 from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.snapshot_v1 import is_v1, upgraded
-from ceilvo.errors import FileFormatError
+from ceilvo.errors import FileFormatError, one_line
 
 VERSION = 3
 """Version 1 (ceilvo 0.1) named classes and private attributes; snapshot_v1 turns it into version 2, which had one
@@ -72,7 +72,7 @@ def restore(pipeline: Pipeline, tree: Any) -> None:
         if older:
             pipeline.relocaliser.survey_map()
     except _BAD_TREE as e:
-        raise SnapshotError(f"pipeline state: {type(e).__name__} {e}; of another version, or damaged") from e
+        raise SnapshotError(f"pipeline state: {type(e).__name__} {one_line(e)}; of another version, or damaged") from e
 
 
 def _from_v2(state: Any) -> Any:
@@ -111,7 +111,7 @@ def read_value(data: bytes, kind: type[_T]) -> _T | None:
         value: _T | None = _read(tree, kind | None, None)
         return value
     except _BAD_TREE as e:
-        raise SnapshotError(f"{kind.__name__}: {type(e).__name__} {e}; the recording is damaged") from e
+        raise SnapshotError(f"{kind.__name__}: {type(e).__name__} {one_line(e)}; the recording is damaged") from e
 
 
 # -- writing

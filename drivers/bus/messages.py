@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.config.zenoh_names import segment_problem
-from ceilvo.errors import BusError
+from ceilvo.errors import BusError, one_line
 from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Landmarks, State
 
@@ -31,8 +31,6 @@ _NANOMETRE = 9
 """Decimals of metres."""
 _COV_NUMBERS = 9
 """A covariance of (x, y, theta), row by row."""
-_REASON_CHARS = 120
-"""Of an error's reason: one line of a log."""
 MAX_PARTICLES = 2000
 """A larger set is thinned uniformly: the message is for looking at, and this many are about 150 kB."""
 
@@ -293,7 +291,7 @@ def decode_pose(payload: bytes) -> Pose:
             fields=f,
         )
     except (KeyError, TypeError, ValueError, OverflowError) as e:
-        raise BusError(f"pose message: {type(e).__name__} {e}, expected the fields of docs/zenoh.md") from e
+        raise BusError(f"pose message: {type(e).__name__} {one_line(e)}, expected the fields of docs/zenoh.md") from e
 
 
 def _nine(value: Any) -> tuple[float, ...]:
@@ -316,7 +314,7 @@ def load_object(payload: bytes, where: str) -> dict[str, Any]:
     try:
         value = json.loads(payload.decode("utf-8"), parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except (ValueError, RecursionError) as e:
-        raise BusError(f"{where}: payload is not JSON ({_one_line(e)}), expected one object") from e
+        raise BusError(f"{where}: payload is not JSON ({one_line(e) or type(e).__name__}), expected one object") from e
     if not isinstance(value, dict):
         raise BusError(f"{where}: payload is {short(value)}, expected a JSON object")
     return value
@@ -336,7 +334,3 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def short(value: object) -> str:
     """A value for an error message: printable, on one line, not long."""
     return reprlib.repr(value)
-
-
-def _one_line(e: Exception) -> str:
-    return " ".join(str(e).split())[:_REASON_CHARS] or type(e).__name__

@@ -15,7 +15,7 @@ import zenoh
 from ceilvo.config import Zenoh
 from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer
 from ceilvo.drivers.bus.messages import short
-from ceilvo.errors import BusError
+from ceilvo.errors import BusError, one_line
 
 log = logging.getLogger(__name__)
 
@@ -154,8 +154,7 @@ def session_mode(config: zenoh.Config) -> str:
 
 def zenoh_reason(e: Exception) -> str:
     """What a Zenoh error says, on one line and without its source positions."""
-    text = " ".join(str(e).split())
-    return re.sub(r" at /\S+\.rs:\d+\.?", "", text)[:_REASON_CHARS]
+    return one_line(re.sub(r"\s+at\s+/\S+\.rs:\d+\.?", "", str(e)), _REASON_CHARS)
 
 
 class Connection:

@@ -18,13 +18,15 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from ceilvo.drivers.recording.mcap_file import CALIBRATION, CONFIG, FORMAT_VERSION, METADATA
-from ceilvo.errors import FileFormatError
+from ceilvo.errors import FileFormatError, one_line
 
 _MAX_BYTES = 256 << 20
 """Of a record or an unpacked chunk: far more than ceilvo writes, less than a computer's memory."""
-_REASON_CHARS = 120
-"""Of a damage's reason: one line."""
-_DAMAGE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError)
+_DAMAGE = (
+    *(McapError, CRCValidationError, zstandard.ZstdError, struct.error),
+    *(ValueError, ArithmeticError, LookupError, RuntimeError, MemoryError),
+)
+"""What bytes that are no recording raise in the libraries that read them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,7 @@ def open_recording(path: Path) -> Recording:
     except _DAMAGE as e:
         raise FileFormatError(f"{path}: no recording that can be read: {_what(e, path)}") from e
     if metadata.get("format") != str(FORMAT_VERSION):
-        found = metadata.get("format", "none")
+        found = one_line(metadata.get("format", "none"))
         raise FileFormatError(
             f"{path}: recording format {found}, expected {FORMAT_VERSION}; 'ceilvod record' writes one"
         )
@@ -151,4 +153,4 @@ def _what(error: BaseException, path: Path) -> str:
         return "a checksum is wrong"
     if isinstance(error, RecordLengthLimitExceeded):
         return "a record has an impossible length"
-    return f"damaged: {' '.join(str(error).split())[:_REASON_CHARS] or type(error).__name__}"
+    return f"damaged: {one_line(error) or type(error).__name__}"
