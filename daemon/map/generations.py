@@ -20,7 +20,7 @@ class Generations:
 
     def paths(self) -> list[Path]:
         """Those that there are, the newest first."""
-        return [p for p in (self._numbered(n) for n in range(1, self._most + 1)) if p.exists()]
+        return [p for p in (self._numbered(n) for n in range(1, self._most + 1)) if _is_there(p)]
 
     def keep(self, whatever_the_age: bool = False) -> None:
         """What the file holds now becomes the newest generation; the file itself stays where it is.
@@ -52,3 +52,12 @@ class Generations:
 
     def _numbered(self, n: int) -> Path:
         return self._path.with_name(f"{self._path.name}.{n}")
+
+
+def _is_there(path: Path) -> bool:
+    """Not where the folder may not be looked into, or has an impossible name, which Path.exists() raises."""
+    try:
+        path.stat()
+    except (OSError, ValueError):
+        return False
+    return True

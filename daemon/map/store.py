@@ -111,9 +111,9 @@ class Store:
     def _sweep(folder: Path) -> None:
         """What a process left that was killed while it wrote."""
         for name in (MAP_NAME, STATE_NAME, BESIDE_NAME):
-            for left in folder.glob(f".{name}.*.tmp"):
-                with contextlib.suppress(OSError):
-                    left.unlink()
+            with contextlib.suppress(OSError):  # of the folder, too: it may not be looked into
+                for left in folder.glob(f".{name}.*.tmp"):
+                    left.unlink(missing_ok=True)
 
     def begin_anew(self) -> bool:
         """The map was given up by its owner: what is saved next may be smaller. True where the old one stays as the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import socket
 import time
 from collections.abc import Callable, Mapping
@@ -120,7 +121,7 @@ class Notifier:
 def _watchdog_period_s(env: Mapping[str, str]) -> float | None:
     """$WATCHDOG_USEC when it is meant for this process (sd_watchdog_enabled(3))."""
     usec, pid = env.get("WATCHDOG_USEC", ""), env.get("WATCHDOG_PID", "")
-    if not usec.isdecimal() or int(usec) == 0 or (pid and pid != str(os.getpid())):
+    if not re.fullmatch("[0-9]{1,18}", usec) or int(usec) == 0 or (pid and pid != str(os.getpid())):
         return None
     return int(usec) / 1e6
 

@@ -95,6 +95,8 @@ def test_watchdog_is_thinned_to_a_quarter_of_its_period(manager: Manager) -> Non
         {"WATCHDOG_USEC": "0"},
         {"WATCHDOG_USEC": "soon"},
         {"WATCHDOG_USEC": "-4000000"},
+        {"WATCHDOG_USEC": "4" * 5000},
+        {"WATCHDOG_USEC": "\u0664000000"},
         {"WATCHDOG_USEC": "4000000", "WATCHDOG_PID": "1"},
     ],
 )
