@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import cv2
@@ -27,6 +28,12 @@ _GAP_TILES = 0.75
 diagonal is 1.41, half of it 0.71."""
 GAP_M = 0.45
 """The same where there are no tiles; chosen."""
+_WINDOW = 1024
+"""Cells along a window in which the ground between landmarks is looked for, 256 m: two landmarks that are kilometres
+apart must not cost the ground between them."""
+_RIM = 4
+"""Times the reach that landmarks around a window count in it: closing looks twice as far, and once more at the rim."""
+_AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 
 
 @dataclass(slots=True)
@@ -51,23 +58,10 @@ class Coverage:
         if not len(landmarks):
             return out
         reach = int(np.ceil(max(_GAP_TILES * tile_m, GAP_M) / CELL_M))
-        cell = _cells(landmarks.xy_map_m)
-        low = np.min(cell, axis=0) - reach
-        shape = (np.max(cell, axis=0) - low + reach + 1)[::-1]
-        views, there = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
-        column, row = (cell - low).T
-        np.maximum.at(views, (row, column), np.minimum(landmarks.expected, _MOST).astype(np.uint8))
-        for dx, dy in (
-            (-1, -1),
-            (-1, 1),
-            (1, -1),
-            (1, 1),
-        ):  # a feature beside a landmark at the edge lies on known ground
-            column, row = (_cells(landmarks.xy_map_m + REACH_M * np.array([dx, dy])) - low).T
-            there[row, column] = 1
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-        inside = np.nonzero(cv2.morphologyEx(there, cv2.MORPH_CLOSE, disc))
-        out._add(np.column_stack(inside[::-1]) + low, np.asarray(cv2.dilate(views, disc), np.int64)[inside])
+        for low, members in _windows(_cells(landmarks.xy_map_m), _RIM * (reach + 1)):
+            cell, views = _ground(landmarks.of(members), reach)
+            own = np.all((cell >= low) & (cell < low + _WINDOW), axis=1)
+            out._add(cell[own], views[own])
         return out
 
     def show(self, corners_m: Array) -> None:
@@ -110,6 +104,33 @@ class Coverage:
         flat = self.shown.reshape(len(self.block), -1)
         at = np.searchsorted(self.block, number)
         flat[at, inside] = np.minimum(flat[at, inside].astype(np.int64) + views, _MOST)
+
+
+def _windows(cell: Ints, rim: int) -> Iterator[tuple[Ints, Ints]]:
+    """The lowest cell (2,) of each square of _WINDOW that has some of these cells (N, 2) within its rim, and which."""
+    first = np.min(cell, axis=0) - rim
+    off = cell - first
+    columns, rows = np.concatenate([(off + d) // _WINDOW for d in rim * _AROUND]).T
+    most = int(rows.max()) + 1
+    for number in np.unique(columns * most + rows):
+        low = _WINDOW * np.array(divmod(int(number), most))
+        yield low + first, np.flatnonzero(np.all((off >= low - rim) & (off < low + _WINDOW + rim), axis=1))
+
+
+def _ground(landmarks: Landmarks, reach: int) -> tuple[Ints, Ints]:
+    """Cells (N, 2) between landmarks, and how often each was in view."""
+    cell = _cells(landmarks.xy_map_m)
+    low = np.min(cell, axis=0) - reach
+    shape = (np.max(cell, axis=0) - low + reach + 1)[::-1]
+    views, there = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+    column, row = (cell - low).T
+    np.maximum.at(views, (row, column), np.minimum(landmarks.expected, _MOST).astype(np.uint8))
+    for diagonal in _AROUND[_AROUND.all(axis=1)]:  # a feature beside a landmark at the edge lies on known ground
+        column, row = (_cells(landmarks.xy_map_m + REACH_M * diagonal) - low).T
+        there[row, column] = 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    inside = np.nonzero(cv2.morphologyEx(there, cv2.MORPH_CLOSE, disc))
+    return np.column_stack(inside[::-1]) + low, np.asarray(cv2.dilate(views, disc), np.int64)[inside]
 
 
 def _cells(xy_m: Array) -> Ints:

@@ -56,3 +56,33 @@ def test_of_a_map_that_came_without_the_ground_between_landmarks_is_known_and_no
     hole = Coverage.of(tiles((3.0, 2.4)), 0.6)
     assert not hole.knows(np.array([3.0, 2.4]))
     assert not np.any(Coverage.of(tiles().of(np.arange(0)), 0.6).knows(inside))
+
+
+def shifted(m: Landmarks, by: tuple[float, float]) -> Landmarks:
+    return Landmarks(m.ids, m.xy_map_m + by, m.cov_m2, m.crossing_type, m.sightings)
+
+
+def both(a: Landmarks, b: Landmarks) -> Landmarks:
+    columns = ("xy_map_m", "cov_m2", "crossing_type", "sightings")
+    return Landmarks(np.arange(len(a) + len(b)), *(np.concatenate([getattr(a, c), getattr(b, c)]) for c in columns))
+
+
+def test_landmarks_that_are_far_apart_cost_no_more_than_near_ones() -> None:
+    """The ground between these two would be 10^13 cells."""
+    near, far = tiles(), shifted(tiles((3.0, 2.4)), (900_000.0, -700_000.0))
+    coverage, alone, other = Coverage.of(both(near, far), 0.6), Coverage.of(near, 0.6), Coverage.of(far, 0.6)
+    assert abs(coverage.area_m2 - alone.area_m2 - other.area_m2) < 1e-9
+    np.testing.assert_array_equal(coverage.block, np.sort(np.append(alone.block, other.block)))
+
+
+def test_no_window_shows_in_what_is_known() -> None:
+    """A corridor over several windows, and the same one further on."""
+    xy = np.array([(0.6 * i, 0.6 * j) for i in range(1200) for j in range(3)])
+    n = len(xy)
+    corridor = Landmarks(np.arange(n), xy, np.tile(np.eye(2), (n, 1, 1)), np.full(n, 4), np.full(n, 20))
+    along = np.column_stack([np.arange(0.3, 719.0, 0.05), np.full(14374, 0.6)])
+    for start_m in (0.0, 100.0, 256.0):
+        first = tiles().of(np.arange(1))  # windows begin at the map's lowest cells
+        known = Coverage.of(both(corridor, shifted(first, (-start_m, -start_m))), 0.6)
+        assert np.all(known.knows(along))
+        assert not np.any(known.knows(along + np.array([0.0, 3.0])))
