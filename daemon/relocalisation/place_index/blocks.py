@@ -157,6 +157,23 @@ class LandmarkBlocks:
     length: int = 0
     left_out: int = 0
 
+    def __post_init__(self) -> None:
+        """ValueError for chains of a file that lead nowhere, or round and round."""
+        if not len(self.ids):
+            return
+        sizes = {len(a) for a in (self.chain, self.ids, self.xy, self.crossing_type, self.visibility, self.named)}
+        counts = 0 <= self.freed <= len(self.free) and 0 < self.length <= len(self.ids)
+        if sizes != {len(self.ids)} or not counts or self.directory.count > len(self.head):
+            raise ValueError(f"columns of {sorted(sizes)} landmarks, {self.length} in use, expected as many in each")
+        live = self.live
+        after = np.concatenate([self.head, self.chain[live]])
+        if not np.array_equal(np.sort(after[after != END]), live):
+            raise ValueError(f"chains of {np.count_nonzero(after != END)} landmarks, expected each of {len(live)} once")
+        numbers = np.arange(len(self.head), dtype=np.int32)
+        for which, slot in self.walk(numbers):
+            if not np.array_equal(self.directory.at(*self.xy[slot].T), numbers[which]):
+                raise ValueError("a landmark in the chain of another block")
+
     def __len__(self) -> int:
         return self.length - self.freed
 

@@ -34,6 +34,12 @@ class IdTable:
     slot: Slots = field(default_factory=lambda: np.full(SMALLEST, EMPTY, np.int32))
     used: int = 0
 
+    def __post_init__(self) -> None:
+        """ValueError for entries of a file from which no search would come back."""
+        size = len(self.slot)
+        if size < SMALLEST or size & (size - 1) or not np.any(self.slot == EMPTY):
+            raise ValueError(f"table of {size} entries, expected a power of two with some of them empty")
+
     def find(self, ids: Ints, stored: Ints) -> Slots:
         """(N,) slots, -1 for an id that is not there."""
         out = np.full(len(ids), EMPTY, np.int32)

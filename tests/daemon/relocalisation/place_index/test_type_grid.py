@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import fields
+
 import numpy as np
 import place_maps
 import pytest
@@ -12,6 +15,7 @@ from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_M, FINE_M, LandmarkBlocks, fine
 from ceilvo.daemon.relocalisation.place_index.id_table import IdTable
 from ceilvo.daemon.relocalisation.place_index.type_grid import GROUND, GROUND_M, HALF_DIAGONAL_M, TypeGrid
+from ceilvo.types import Landmarks
 
 AT = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.integers(0, CROSSING_TYPES - 1))
 MAPS = st.lists(AT, min_size=1, max_size=20).map(np.array)
@@ -146,3 +150,38 @@ def test_the_table_of_ids_is_a_dictionary(steps):
             true = {i: s for i, s in true.items() if i not in gone}
         asked = np.array([*true, *ids], np.int64)
         assert table.find(asked, stored).tolist() == [true.get(int(i), -1) for i in asked]
+
+
+@pytest.mark.parametrize("entries", [[], [0, 1, 2], list(range(64))])
+def test_a_table_from_which_no_search_comes_back_is_refused(entries: list[int]) -> None:
+    with pytest.raises(ValueError, match="power of two"):
+        IdTable(np.array(entries, np.int32))
+
+
+def test_chains_that_lead_round_and_round_are_refused() -> None:
+    """As they may be in a damaged recording, field by field."""
+    blocks = LandmarkBlocks()
+    xy = np.random.default_rng(5).uniform(0.0, 3.0, (40, 2))
+    m = Landmarks(np.arange(40), xy, np.tile(np.eye(2), (40, 1, 1)), np.full(40, 4), np.full(40, 9))
+    slots = blocks.add(m, 0)
+    blocks.remove(slots[::3])
+    names = [f.name for f in fields(LandmarkBlocks)]
+
+    def again(**changed: object) -> LandmarkBlocks:
+        return LandmarkBlocks(**{n: copy.deepcopy(getattr(blocks, n)) for n in names} | changed)  # type: ignore[arg-type]
+
+    assert len(again()) == len(blocks)
+    live = blocks.live
+    loop, elsewhere = blocks.chain.copy(), blocks.xy.copy()
+    loop[live[0]] = live[0]
+    elsewhere[live[0]] += 1 << 20
+    for changed in (
+        {"chain": loop},
+        {"chain": blocks.chain[:-1]},
+        {"xy": elsewhere},
+        {"head": blocks.head[:1]},
+        {"freed": len(blocks.free) + 1},
+        {"length": 0},
+    ):
+        with pytest.raises(ValueError, match=r"chain|columns"):
+            again(**changed)
