@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_ROUNDING = 1e-9
+"""Of a covariance's largest entry, that its symmetry and its smallest eigenvalue may be off by."""
+
 
 def wrap(angle_rad: float) -> float:
     """Angle in [-pi, pi)."""
@@ -74,3 +77,16 @@ def compose_cov(a_from_b: Array, cov_ab: Array, b_from_c: Array, cov_bc: Array) 
     f = np.array([[1.0, 0.0, -s * x - c * y], [0.0, 1.0, c * x - s * y], [0.0, 0.0, 1.0]])
     g = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(f @ cov_ab @ f.T + g @ cov_bc @ g.T, dtype=np.float64)
+
+
+def covariance_problem(cov: Array) -> str:
+    """What keeps finite matrices (K, n, n) from being covariances, "" where nothing does."""
+    if not len(cov):
+        return ""
+    scale = np.abs(cov).max(axis=(1, 2), keepdims=True)
+    if np.any(np.abs(cov - np.swapaxes(cov, 1, 2)) > _ROUNDING * scale):
+        return "is not symmetric"
+    lowest = np.linalg.eigvalsh(cov)[:, 0]
+    if np.any(lowest < -_ROUNDING * scale[:, 0, 0]):
+        return f"is not a covariance: an eigenvalue is negative ({lowest.min():.3g})"
+    return ""

@@ -25,6 +25,11 @@ Displacement = NewType("Displacement", NDArray[np.float64])
 Twist = NewType("Twist", NDArray[np.float64])
 """(3,) [m/s, m/s, rad/s] in base."""
 
+MAX_COORDINATE_M = 1e6
+"""Coordinates beyond it are damage: no building is so large."""
+MAX_ID = 2**62
+"""Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
+
 
 class LineKind(IntEnum):
     """What a line is, along its normal: brightness rises, falls, or a groove (both, close together)."""

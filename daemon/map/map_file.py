@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import Landmarks, Pose, State, frozen
+from ceilvo.se2 import covariance_problem
+from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Landmarks, Pose, State, frozen
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -31,10 +32,6 @@ MAX_MAP_BYTES = 256 * 2**20
 """Largest map file that is read; the most that filter.max_landmarks allows take 183 MiB."""
 MAX_STATE_BYTES = 64 * 2**10
 """Largest state file that is read; one has less than 1 kB."""
-MAX_COORDINATE_M = 1e6
-"""Coordinates beyond it are damage: no building is so large."""
-_MAX_INT = 2**62
-"""Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 _MAP_FORMAT, _STATE_FORMAT = "ceilvo-map", "ceilvo-state"
 _VERSIONS = {_MAP_FORMAT: MAP_VERSION, _STATE_FORMAT: STATE_VERSION}
 _COLUMNS = {
@@ -198,15 +195,15 @@ def _read_map(content: Any, version: int) -> StoredMap:
     _keys(table, _COLUMNS.keys() - (_NOT_IN_1 if version == 1 else set()), "landmarks")
     if version > 1:
         table = {k: _from_text(table[k], f"landmarks.{k}", *_COLUMNS[k]) for k in _COLUMNS}
-    ids = _ints(table["id"], "landmarks.id", 0, _MAX_INT)
+    ids = _ints(table["id"], "landmarks.id", 0, MAX_ID)
     n = len(ids)
     if len(np.unique(ids)) != n:
         raise _Damage("landmarks.id has duplicates")
     packed = _floats(table["cov_xx_xy_yy_m2"], "landmarks.cov_xx_xy_yy_m2", (n, 3), MAX_COORDINATE_M**2)
     cov = packed[:, [0, 1, 1, 2]].reshape(n, 2, 2)
     _covariance(cov, "landmarks.cov_xx_xy_yy_m2")
-    sightings = _ints(table["sightings"], "landmarks.sightings", 0, _MAX_INT, n)
-    expected = sightings if version == 1 else _ints(table["expected"], "landmarks.expected", 0, _MAX_INT, n)
+    sightings = _ints(table["sightings"], "landmarks.sightings", 0, MAX_ID, n)
+    expected = sightings if version == 1 else _ints(table["expected"], "landmarks.expected", 0, MAX_ID, n)
     if np.any(expected < sightings):
         i = int(np.argmax(expected < sightings))
         raise _Damage(f"landmarks.expected[{i}] is {expected[i]}, expected at least its sightings, {sightings[i]}")
@@ -231,7 +228,7 @@ def _read_state(content: Any, version: int) -> StoredState:
     name = content["state"]
     if not isinstance(name, str) or name not in State.__members__:
         raise _Damage(f"state is {_shown(name)}, expected one of {', '.join(State.__members__)}")
-    stamp = _ints([content["stamp_ns"]], "stamp_ns", 0, _MAX_INT)
+    stamp = _ints([content["stamp_ns"]], "stamp_ns", 0, MAX_ID)
     return StoredState(Pose(values), cov, State[name], int(stamp[0]))
 
 
@@ -300,14 +297,8 @@ def _has_shape(value: Any, shape: tuple[int, ...]) -> bool:
 
 def _covariance(cov: Array, where: str) -> None:
     """(K, n, n) symmetric and positive semi-definite to rounding."""
-    if not len(cov):
-        return
-    scale = np.abs(cov).max(axis=(1, 2), keepdims=True)
-    if np.any(np.abs(cov - np.swapaxes(cov, 1, 2)) > 1e-9 * scale):
-        raise _Damage(f"{where} is not symmetric")
-    lowest = np.linalg.eigvalsh(cov)[:, 0]
-    if np.any(lowest < -1e-9 * scale[:, 0, 0]):
-        raise _Damage(f"{where} is not a covariance: an eigenvalue is negative ({lowest.min():.3g})")
+    if problem := covariance_problem(cov):
+        raise _Damage(f"{where} {problem}")
 
 
 def _shown(value: Any) -> str:

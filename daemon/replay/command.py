@@ -44,7 +44,7 @@ def replay_recording(
     pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
     camera.open()
     try:
-        estimates = replay(_frames(camera), pipeline, calibration, outputs, progress())
+        estimates = replay(_frames(camera), pipeline, calibration, outputs, progress(), str(source))
     finally:
         camera.close()
     report(estimates, config.service.seed, source, reference, align)

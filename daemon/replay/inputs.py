@@ -8,6 +8,7 @@ back equal); frames travel beside it.
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.plausible import belief_problem, crossings_problem, landmarks_problem, wheels_problem
 from ceilvo.daemon.replay.snapshot import restore
 from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
-from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Crossings, Displacement, Estimate, Frame, Landmarks, Pose, WheelMotion
+from ceilvo.errors import FileFormatError, one_line
+from ceilvo.types import MAX_ID, Array, Crossings, Displacement, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +142,33 @@ def read_input(data: bytes, frame_of: Callable[[int, int], Frame]) -> tuple[int,
     """
     try:
         body = json.loads(data)
-        return int(body["number"]), _READERS[body["input"]](body, frame_of)
+        return _whole(body["number"]), _READERS[body["input"]](body, frame_of)
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as e:
-        raise FileFormatError(f"input {data[:60]!r}: {type(e).__name__} {e}; the recording is damaged") from e
+        raise FileFormatError(f"input {data[:60]!r}: {type(e).__name__} {one_line(e)}; the recording is damaged") from e
+
+
+def check_plausible(given: Input) -> None:
+    """Refuse what no run has: arrays that do not fit each other, numbers that are none.
+
+    Raises:
+        FileFormatError: it is from a damaged recording.
+    """
+    if problem := _problem(given):
+        raise FileFormatError(f"{type(given).__name__} in the recording: {problem}; the recording is damaged")
+
+
+def _problem(given: Input) -> str:
+    if isinstance(given, LoadMap):
+        return belief_problem(given.pose, given.cov) or landmarks_problem(given.landmarks) or _angle_problem(given)
+    if isinstance(given, SetPose):
+        return belief_problem(given.pose, given.cov)
+    if isinstance(given, Sighting) and given.crossings is not None:
+        return crossings_problem(given.crossings) or wheels_problem(given.wheels)
+    return wheels_problem(given.wheels) if isinstance(given, FrameInput | Sighting | Silence) else ""
+
+
+def _angle_problem(given: LoadMap) -> str:
+    return "" if abs(given.map_axis_rad) <= _MAX_ANGLE_RAD else f"map_axis_rad is {given.map_axis_rad:g}"
 
 
 _LANDMARKS: Mapping[str, tuple[str, type, tuple[int, ...]]] = {
@@ -157,15 +183,17 @@ _LANDMARKS: Mapping[str, tuple[str, type, tuple[int, ...]]] = {
 _LATER = ("expected",)
 """Columns that older recordings lack; Landmarks has defaults for them."""
 
+_MAX_ANGLE_RAD = 10.0
+"""Of the map's axis, as in map.json: a direction, with room for a turn too many."""
 FrameOf = Callable[[int, int], Frame]
 
 
 def _read_frame(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
-    return FrameInput(frame_of(int(body["seq"]), int(body["stamp_ns"])), _read_wheels(body["wheels"]))
+    return FrameInput(frame_of(_whole(body["seq"]), _whole(body["stamp_ns"])), _read_wheels(body["wheels"]))
 
 
 def _read_silence(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
-    return Silence(int(body["stamp_ns"]), str(body["reason"]), _read_wheels(body["wheels"]))
+    return Silence(_whole(body["stamp_ns"]), str(body["reason"]), _read_wheels(body["wheels"]))
 
 
 def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
@@ -222,6 +250,13 @@ def _belief(pose: Array, cov: Array) -> dict[str, Any]:
 
 def _read_belief(body: Mapping[str, Any]) -> tuple[Pose, Array]:
     return Pose(_array(body["pose"], (3,))), _array(body["cov"], (3, 3))
+
+
+def _whole(value: Any) -> int:
+    number = int(value)
+    if not 0 <= number <= MAX_ID:
+        raise ValueError(f"found {reprlib.repr(value)}, expected 0 to {MAX_ID}")
+    return number
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Array:

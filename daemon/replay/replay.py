@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,24 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.inputs import FrameInput, Input, apply
+from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, apply
 from ceilvo.daemon.replay.overlay import draw_overlay, draw_particles_panel, previous_pixels, side_by_side
-from ceilvo.daemon.replay.trajectory import JsonlWriter, TumWriter
-from ceilvo.errors import FileFormatError
+from ceilvo.daemon.replay.trajectory import JsonlWriter, TumWriter, estimate_json, tum_line
+from ceilvo.errors import FileFormatError, one_line
 from ceilvo.types import Array, Estimate
+
+_UNFIT = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    cv2.error,
+)
+"""What numbers and arrays that do not go together raise, in Python, NumPy and OpenCV."""
 
 
 @dataclass(frozen=True)
@@ -35,26 +49,34 @@ def replay(
     calibration: Calibration,
     outputs: Outputs,
     progress: Callable[[int], None] = lambda done: None,
+    source: str = "recording",
 ) -> list[Estimate]:
     """Estimates of all frames and silences, in order; frames whose size is not the calibration's are refused.
 
+    Args:
+        source: names the inputs in messages.
+
     Raises:
-        FileFormatError: a frame of another size, or an output that cannot be written.
+        FileFormatError: a frame of another size or not after the one before, a recorded state whose parts do not go
+            together, or an output that cannot be written.
     """
     camera = calibration.camera
     tum = TumWriter(outputs.tum) if outputs.tum is not None else None
     jsonl = JsonlWriter(outputs.jsonl) if outputs.jsonl is not None else None
     estimates: list[Estimate] = []
     path: list[Array] = []
+    restored = False
     try:
         for given in inputs:
             frame = given.frame if isinstance(given, FrameInput) else None
             if frame is not None and frame.gray.shape != (camera.height_px, camera.width_px):
                 raise FileFormatError(
-                    f"frame {frame.seq}: {frame.gray.shape[1]} x {frame.gray.shape[0]} px, expected "
+                    f"{source}: frame {frame.seq}: {frame.gray.shape[1]} x {frame.gray.shape[0]} px, expected "
                     f"{camera.width_px} x {camera.height_px} px of the calibration; replay it with its own calibration"
                 )
-            estimate = apply(pipeline, given)
+            _check_stamp(pipeline, given, source)
+            restored = restored or isinstance(given, Continuation)
+            estimate = _of_restored(pipeline, given, source) if restored else apply(pipeline, given)
             if estimate is None:
                 continue
             estimates.append(estimate)
@@ -70,6 +92,33 @@ def replay(
             if writer is not None:
                 writer.close()
     return estimates
+
+
+def _check_stamp(pipeline: Pipeline, given: Input, source: str) -> None:
+    """As the daemon, which drops what is not after the last estimate and does not record it."""
+    stamp_ns = given.frame.stamp_ns if isinstance(given, FrameInput) else getattr(given, "stamp_ns", None)
+    before_ns = pipeline.dead_reckoning.state.stamp_ns
+    if stamp_ns is not None and before_ns is not None and stamp_ns <= before_ns:
+        raise FileFormatError(
+            f"{source}: a frame or silence at {stamp_ns} ns, expected one after {before_ns} ns; it is damaged"
+        )
+
+
+def _of_restored(pipeline: Pipeline, given: Input, source: str) -> Estimate | None:
+    """apply() to a pipeline whose state is from a file: its arrays and numbers are looked at one by one only, and what
+    does not go together shows when it is used."""
+    try:
+        estimate = apply(pipeline, given)
+        if estimate is not None:
+            estimate_json(estimate)
+            tum_line(estimate.stamp_ns, estimate.pose)
+        return estimate
+    except _UNFIT as e:
+        last = traceback.extract_tb(e.__traceback__)[-1]
+        raise FileFormatError(
+            f"{source}: the state with which it begins does not go together ({type(e).__name__} at "
+            f"{Path(last.filename).name}:{last.lineno}: {one_line(e)}); it is damaged, or of another version of ceilvo"
+        ) from e
 
 
 def picture(pipeline: Pipeline, calibration: Calibration, estimate: Estimate, path: Array, file: Path) -> None:

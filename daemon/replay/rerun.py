@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,14 +17,14 @@ from ceilvo.config import Config
 from ceilvo.config.reader import parse_config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.command import progress, report
-from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, Sighting, Silence, read_input
+from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, Sighting, Silence, check_plausible, read_input
 from ceilvo.daemon.replay.recording import versions
 from ceilvo.daemon.replay.replay import Outputs, replay
 from ceilvo.daemon.replay.snapshot import read_value
 from ceilvo.daemon.replay.trajectory import Alignment, estimate_json
 from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_reader import Recorded, Recording, open_recording
-from ceilvo.errors import FileFormatError
+from ceilvo.errors import FileFormatError, one_line
 from ceilvo.types import Crossings, Estimate, Frame
 
 _SUFFIX = ".mcap"
@@ -78,7 +78,7 @@ def replay_run(run: Rerun, outputs: Outputs, reference: Path | None, align: Alig
     cv2.setNumThreads(config.service.opencv_threads)
     pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
     tally = _Tally()
-    estimates = replay(_inputs(recordings, tally), pipeline, calibration, outputs, progress())
+    estimates = replay(_inputs(recordings, tally), pipeline, calibration, outputs, progress(), str(run.source))
     report(estimates, config.service.seed, run.source, reference, align)
     for recording in recordings:
         if recording.problem:
@@ -100,30 +100,45 @@ def _opened(source: Path) -> list[Recording]:
 
 def _inputs(recordings: Sequence[Recording], tally: _Tally) -> Iterator[Input]:
     """Every input, with the frame if it was kept, else what vision had found in it, else whatever picture there is."""
-    pixels, features, picture = _Kept(), _Kept(), _Kept()
-    kept = {mcap_file.FRAMES.topic: pixels, mcap_file.FEATURES.topic: features, mcap_file.PICTURES.topic: picture}
+    kept = {t.topic: _Kept() for t in (mcap_file.FRAMES, mcap_file.FEATURES, mcap_file.PICTURES)}
     expected = 0
-    for message in (m for r in recordings for m in r.messages()):
+    for recording, message in ((r, m) for r in recordings for m in r.messages()):
         if message.topic in kept:
             kept[message.topic].put(message)
         elif message.topic == mcap_file.ESTIMATE.topic:
             tally.recorded[message.number] = hash(message.data), hash(_ANCESTORS.sub(_NO_ANCESTORS, message.data))
         elif message.topic == mcap_file.INPUT.topic:
-            number, given = read_input(message.data, lambda seq, stamp_ns: Frame(seq, stamp_ns, _BLANK))
-            if not (number == 0 or expected or isinstance(given, Continuation)):
-                tally.why_not = "it begins in the middle of a run, without the state that there was"
-            tally.missing += number - expected if expected else 0
+            try:
+                number, found = _input(message, kept, expected, tally)
+            except FileFormatError as e:
+                raise FileFormatError(f"{recording.path}: {e}") from e
             expected = number + 1
-            found: Input | None = given
-            if isinstance(given, FrameInput):
-                found = _whole(given, pixels.take(number), features.take(number))
-                if found is None:
-                    found = _seen(given, picture.take(number))
-                    tally.why_not = "it has JPEG pictures at most, not of every frame, and recorder.features was off"
             if isinstance(found, FrameInput | Sighting | Silence):
                 tally.numbers.append(number)
             if found is not None:
                 yield found
+
+
+def _input(message: Recorded, kept: Mapping[str, _Kept], expected: int, tally: _Tally) -> tuple[int, Input | None]:
+    """A message of the inputs with its number; None for a frame of which nothing was kept.
+
+    Raises:
+        FileFormatError: it is damaged.
+    """
+    number, given = read_input(message.data, lambda seq, stamp_ns: Frame(seq, stamp_ns, _BLANK))
+    if not (number == 0 or expected or isinstance(given, Continuation)):
+        tally.why_not = "it begins in the middle of a run, without the state that there was"
+    tally.missing += number - expected if expected else 0
+    found: Input | None = given
+    if isinstance(given, FrameInput):
+        pixels, features, picture = (k.take(number) for k in kept.values())
+        found = _whole(given, pixels, features)
+        if found is None:
+            found = _seen(given, picture)
+            tally.why_not = "it has JPEG pictures at most, not of every frame, and recorder.features was off"
+    if found is not None:
+        check_plausible(found)
+    return number, found
 
 
 class _Kept:
@@ -170,7 +185,7 @@ def _verdict(run: Rerun, first: Recording, tally: _Tally, estimates: list[Estima
     if all(same):
         return f"{len(same)} of {len(same)} estimates are the same to the last bit", True
     then, now = first.metadata, versions()
-    differs = ", ".join(f"{k} was {then.get(k)}, is {v}" for k, v in now.items() if then.get(k) != v)
+    differs = ", ".join(f"{k} was {one_line(then.get(k))}, is {v}" for k, v in now.items() if then.get(k) != v)
     why = differs or "the versions are the same: was the program changed?"
     return (
         f"{sum(same)} of {len(same)} estimates are the same, the first other one is {same.index(False)}; {why}",

@@ -1,0 +1,89 @@
+"""Whether quantities that come from a file can be what they are called: shapes, ranges, covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.se2 import covariance_problem
+from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Array, Crossings, Landmarks, WheelMotion
+
+_MAX_PX = 1e6
+"""Largest place in a view: no camera has as many pixels, and a lens that bends its rim stays far below."""
+
+
+def belief_problem(pose: Array, cov: Array) -> str:
+    """Of a pose or a displacement (3,) with its covariance (3, 3)."""
+    problems = _number_problems({"pose": (pose, (3,), MAX_COORDINATE_M), "cov": (cov, (3, 3), MAX_COORDINATE_M**2)})
+    problem = next(problems, "") or _named("cov", covariance_problem(cov[None]))
+    return problem or ("" if np.all(np.diag(cov) > 0.0) else "cov has a variance of 0")
+
+
+def wheels_problem(wheels: WheelMotion | None) -> str:
+    """Of what the base reported between two frames."""
+    return "" if wheels is None else _named("wheels", belief_problem(wheels.prev_from_curr, wheels.cov))
+
+
+def landmarks_problem(m: Landmarks) -> str:
+    """Of a whole map."""
+    n = m.ids.size
+    numbers = _number_problems(
+        {
+            "ids": (m.ids, (n,), MAX_ID),
+            "xy_map_m": (m.xy_map_m, (n, 2), MAX_COORDINATE_M),
+            "cov_m2": (m.cov_m2, (n, 2, 2), MAX_COORDINATE_M**2),
+            "kind": (m.crossing_type, (n,), CROSSING_TYPES - 1),
+            "sightings": (m.sightings, (n,), MAX_ID),
+            "expected": (m.expected, (n,), MAX_ID),
+        }
+    )
+    problem = next(numbers, "") or _types_problem(m.crossing_type) or _named("cov_m2", covariance_problem(m.cov_m2))
+    if not problem and len(np.unique(m.ids)) < n:
+        problem = "ids has duplicates"
+    if not problem and min(m.ids.min(initial=0), m.sightings.min(initial=0)) < 0:
+        problem = "ids or sightings are below 0"
+    return problem
+
+
+def crossings_problem(c: Crossings) -> str:
+    """Of what vision found in one frame."""
+    n = c.crossing_type.size
+    numbers = _number_problems(
+        {
+            "uv_px": (c.uv_px, (n, 2), _MAX_PX),
+            "xy_base_m": (c.xy_base_m, (n, 2), MAX_COORDINATE_M),
+            "cov_base_m2": (c.cov_base_m2, (n, 2, 2), MAX_COORDINATE_M**2),
+            "crossing_type": (c.crossing_type, (n,), CROSSING_TYPES - 1),
+            "psi_rad": (np.array(c.psi_rad), (), np.pi),
+            "psi_sigma_rad": (np.array(c.psi_sigma_rad), (), np.pi),
+            "tilt_rad": (c.tilt_rad, (2,), np.pi),
+            "tilt_sigma_rad": (c.tilt_sigma_rad, (2,), np.pi),
+            "common_cov_m2": (c.common_cov_m2, (2, 2), MAX_COORDINATE_M**2),
+        }
+    )
+    problem = next(numbers, "") or _types_problem(c.crossing_type)
+    problem = problem or _named("cov_base_m2", covariance_problem(c.cov_base_m2))
+    problem = problem or _named("common_cov_m2", covariance_problem(c.common_cov_m2[None]))
+    if not problem and min(c.psi_sigma_rad, *c.tilt_sigma_rad) < 0.0:
+        problem = "a sigma is below 0"
+    return problem or ("" if c.sample_gray.ndim == 1 else "sample_gray is not a row of grey levels")
+
+
+def _types_problem(crossing_type: NDArray[np.int64]) -> str:
+    return "a crossing's type is below 0" if crossing_type.min(initial=0) < 0 else ""
+
+
+def _number_problems(expected: Mapping[str, tuple[NDArray[np.generic], tuple[int, ...], float]]) -> Iterator[str]:
+    """By name: an array, the shape it must have and the largest number in it."""
+    for name, (value, shape, most) in expected.items():
+        if value.shape != shape:
+            yield f"{name} has the shape {value.shape}, expected {shape}"
+        elif not np.all(np.abs(value.astype(np.float64)) <= most):
+            yield f"{name} has a number that is not finite or beyond {most:g}"
+
+
+def _named(name: str, problem: str) -> str:
+    return f"{name} {problem}" if problem else ""
