@@ -25,6 +25,8 @@ Take = Callable[[int], Picture]
 Note = Callable[[str], None]
 
 SAMPLES = "sigma-circles"
+_MEASURED = ("x_m", "y_m", "theta_rad", "seen_x_m", "seen_y_m", "psi_rad")
+"""Numbers of a sample that was not rejected."""
 _NEAR_M = 0.15
 """From where the feature was measured: a quarter of a tile, so that it is no neighbour."""
 _FAR_M = 20.0
@@ -73,7 +75,7 @@ def collect(
     Raises:
         CalibrationError: there are no more pictures, or the disk refuses.
     """
-    records = session.samples(SAMPLES, subject)
+    records = kept(session, subject)
     if records:
         note(f"going on after {len(records)} poses of the run before")
     reader = CeilingReader(calibration.camera, tilt_rad)
@@ -95,6 +97,24 @@ def collect(
             continue
         off = np.array([record["seen_x_m"], record["seen_y_m"]]) - expected(pose)
         note(f"feature seen {1e3 * np.hypot(*off):.1f} mm from where it was measured")
+
+
+def kept(session: Session, subject: dict[str, Any]) -> list[dict[str, Any]]:
+    """Samples of an interrupted run, those that were rejected too.
+
+    Raises:
+        CalibrationError: they are of something else, or damaged.
+    """
+    records = session.samples(SAMPLES, subject)
+    with session.reading_samples(SAMPLES):
+        return [r if "rejected" in r else {k: _finite(r[k]) for k in _MEASURED} for r in records]
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not np.isfinite(number):
+        raise ValueError(f"found {number}, expected a number")
+    return number
 
 
 def taker(source: Source) -> Take:

@@ -119,13 +119,11 @@ def _collect(
     progress, finder = Progress(STEP), BoardFinder(board, args.window_px)
     bench = bench_of(args).board(board, _SIMULATED) if args.simulate else None
     with pictures(args, bench) as source:
-        kept = session.samples(STEP, board.subject | {"source": source.info.name, "window_px": args.window_px})
-        shots = [_shot(board, record) for record in kept if record.get("ids")]
-        size = (kept[0]["width_px"], kept[0]["height_px"]) if kept else None
-        done = {record["name"] for record in kept}
+        subject = board.subject | {"source": source.info.name, "window_px": args.window_px}
+        shots, size, done = kept(session, board, subject)
         if source.info.live:
             progress.note(f"{session.folder / 'intrinsics' / 'live.png'} shows what is covered, anew with each picture")
-        if kept:
+        if done:
             progress.note(f"going on with {len(shots)} pictures of the run before")
         seen = rejected = 0
         unseen: list[Picture] = []
@@ -193,8 +191,26 @@ def _explain_nothing(shots: list[Shot], unseen: list[Picture], board: Board, see
     )
 
 
+def kept(
+    session: Session, board: Board, subject: dict[str, Any]
+) -> tuple[list[Shot], tuple[int, int] | None, set[str]]:
+    """Shots of an interrupted run, the size of its pictures and their names.
+
+    Raises:
+        CalibrationError: they are of something else, or damaged.
+    """
+    records = session.samples(STEP, subject)
+    with session.reading_samples(STEP):
+        shots = [_shot(board, record) for record in records if record.get("ids")]
+        size = (int(records[0]["width_px"]), int(records[0]["height_px"])) if records else None
+        return shots, size, {str(record["name"]) for record in records}
+
+
 def _shot(board: Board, record: dict[str, Any]) -> Shot:
-    return Shot(record["name"], board.corners_m[np.array(record["ids"])], np.array(record["uv_px"], np.float64))
+    ids, uv = np.array(record["ids"]), np.array(record["uv_px"], np.float64)
+    if uv.shape != (len(ids), 2) or not np.isfinite(uv).all() or ids.min() < 0 or len(np.unique(ids)) < len(ids):
+        raise ValueError(f"{len(ids)} corners with places {uv.shape}, or one twice")
+    return Shot(str(record["name"]), board.corners_m[ids], uv)
 
 
 def _is_new(board: Board, shots: list[Shot], ids: Any, uv: Any, picture: Picture) -> bool:

@@ -21,7 +21,7 @@ from ceilvo.calib.session.common import (
     conclude,
     session_of,
 )
-from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.session import Session, reading
 from ceilvo.calib.session.views import Collection, collect, moved
 from ceilvo.calib.session.wheels import LiveWheels, Wheels, live_base, no_wheels, recorded
 from ceilvo.calib.solve.mount.experiment import Mount, calibrate, problems
@@ -75,7 +75,9 @@ def run(args: argparse.Namespace) -> int:
     if session.force:
         for part in (SPIN, RUN):
             session.set_aside(f"{STEP}-{part}")
-    level = np.array([projection[k] for k in ("roll_rad", "pitch_rad", "height_m")])
+    with reading(session.folder / "projection.json"):
+        level = np.array([float(projection[k]) for k in ("roll_rad", "pitch_rad", "height_m")])
+        tile_m = float(tile_m)
     taken = _pictures(args, session, camera, level)
     found = calibrate(camera, taken, tile_m, level, cov)
     bad = problems(found)

@@ -114,6 +114,8 @@ def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: 
 def _lens(joint: Joint, board: dict[str, Any]) -> dict[str, Any]:
     """As `calib intrinsics` has it; of says which lens it was refined from."""
     sigma = np.sqrt(np.diag(joint.lens_cov))
+    if "model" not in board or "camera" not in board:
+        raise CalibrationError("intrinsics.json: found no model or camera; run 'calib intrinsics' again with --force")
     return {
         "camera": asdict(joint.camera), "model": board["model"], "sigma": sigma, "cov": joint.lens_cov,
         "of": board["camera"],

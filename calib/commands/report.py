@@ -12,7 +12,7 @@ from typing import Any
 
 from ceilvo.calib.commands.calibration_file import describe
 from ceilvo.calib.session.common import Subcommands, add_step
-from ceilvo.calib.session.session import STEPS, Session
+from ceilvo.calib.session.session import STEPS, Session, reading
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
 
@@ -73,7 +73,10 @@ def report(session: Session) -> str:
         raise CalibrationError(
             f"{session.folder}: found no result in it, expected a session; run 'calib intrinsics' first"
         )
-    parts = [_section(session, step, result) for step, result in results.items()]
+    parts = []
+    for step, result in results.items():
+        with reading(session.folder / f"{step}.json"):
+            parts.append(_section(session, step, result))
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Commissioning: {_e(session.folder.name)}</title>"
         f"<style>{_STYLE}</style><h1>Commissioning: {_e(session.folder.name)}</h1>{_summary(results)}{_file(session)}"
@@ -135,7 +138,8 @@ def _shots(shots: Any) -> str:
 
 def _picture(path: Path) -> str:
     if path.suffix == ".svg":
-        return f"<figure>{path.read_text(encoding='utf-8')}<figcaption>{_e(path.stem)}</figcaption></figure>"
+        drawing = path.read_text(encoding="utf-8", errors="replace")
+        return f"<figure>{drawing}<figcaption>{_e(path.stem)}</figcaption></figure>"
     if path.suffix == ".png":
         data = base64.b64encode(path.read_bytes()).decode()
         image = f"<img alt='{_e(path.stem)}' src='data:image/png;base64,{data}'>"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import date
 from typing import Any
@@ -10,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.session import CALIBRATION, STEPS, Session, reading
 from ceilvo.calib.solve.intrinsics import Intrinsics
 from ceilvo.calib.solve.lens import camera_of
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
-from ceilvo.calibration_file import read_calibration, write_calibration
+from ceilvo.calibration_file import read_calibration, render_calibration, write_calibration
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 from ceilvo.json_values import json_value
@@ -75,7 +76,9 @@ def lens_so_far(session: Session, reason: str) -> tuple[CameraModel, Array]:
     Raises:
         CalibrationError: there is none, or it is damaged.
     """
-    return camera_from(refined(session.need("intrinsics", reason), session.result("projection")))
+    lens, projection = session.need("intrinsics", reason), session.result("projection")
+    with reading(session.folder):
+        return camera_from(refined(lens, projection))
 
 
 def refined(lens: Mapping[str, Any], projection: Mapping[str, Any] | None) -> Mapping[str, Any]:
@@ -84,11 +87,26 @@ def refined(lens: Mapping[str, Any], projection: Mapping[str, Any] | None) -> Ma
 
 
 def assemble(session: Session) -> Calibration | None:
-    """What the results say so far, None before the projection."""
-    lens, projection = session.result("intrinsics"), session.result("projection")
+    """What the results say so far, None before the projection.
+
+    Raises:
+        CalibrationError: a result is damaged.
+    """
+    results = {step: session.result(step) for step in STEPS}
+    lens, projection = results["intrinsics"], results["projection"]
     if lens is None or projection is None:
         return None
-    mount, sigma, survey, check = (session.result(step) for step in ("mount", "sigma", "survey", "check"))
+    with reading(session.folder):
+        calibration = _assembled(lens, projection, results)
+        with suppress(CalibrationError):  # values are for who writes it; here it is about their types
+            render_calibration(calibration, CALIBRATION)
+    return calibration
+
+
+def _assembled(
+    lens: Mapping[str, Any], projection: Mapping[str, Any], results: Mapping[str, Mapping[str, Any] | None]
+) -> Calibration:
+    mount, sigma, survey, check = (results[step] for step in ("mount", "sigma", "survey", "check"))
     best = refined(lens, projection)
     camera, _ = camera_from(best)
     xy, yaw = projection.get("xy_m"), projection.get("yaw_rad")

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ceilvo.errors import CalibrationError
+from ceilvo.errors import CalibrationError, one_line
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
 
@@ -52,8 +52,10 @@ class Session:
             value = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
-        except (OSError, ValueError) as e:
-            raise CalibrationError(f"{path}: cannot be read ({e}); run 'calib {step}' again with --force") from None
+        except (OSError, ValueError, RecursionError) as e:
+            raise CalibrationError(
+                f"{path}: cannot be read ({one_line(e)}); run 'calib {step}' again with --force"
+            ) from None
         if not isinstance(value, dict):
             raise CalibrationError(f"{path}: found no result in it; run 'calib {step}' again with --force")
         return value
@@ -114,8 +116,8 @@ class Session:
             lines = path.read_text(encoding="utf-8").splitlines()
         except FileNotFoundError:
             lines = []
-        except OSError as e:
-            raise CalibrationError(f"{path}: cannot be read ({e.strerror})") from None
+        except (OSError, ValueError) as e:
+            raise CalibrationError(f"{path}: cannot be read ({one_line(e)}); pass --force to start again") from None
         records = list(_whole_lines(lines))
         wanted = json_value(subject)
         if records and records[0] == wanted:
@@ -124,12 +126,18 @@ class Session:
             differs = [k for k in wanted if records[0].get(k) != wanted[k]]
             raise CalibrationError(
                 f"{path}: found samples of another {' and '.join(differs) or 'kind'} "
-                f"({', '.join(str(records[0].get(k)) for k in differs)}), expected "
+                f"({', '.join(one_line(records[0].get(k)) for k in differs)}), expected "
                 f"{', '.join(str(wanted[k]) for k in differs)}; go on as before, or pass --force to start again"
             )
         self.set_aside(step)
         self._append(path, wanted)
         return []
+
+    @contextmanager
+    def reading_samples(self, step: str) -> Iterator[None]:
+        """Around the use of a step's samples."""
+        with reading(self._samples_file(step)):
+            yield
 
     def add_sample(self, step: str, sample: Mapping[str, Any]) -> None:
         """Kept on disk before anything else happens to it."""
@@ -176,12 +184,23 @@ class Session:
             ) from None
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Around the use of what a session's file or folder says: what is not as calib wrote it is a CalibrationError."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as e:
+        raise CalibrationError(
+            f"{path}: damaged ({type(e).__name__} {one_line(e)}); run the step again with --force"
+        ) from None
+
+
 def _whole_lines(lines: list[str]) -> Iterator[dict[str, Any]]:
     """Records; a line that was cut short by a crash is left out."""
     for line in lines:
         try:
             value = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if isinstance(value, dict):
             yield value

@@ -80,8 +80,7 @@ def collect(
     out = Collection()
     with pictures(args, simulated) as source:
         subject = {"source": source.info.name, "size": [camera.width_px, camera.height_px]}
-        for record in session.samples(step, subject):
-            out.seen.append(_seen(record))
+        out.seen += kept(session, step, subject)
         out.camera_id, out.live = source.info.camera_id, source.info.live
         done = {s.name for s in out.seen}
         if out.seen:
@@ -129,6 +128,17 @@ def moved(out: Collection, view: GridView, picture: Picture, fraction: float = M
     return bool(np.median(d) > fraction * picture.gray.shape[1] or turned > _TURNED_RAD)
 
 
+def kept(session: Session, step: str, subject: dict[str, Any]) -> list[Seen]:
+    """Samples of an interrupted run.
+
+    Raises:
+        CalibrationError: they are of something else, or damaged.
+    """
+    records = session.samples(step, subject)
+    with session.reading_samples(step):
+        return [_seen(record) for record in records]
+
+
 def _record(seen: Seen) -> dict[str, Any]:
     v = seen.view
     return {
@@ -150,5 +160,7 @@ def _seen(record: dict[str, Any]) -> Seen:
         float(record["psi_rad"]),
         float(record["psi_sigma_rad"]),
     )
-    wheels = None if record.get("wheels") is None else np.array(record["wheels"], np.float64)
-    return Seen(record["name"], record["label"], view, wheels, int(record["stamp_ns"]))
+    wheels = None if record.get("wheels") is None else np.array(record["wheels"], np.float64).reshape(3)
+    if view.uv_px.shape != view.xy.shape or not (np.isfinite(view.uv_px).all() and np.isfinite(view.xy).all()):
+        raise ValueError(f"{len(view.uv_px)} pixels for {len(view.xy)} places, or a number that is none")
+    return Seen(str(record["name"]), str(record["label"]), view, wheels, int(record["stamp_ns"]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import reprlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.errors import CalibrationError
+from ceilvo.errors import CalibrationError, one_line
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,10 @@ _PIXELS_FROM = 20.0
 """Points over a whole picture have larger coordinates."""
 _ABOVE_M = 0.05
 """Beyond what a tape gives: z is up, the ceiling is 0."""
+_MOST = 1e9
+"""Of any number: a thousand kilometres in millimetres; beyond it sums overflow, and nobody measured it."""
+_MOST_ROWS, _MOST_POINTS = 100_000, 1_000
+"""Of a table, an hour of pictures; of points that people measure, each of which is compared with each."""
 Ask = Callable[[str], bool]
 
 
@@ -43,22 +48,35 @@ def read_table(path: Path, columns: tuple[str, ...], optional: tuple[str, ...] =
     except (OSError, UnicodeDecodeError) as e:
         raise CalibrationError(f"{path}: cannot be read ({e})") from None
     reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+    try:
+        values = _columns(path, reader, columns, optional)
+    except csv.Error as e:
+        raise CalibrationError(
+            f"{path} line {reader.line_num + 1}: {e}; expected numbers with commas between"
+        ) from None
+    if not next(iter(values.values())):
+        raise CalibrationError(f"{path}: found no row under the header, expected numbers")
+    return {c: np.array(v) for c, v in values.items()}
+
+
+def _columns(
+    path: Path, reader: csv.DictReader[str], columns: tuple[str, ...], optional: tuple[str, ...]
+) -> dict[str, list[float]]:
     names = [n.strip() for n in reader.fieldnames or ()]
     missing = [c for c in columns if c not in names]
     if missing:
         raise CalibrationError(
-            f"{path}: column {missing[0]!r} is missing, found {', '.join(names) or 'nothing'}; "
+            f"{path}: column {missing[0]!r} is missing, found {one_line(', '.join(names)) or 'nothing'}; "
             f"the first line must be {','.join((*columns, *optional))}"
         )
     reader.fieldnames = names
-    wanted = (*columns, *(c for c in optional if c in names))
-    values: dict[str, list[float]] = {c: [] for c in wanted}
+    values: dict[str, list[float]] = {c: [] for c in (*columns, *(c for c in optional if c in names))}
     for row in reader:
-        for c in wanted:
-            values[c].append(_number(path, reader.line_num, c, row.get(c)))
-    if not values[wanted[0]]:
-        raise CalibrationError(f"{path}: found no row under the header, expected numbers")
-    return {c: np.array(v) for c, v in values.items()}
+        for c, column in values.items():
+            column.append(_number(path, reader.line_num, c, row.get(c)))
+        if len(values[columns[0]]) > _MOST_ROWS:
+            raise CalibrationError(f"{path}: found more than {_MOST_ROWS} rows, expected fewer; is it the right file?")
+    return values
 
 
 def _number(path: Path, line: int, column: str, text: str | None) -> float:
@@ -66,8 +84,8 @@ def _number(path: Path, line: int, column: str, text: str | None) -> float:
         value = float(text or "")
     except ValueError:
         value = float("nan")
-    if not np.isfinite(value):
-        raise CalibrationError(f"{path} line {line}: {column}: found {text!r}, expected a number")
+    if not abs(value) <= _MOST:
+        raise CalibrationError(f"{path} line {line}: {column}: found {reprlib.repr(text)}, expected a number")
     return value
 
 
@@ -97,6 +115,8 @@ def read_points(path: Path, units: str | None, ask: Ask = ask_on_terminal) -> tu
     """xyz_m (N, 3) in base and uv_px (N, 2) of a CSV x_m,y_m,z_m,u_px,v_px; z_m may be left out (0: on the ceiling)."""
     table = read_table(path, ("x_m", "y_m", "u_px", "v_px"), ("z_m",))
     table.setdefault("z_m", np.zeros(len(table["x_m"])))
+    if len(table["x_m"]) > _MOST_POINTS:
+        raise CalibrationError(f"{path}: found {len(table['x_m'])} points, expected at most {_MOST_POINTS}; a dozen do")
     table = in_metres(path, table, ("x_m", "y_m", "z_m"), units, ask)
     _swapped(path, table)
     xyz = np.column_stack([table["x_m"], table["y_m"], table["z_m"]])
