@@ -1,9 +1,11 @@
-"""Minutes of mutated input for every reader of bytes: nothing but our own errors may come out.
+"""Minutes of mutated input for every reader of bytes: nothing but our own errors, soon and in little memory.
 
 python -m ceilvo.bench.fuzz --minutes 10
+python -m ceilvo.bench.fuzz --targets recording,snapshot --minutes 2 --engine mutations
 
-Guided by coverage through atheris where it is installed, else mutations of valid inputs at random. Each target runs
-in a process of its own; an input that brought something else out is kept in build/fuzz/TARGET/.
+Guided by coverage through atheris where it is installed, else mutations at random; both change valid inputs in the
+target's own way. Each target runs in a process of its own. What broke one is kept in build/fuzz/TARGET/; copied to
+tests/golden/fuzz_corpus/TARGET/ it is tried in every `make test` from then on.
 """
 
 from __future__ import annotations
@@ -12,45 +14,62 @@ import argparse
 import hashlib
 import importlib
 import json
+import os
 import random
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
-from ceilvo.bench.fuzz.targets import TARGETS, run, seeds
+from ceilvo.bench.fuzz.campaign import CORPUS, OUT, campaign, kept, seeds
+from ceilvo.bench.fuzz.registry import TARGETS
+from ceilvo.bench.results.store import THREADS
 
-_OUT = Path("build/fuzz")
-_TOKENS = b'null true 1e309 -1 NaN [ ] { } : \n " !! &a *a \xff'.split(b" ")
+ENGINES = ("atheris", "mutations")
+_MAX_BYTES = 1 << 16
+"""Of an input that atheris makes; chosen: all valid ones but whole recordings are shorter."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    p = argparse.ArgumentParser(prog="fuzz", description=__doc__)
-    p.add_argument("--minutes", type=float, default=10.0, help="of each target")
-    p.add_argument("--targets", default=",".join(TARGETS))
+    p = argparse.ArgumentParser(prog="fuzz", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    p.add_argument("--minutes", type=float, default=10.0, help="of processor time for each target")
+    p.add_argument("--targets", default=",".join(TARGETS), help="with commas between")
+    p.add_argument("--seed", type=int, help="of the mutations; default: another one each time, which is printed")
+    p.add_argument("--engine", choices=ENGINES, default=ENGINES[0] if _has_atheris() else ENGINES[1])
     p.add_argument("--one", choices=tuple(TARGETS), help="run this one here")
-    p.add_argument("--seconds", type=float, default=600.0, help="with --one")
     a = p.parse_args(arguments)
+    seed = a.seed if a.seed is not None else random.SystemRandom().randrange(2**31)
     if a.one:
-        return _guided(a.one, a.seconds) if _has_atheris() else _blind(a.one, a.seconds)
+        return (
+            _guided(a.one, 60.0 * a.minutes, seed) if a.engine == ENGINES[0] else _blind(a.one, 60.0 * a.minutes, seed)
+        )
+    unknown = sorted(set(a.targets.split(",")) - set(TARGETS))
+    if unknown:
+        p.error(f"--targets: found {', '.join(unknown)}, expected some of {', '.join(TARGETS)}")
     results = {}
     for name in a.targets.split(","):
-        results[name] = _in_own_process(name, 60.0 * a.minutes)
+        results[name] = _in_own_process(name, a.minutes, seed, a.engine)
         print(json.dumps({name: results[name]}), flush=True)
-    _OUT.mkdir(parents=True, exist_ok=True)
-    (_OUT / "fuzz.json").write_text(json.dumps(results, indent=2) + "\n")
-    return 0 if all(r["exit"] == 0 for r in results.values()) else 1
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "fuzz.json").write_text(json.dumps(results, indent=2) + "\n")
+    failed = [name for name, r in results.items() if r["exit"]]
+    for name in failed:
+        print(f"to keep what broke it: mkdir -p {CORPUS / name} && cp {OUT / name}/crash-* {CORPUS / name}/")
+    return 1 if failed else 0
 
 
-def _in_own_process(name: str, seconds: float) -> dict[str, object]:
+def _in_own_process(name: str, minutes: float, seed: int, engine: str) -> dict[str, object]:
     begun = time.monotonic()
-    args = [sys.executable, "-m", "ceilvo.bench.fuzz", "--one", name, "--seconds", str(seconds)]
-    done = subprocess.run(args, capture_output=True, text=True, check=False)
+    words = ["--one", name, "--minutes", str(minutes), "--seed", str(seed), "--engine", engine]
+    done = subprocess.run(
+        [sys.executable, "-m", "ceilvo.bench.fuzz", *words],
+        capture_output=True, text=True, errors="replace", check=False, env=os.environ | dict.fromkeys(THREADS, "1"),
+    )  # fmt: skip
     lines = (done.stdout + done.stderr).splitlines()
     runs = [line for line in lines if "Done " in line or line.startswith("runs ")]
     return {
-        "engine": "atheris" if _has_atheris() else "random",
+        "engine": engine,
+        "seed": seed,
         "exit": done.returncode,
         "seconds": round(time.monotonic() - begun, 1),
         "runs": runs[-1].strip() if runs else "",
@@ -66,54 +85,41 @@ def _has_atheris() -> bool:
     return True
 
 
-def _guided(name: str, seconds: float) -> int:
+def _blind(name: str, seconds: float, seed: int) -> int:
+    result = campaign(name, seconds, seed)
+    print(f"runs {result.runs}, {result.read} of them read, {result.failures} failures", flush=True)
+    if result.problems:
+        print(result.text, flush=True)
+    return 1 if result.problems else 0
+
+
+def _guided(name: str, seconds: float, seed: int) -> int:
+    """By coverage; ends at the first input that breaks the target, which atheris writes to the target's folder."""
     import atheris
 
-    corpus = _OUT / name
+    corpus = OUT / name
     corpus.mkdir(parents=True, exist_ok=True)
-    for seed in seeds(name):
-        (corpus / hashlib.sha256(seed).hexdigest()[:16]).write_bytes(seed)
-    for loaded in [m for m in sys.modules if m.split(".")[0] in ("ceilvo", "yaml")]:
+    for data in (*seeds(name), *(p.read_bytes() for p in kept(name))):
+        (corpus / hashlib.sha256(data).hexdigest()[:16]).write_bytes(data)
+    for loaded in [m for m in sys.modules if m.split(".")[0] in ("ceilvo", "yaml", "mcap")]:
         del sys.modules[loaded]  # imported again below, with counters for what was reached
-    with atheris.instrument_imports(include=["ceilvo", "yaml"]):
-        fresh = importlib.import_module("ceilvo.bench.fuzz.targets")
-    flags = [f"-max_total_time={round(seconds)}", "-max_len=8192", f"-artifact_prefix={corpus}/", "-rss_limit_mb=2048"]
-    atheris.Setup([name, *flags, str(corpus)], lambda data: fresh.run(fresh.TARGETS[name], data))
-    atheris.Fuzz()
+    with atheris.instrument_imports(include=["ceilvo", "yaml", "mcap"]):
+        bounds = importlib.import_module("ceilvo.bench.fuzz.engine.bounds")
+        target = importlib.import_module("ceilvo.bench.fuzz.registry").TARGETS[name]
+
+    def one(data: bytes) -> None:
+        problem, _ = bounds.problem_of(target.read, data)
+        if problem:
+            raise AssertionError(problem)
+
+    def mutate(data: bytes, most: int, number: int) -> bytes:
+        rng = random.Random(number)
+        made: bytes = atheris.Mutate(data, most) if rng.random() < 0.5 else target.mutate(data, rng)
+        return made[:most]
+
+    flags = [f"-max_total_time={round(seconds)}", f"-max_len={_MAX_BYTES}", f"-artifact_prefix={corpus}/"]
+    flags += ["-rss_limit_mb=4096", f"-seed={seed % 2**31 or 1}"]
+    atheris.Setup([name, *flags, str(corpus)], one, custom_mutator=mutate)
+    with bounds.quiet():
+        atheris.Fuzz()
     return 0
-
-
-def _blind(name: str, seconds: float) -> int:
-    rng, start, until = random.Random(1), seeds(name), time.monotonic() + seconds
-    runs = 0
-    while time.monotonic() < until:
-        data = mutated(rng.choice(start), rng)
-        try:
-            run(TARGETS[name], data)
-        except Exception:
-            folder = _OUT / name
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / f"crash-{hashlib.sha256(data).hexdigest()[:16]}").write_bytes(data)
-            raise
-        runs += 1
-    print(f"runs {runs}")
-    return 0
-
-
-def mutated(data: bytes, rng: random.Random) -> bytes:
-    """A few bytes changed, cut, doubled or replaced by something that means something."""
-    out = bytearray(data)
-    for _ in range(rng.randint(1, 6)):
-        at = rng.randrange(len(out) + 1)
-        how = rng.randrange(5)
-        if how == 0 and out:
-            out[at % len(out)] = rng.randrange(256)
-        elif how == 1:
-            del out[at : at + rng.randint(1, 40)]
-        elif how == 2:
-            out[at:at] = out[at : at + rng.randint(1, 40)]
-        elif how == 3:
-            out[at:at] = rng.choice(_TOKENS)
-        else:
-            out[at : at + rng.randint(1, 8)] = rng.choice(_TOKENS)
-    return bytes(out)

@@ -1,0 +1,1 @@
+"""One input and what it may do; inputs that are almost valid; what targets share."""

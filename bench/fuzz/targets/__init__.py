@@ -1,0 +1,1 @@
+"""Every reader of bytes from outside, a module for each kind."""
