@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.se2 import compose, inverse, rotation, transform
 from ceilvo.types import Array, Landmarks, Pose
@@ -31,6 +32,7 @@ def rest_of(landmarks: Landmarks, first_id: int | None) -> Landmarks:
 def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) -> Landmarks | None:
     """All landmarks, those of the submap moved as the robot is from the tracked pose (3,) to the one found (3,).
 
+    Where that turns them their types are named by the map's axes again.
     Of what both know the rest's is kept. None where the submap is empty.
     """
     own = landmarks.ids >= first_id
@@ -40,7 +42,8 @@ def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) ->
     turn = rotation(float(there_from_here[2]))
     new, old = landmarks.of(own), landmarks.of(~own)
     xy = transform(Pose(there_from_here), new.xy_map_m)
-    new = replace(new, xy_map_m=xy, cov_m2=turn @ new.cov_m2 @ turn.T)
+    kind = turned_type(new.crossing_type, -quarter_turns(0.0, float(there_from_here[2])))
+    new = replace(new, xy_map_m=xy, cov_m2=turn @ new.cov_m2 @ turn.T, crossing_type=kind)
     near = landmarks_near(old, xy, SAME_M)[1]
     close = np.hypot(*(xy[:, None] - near.xy_map_m).transpose(2, 0, 1)) < SAME_M
     known = np.any(close & (new.crossing_type[:, None] == near.crossing_type), axis=1)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from ceilvo.bench.place.case import drive_in
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
+from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined, rest_of
@@ -45,6 +46,20 @@ def test_a_joined_landmark_is_seen_from_the_found_pose_as_it_was_from_the_tracke
     assert np.allclose(transform(inverse(found), whole.xy_map_m[5:]), before, atol=1e-9)
     assert np.allclose(np.linalg.eigvalsh(whole.cov_m2), [1e-6, 4e-6])
     assert np.array_equal(whole.ids, np.arange(12))
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_joined_landmark_has_the_type_that_it_is_seen_as_from_the_found_pose(quarters: int) -> None:
+    """It kept its name: one that was turned by 90 deg contradicted the map, and the right place was given up."""
+    rng = np.random.default_rng(5)
+    seen, psi, tracked = rng.integers(0, 9, 30), -0.2, np.array([1.0, 2.0, 0.25])
+    found = np.array([4.0, -3.0, 0.25 + 0.5 * np.pi * quarters + 0.01])
+    old = landmarks(rng.uniform(200, 220, (5, 2)))
+    new = landmarks(rng.uniform(-3, 3, (30, 2)), first_id=5)
+    new = replace(new, crossing_type=turned_type(seen, quarter_turns(psi + tracked[2], 0.0)))
+    whole = joined(both(old, new), 5, tracked, found)
+    assert whole is not None
+    assert np.array_equal(whole.crossing_type[5:], turned_type(seen, quarter_turns(psi + found[2], 0.0)))
 
 
 def test_of_what_both_know_the_rest_is_kept_and_an_empty_submap_is_none() -> None:
