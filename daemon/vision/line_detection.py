@@ -27,8 +27,6 @@ _FINE_BIN_PX = 1.0
 """Hough bin once direction and tilt are known; chosen: half the first one, peaks are sharper then."""
 _FINE_GATE_PX = 2.0
 """Gate of the round that follows; chosen: between the coarse gates and the last one, 0.8 to 2."""
-_KEPT_POINTS = 0.95
-"""A fit that began at the expected tilt wins with this fraction of the other's points; chosen: a tilt must convince."""
 _VAGUE_RAD = np.radians(0.1)
 """A tilt known worse than this, of a robot of which nothing is known yet, is not used; chosen: a lamp's is worse."""
 _STEADY_RAD = np.radians(0.1)
@@ -141,7 +139,7 @@ def detect(
         return None
     problem = _Problem(points, psi, starts, config, focal_px, edges.fraction)
     if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
-        fit, free = _solve_steady(problem, prior)
+        fit, free = _solve_steady(problem, prior, last)
     else:
         fit, free = _solve_rocking(problem, last)
     if prior is not None and config.estimate_tilt:
@@ -149,33 +147,42 @@ def detect(
     return pair_edges(fit, config, edges.fraction, free)
 
 
-def _solve_steady(problem: _Problem, prior: TiltPrior | None) -> _Found:
+def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> _Found:
     """A robot that has not tilted lately, or of which nothing is known yet."""
     fit, free = problem.solve(_LEVEL_RAD)
     expected = _LEVEL_RAD if prior is None else prior.mean_rad
     if not problem.config.estimate_tilt:
         return fit, free
-    vague = prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD
-    if not vague and not fit.is_doubtful(expected, prior):
+    if not fit.is_doubtful(expected, prior) and not _is_vague(fit, free, prior):
         return fit, free
     level = problem.start(expected, tilt=False)
-    if vague:  # so few lines that any tilt fits: then none is read from them
+    if _is_vague(fit, free, prior):  # so few lines that any tilt fits: then none is read from them
         level.finish_held()
         return level, free
-    held = level, level.finish()
-    # a fit that began with another tilt must convince clearly more points than one that began where expected
-    return held if len(level.line) > _KEPT_POINTS * len(fit.line) else (fit, free)
+    return _best(problem, [(fit, free), (level, level.finish())], last.tilt_rad)
 
 
 def _solve_rocking(problem: _Problem, last: LastFit) -> _Found:
     """Begin where the last frame was; where that fits worse than lately, false optima are likely: look for a better."""
-    best = problem.solve(last.tilt_rad)
-    if best[0].noise_px < NOISE_RATIO * last.noise_px:
-        return best
-    for tilt_rad in (_LEVEL_RAD, None):
-        other = problem.solve(best[0].tilt if tilt_rad is None else tilt_rad)
-        best = min(best, other, key=lambda found: found[0].cost(len(problem.points.x)))
-    return best
+    found = problem.solve(last.tilt_rad)
+    if found[0].noise_px < NOISE_RATIO * last.noise_px:
+        return found
+    return _best(problem, [found], _LEVEL_RAD)
+
+
+def _best(problem: _Problem, found: list[_Found], other_rad: Array) -> _Found:
+    """The cheapest of the fits found, of one that begins at another tilt, and of one that begins where these ended."""
+
+    def cost(candidate: _Found) -> float:
+        return candidate[0].cost(len(problem.points.x))
+
+    best = min((*found, problem.solve(other_rad)), key=cost)
+    return min(best, problem.solve(best[0].tilt), key=cost)
+
+
+def _is_vague(fit: JointFit, free: TiltPrior, prior: TiltPrior | None) -> bool:
+    """Whether hardly anything is known of the tilt, neither from this frame nor from others."""
+    return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not fit.tilts_for_sure()
 
 
 def _reach(x: Array32, y: Array32) -> float:

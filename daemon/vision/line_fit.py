@@ -33,7 +33,7 @@ _HELD_PRIOR_DEG = 1e-6
 _HELD_RAD = np.radians(0.02)
 """Standard deviation reported for it; chosen: below what a frame with few lines could tell, above 0."""
 _TILT_CHI2 = 9.21
-"""Frame and prior disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
+"""Frame and prior, or frame and a level robot, disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
 _SPREAD_STRIDE = 3
 """Every third point tells the spread; chosen: saves time, hundreds remain."""
 _DOUBT_RAD = np.radians(0.3)
@@ -151,6 +151,10 @@ class JointFit:
         off = np.abs(self.tilt - expected_rad)
         spread = _DOUBT_RAD if prior is None else np.maximum(_DOUBT_SIGMAS * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
+
+    def tilts_for_sure(self) -> bool:
+        """Whether a level robot is hardly possible, however little is known of the tilt."""
+        return float(self.tilt @ np.linalg.solve(self.covariance[1:, 1:], self.tilt)) > _TILT_CHI2
 
     def start(self, line_of_point: NDArray[np.int32], expected_offset: Array) -> None:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
