@@ -45,6 +45,11 @@ class CameraModel:
         """(3, 3) intrinsic matrix K."""
         return np.array([[self.fx_px, 0, self.cx_px], [0, self.fy_px, self.cy_px], [0, 0, 1.0]])
 
+    @property
+    def focal_px(self) -> float:
+        """Mean of both directions."""
+        return 0.5 * (self.fx_px + self.fy_px)
+
     def rays(self, uv_px: Array) -> Array:
         """(N, 3) unit vectors in the camera's optical frame for (N, 2) raw pixels."""
         uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
@@ -118,11 +123,13 @@ class LevelView:
         camera: the real one.
         level_from_camera: (3, 3) rotation.
         focal_px: focal length of the virtual pinhole; its principal point is the real camera's.
+        reduction: so many raw pixels along either side of the picture are looked at as one.
     """
 
     camera: CameraModel
     level_from_camera: Array
     focal_px: float
+    reduction: int = 1
 
     def from_raw(self, uv_px: Array) -> Array:
         """(N, 2) level pixels of raw pixels; nan at and beyond the horizon."""
@@ -147,17 +154,34 @@ class LevelView:
         )
         return self.camera.pixels(r @ self.level_from_camera)
 
+    def reduced(self, gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The picture as it is looked at: means over squares of pixels; what fills no square at its end is left out."""
+        k = self.reduction
+        if k == 1:
+            return gray
+        height, width = gray.shape[0] // k, gray.shape[1] // k
+        whole = gray[: k * height, : k * width]
+        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def whole_px(self, uv_px: Array) -> Array:
+        """Raw pixels (N, 2) of pixels of the reduced picture: the middle of a square is the pixel's."""
+        return (uv_px + 0.5) * self.reduction - 0.5 if self.reduction > 1 else uv_px
+
+    def reduced_px(self, uv_px: Array) -> Array:
+        """Pixels (N, 2) of the reduced picture of raw ones."""
+        return (uv_px + 0.5) / self.reduction - 0.5 if self.reduction > 1 else uv_px
+
     def lookup(self, max_view_deg: float, step_px: int = 1) -> Array32:
-        """(rows, columns, 2) level pixels, relative to the principal point, of every step_px-th raw pixel.
+        """(rows, columns, 2) level pixels, relative to the principal point, of every step_px-th pixel of reduced().
 
         nan where the ray is more than max_view_deg off the vertical. The last row and column are at or beyond the
         frame's edge, so that bilinear interpolation reaches every pixel of it.
         """
-        w, h = self.camera.width_px, self.camera.height_px
+        w, h = self.camera.width_px // self.reduction, self.camera.height_px // self.reduction
         x = step_px * np.arange(-(-(w - 1) // step_px) + 1, dtype=np.float64)
         y = step_px * np.arange(-(-(h - 1) // step_px) + 1, dtype=np.float64)
         grid = np.stack(np.meshgrid(x, y), axis=-1)
         centre = np.array([self.camera.cx_px, self.camera.cy_px])
-        uv = (self.from_raw(grid.reshape(-1, 2)) - centre).reshape(grid.shape)
+        uv = (self.from_raw(self.whole_px(grid.reshape(-1, 2))) - centre).reshape(grid.shape)
         uv[~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))] = np.nan
         return np.asarray(uv, np.float32)

@@ -210,7 +210,7 @@ class Renderer:
     def _light(self) -> tuple[Array32, list[Array32]]:
         """The picture as the lens blurs it; the lamps' part kept apart only when it flickers or switches."""
         day, lamps = self._ceiling.radiance(self.spec.lit, self.spec.daylight)
-        texel_px = self._ceiling.spec.texel_m * self._cal.level_view.focal_px / self._cal.ceiling_height_m
+        texel_px = self._ceiling.spec.texel_m * self._cal.camera.focal_px / self._cal.ceiling_height_m
         sigma = self.spec.psf_px / texel_px
         if self._groups:
             parts = [day, *(self._ceiling.radiance(g, self.spec.daylight)[1] for g in self._groups)]

@@ -28,7 +28,7 @@ _lit: dict[tuple[object, ...], object] = {}
 
 
 def _light_once(self: Renderer) -> object:
-    key = (id(self._ceiling), self.spec, self._cal.level_view.focal_px, self._cal.ceiling_height_m)
+    key = (id(self._ceiling), self.spec, self._cal.camera.focal_px, self._cal.ceiling_height_m)
     if key not in _lit:
         _lit[key] = self._ceiling, _light(self)  # the ceiling with it, lest another gets its id
         while len(_lit) > 4:

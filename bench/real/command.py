@@ -147,7 +147,11 @@ def lamps_config(start: Array) -> Config:
         base.features,
         max_view_deg=65.0,
         direction_gate_deg=20.0,
-        min_line_points=8,
+        # 2, 8, 7 and 12 px of this lens
+        hough_bin_deg=0.6067,
+        min_line_deg=2.4266,
+        groove_deg=2.1233,
+        crossing_reach_deg=3.6399,
         smoothing_px=5,
         estimate_tilt=False,
     )

@@ -5,6 +5,7 @@ Both: pixels -> level view -> ceiling in base -> RANSAC -> rigid fit. They know 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Protocol
 
 import cv2
@@ -78,7 +79,7 @@ class _Ground:
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
         self._centre = np.array([calibration.camera.cx_px, calibration.camera.cy_px])
-        self._lookup = calibration.level_view.lookup(70.0)
+        self._lookup = replace(calibration.level_view, reduction=1).lookup(70.0)
 
     def motion(self, curr_px: Array, prev_px: Array, otherwise: Array) -> tuple[Array, NDArray[np.bool_]]:
         """prev_from_curr (3,) and which points agree with it; `otherwise` when too few do."""

@@ -154,10 +154,17 @@ def _calibration() -> list[Condition]:
 
 
 def _lenses() -> list[Condition]:
+    found = {"recall_grid_pct": at_least(97.0)}
+    sizes = ((320, 240), (323, 243), (641, 479), (644, 482), (1280, 960), (1920, 1080))
     return [
-        _make("1280x720", "larger picture", true=simulated_calibration(simulated_camera("pinhole", 1280, 720))),
+        *(_make(f"{w}x{h}", "base, pictures of another size", true=_of_size(w, h), bars=found) for w, h in sizes),
+        _make("1280x720", "larger picture", true=_of_size(1280, 720)),
         _make("fisheye", "fisheye lens", true=simulated_calibration(simulated_camera("fisheye"))),
     ]
+
+
+def _of_size(width_px: int, height_px: int) -> Calibration:
+    return simulated_calibration(simulated_camera("pinhole", width_px, height_px))
 
 
 def _stress() -> list[Condition]:

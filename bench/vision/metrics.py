@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import USUAL_FOCAL_PX, Calibration
 from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.world import World
 from ceilvo.types import Crossings, Motion
@@ -31,6 +31,7 @@ from ceilvo.types import Crossings, Motion
 Array = NDArray[np.float64]
 
 MARGIN_PX = 14.0  # docs/bench.md (recall); chosen: a crossing nearer the border lacks an arm
+# All px are those of a camera with USUAL_FOCAL_PX, and as large an angle for others.
 FOUND_PX = 3.0  # docs/bench.md (recall, precision); chosen, far above the error and far below a tile
 FOUND_WRONG_CALIBRATION_PX = 6.0  # docs/bench.md; twice the p95 of mixed-cal, 3 px
 WRONG_M = 0.02  # docs/bench.md (wrong)
@@ -55,7 +56,9 @@ class CrossingScore:
     recall_per_frame: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._found_px = FOUND_PX if self.calibration is self.world.calibration else FOUND_WRONG_CALIBRATION_PX
+        found_px = FOUND_PX if self.calibration is self.world.calibration else FOUND_WRONG_CALIBRATION_PX
+        self._found_px = found_px * self.calibration.level_view.focal_px / USUAL_FOCAL_PX
+        self._raw_scale = self.world.calibration.camera.focal_px / USUAL_FOCAL_PX
         xy, crossing_type = self.world.ceiling.true_crossings()
         render = self.world.spec.render
         lamps_seen = render.lit is None and render.switch_groups == 0
@@ -121,11 +124,13 @@ class CrossingScore:
         uv = true.camera.pixels(seen @ true.camera_from_base.T)
         cam = true.camera
         with np.errstate(invalid="ignore"):
-            inside = np.all((uv > MARGIN_PX) & (uv < [cam.width_px - 1 - MARGIN_PX, cam.height_px - 1 - MARGIN_PX]), 1)
+            margin = MARGIN_PX * self._raw_scale
+            inside = np.all((uv > margin) & (uv < [cam.width_px - 1 - margin, cam.height_px - 1 - margin]), 1)
         inside &= ~steep
         surroundings = self.world.spec.surroundings
         if surroundings.slabs or surroundings.walls:
-            hidden = cv2.dilate(self.world.renderer.occlusion(pose, tilt), np.ones((2 * _CLEAR_PX + 1,) * 2)) > 0.02
+            clear = round(_CLEAR_PX * self._raw_scale)
+            hidden = cv2.dilate(self.world.renderer.occlusion(pose, tilt), np.ones((2 * clear + 1,) * 2)) > 0.02
             at = np.rint(uv[inside]).astype(np.int64)
             inside[inside] = ~hidden[at[:, 1], at[:, 0]]
         return np.asarray(inside)

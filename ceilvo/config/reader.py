@@ -21,6 +21,8 @@ from ceilvo.config.values import WrongValue, checked_value, shown
 from ceilvo.errors import ConfigError, one_line
 
 log = logging.getLogger(__name__)
+_CONVERTED_DIGITS = 4
+"""Behind the point, of a value that was in another unit; chosen: ten-thousandths of a degree."""
 _ALIKE = 0.6
 """difflib's ratio from which a name is suggested; its own default."""
 _TYPES: Mapping[str, type] = {name: kind for name, kind in get_type_hints(Config).items() if name in SECTIONS}
@@ -127,6 +129,13 @@ class _Reader:
     def _take(self, section: str, key: str, node: yaml.Node, where: str) -> None:
         full = f"{section}.{key}"
         schema = {f.name: f for f in _keys(section)}
+        now = next((f for f in schema.values() if f.metadata["was"] and f.metadata["was"][0] == key), None)
+        if now is not None:
+            self._take(section, now.name, _converted(node, now), f"{where}: {full}, now")
+            log.warning(
+                "%s: %s is now %s.%s, which is %s", where, full, section, now.name, self._values[section][now.name]
+            )
+            return
         if key not in schema:
             self._problems.append(
                 f"{where}: {one_line(full)}: found an unknown key, expected {_known_key(section, key)}"
@@ -163,6 +172,15 @@ class _Reader:
         self._problems.append(
             f"{self._source}:{yaml_nodes.line_of(node)}: {one_line(name)}{': ' if name else ''}{text}"
         )
+
+
+def _converted(node: yaml.Node, now: dataclasses.Field[Any]) -> yaml.Node:
+    """A number of a key's old unit in the new one; what is no number is left as it is, to be refused as such."""
+    value = yaml_nodes.scalar(node) if isinstance(node, yaml.ScalarNode) else None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return node
+    text = repr(round(value / now.metadata["was"][1], _CONVERTED_DIGITS))
+    return yaml.ScalarNode("tag:yaml.org,2002:float", text, node.start_mark, node.end_mark)
 
 
 def _is_mapping(node: yaml.Node) -> TypeGuard[yaml.MappingNode]:

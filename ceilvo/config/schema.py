@@ -18,12 +18,14 @@ def key(
     high: float | None = None,
     choices: tuple[str, ...] | None = None,
     renamed: Mapping[str, str] | None = None,
+    was: tuple[str, float] | None = None,
 ) -> Any:
     """A configuration key: its default, the one-line reason, and the closed range or the choices it must be in.
 
-    Choices that older configurations call by another name are still read: `renamed`.
+    Choices that older configurations call by another name are still read: `renamed`. So are keys of another name and
+    unit: `was` has the name, and how many of the old unit are one of the new.
     """
-    meta = {"why": why, "low": low, "high": high, "choices": choices, "renamed": renamed or {}}
+    meta = {"why": why, "low": low, "high": high, "choices": choices, "renamed": renamed or {}, "was": was}
     if isinstance(default, list):
         return field(default_factory=lambda: tuple(default), metadata=meta)
     return field(default=default, metadata=meta)
@@ -63,6 +65,10 @@ class CalibrationFile:
     file: str = key("calibration.yaml", "written by calib; relative to this file's folder")
 
 
+_PX_PER_DEG = 7.1506
+"""Keys of features were pixels up to ceilvo 0.1: of a camera of 409.7 px, for which their defaults had been chosen."""
+
+
 @dataclass(frozen=True)
 class Features:
     smoothing_px: int = key(
@@ -83,11 +89,27 @@ class Features:
         8.0, "edge points further off the dominant directions are not lines", low=1.0, high=20.0
     )
     hough_angle_deg: float = key(1.0, "Hough search to either side of the dominant direction", low=0.2, high=5.0)
-    hough_bin_px: float = key(2.0, "width of a Hough offset bin", low=0.5, high=10.0)
-    min_line_points: int = key(30, "votes that make a line", low=8, high=1000)
+    hough_bin_deg: float = key(
+        0.2797, "width of a Hough offset bin", low=0.07, high=1.4, was=("hough_bin_px", _PX_PER_DEG)
+    )
+    min_line_deg: float = key(
+        4.195, "edges that make a line are so long together", low=1.1, high=140.0, was=("min_line_points", _PX_PER_DEG)
+    )
     max_lines: int = key(60, "strongest lines kept per axis", low=4, high=500)
-    groove_px: float = key(7.0, "a falling and a rising edge closer than this are one groove", low=1.0, high=30.0)
-    crossing_reach_px: float = key(12.0, "both lines need edge points this near to their crossing", low=2.0, high=100.0)
+    groove_deg: float = key(
+        0.979,
+        "a falling and a rising edge closer than this are one groove",
+        low=0.13,
+        high=4.2,
+        was=("groove_px", _PX_PER_DEG),
+    )
+    crossing_reach_deg: float = key(
+        1.678,
+        "both lines need edge points this near to their crossing",
+        low=0.27,
+        high=14.0,
+        was=("crossing_reach_px", _PX_PER_DEG),
+    )
     full_every: int = key(
         10, "look at the whole frame every so many frames, else where lines are expected; 1 = always", low=1, high=1000
     )

@@ -9,6 +9,7 @@ from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.config import Features
 from ceilvo.crossing_types import crossing_type_of
 from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.angles import pixels
 from ceilvo.types import Crossings, Lines
 
 Array = NDArray[np.float64]
@@ -24,6 +25,8 @@ _ARM_FRACTION = 0.6
 """Least covered fraction of an arm; chosen: above, faint joints lose crossings; below, mere extensions become some."""
 _MIN_BINS = 2.0
 """Fewest covered bins of an arm; chosen: a single point is noise."""
+_LEAST_REACH_PX = 6.0
+"""Shortest arm in pixels; chosen: three bins, for the small pictures in which an angle is but few pixels."""
 _REACH_SPACINGS = 2.5
 """Shortest arm, in mean distances between edge points that were kept; chosen: _MIN_BINS must be possible on it."""
 
@@ -35,7 +38,8 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
         M crossings, M may be 0; psi, tilt and their errors are those of the lines.
     """
     first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
-    reach_px = max(config.crossing_reach_px, _REACH_SPACINGS / lines.fraction)
+    view = calibration.level_view
+    reach_px = max(pixels(config.crossing_reach_deg, view.focal_px, _LEAST_REACH_PX), _REACH_SPACINGS / lines.fraction)
     covered = _covered(lines, first, 1, lines.offset_px[second], reach_px) & (
         _covered(lines, second, 0, lines.offset_px[first], reach_px).T
     )
@@ -43,7 +47,6 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
     a, b = first[i], second[j]
     normals = _normals(lines.psi_rad)
     uv_rel = lines.offset_px[a, None] * normals[0] + lines.offset_px[b, None] * normals[1]
-    view = calibration.level_view
     uv = uv_rel + np.array([view.camera.cx_px, view.camera.cy_px])
     metres_per_px = calibration.ceiling_height_m / view.focal_px
     var_m2 = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2

@@ -85,7 +85,7 @@ class EdgeTracker:
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._config = config
-        self._focal = calibration.level_view.focal_px
+        self._view, self._focal = calibration.level_view, calibration.level_view.focal_px
         self._grids = look_ups(calibration, config.max_view_deg)
         self._gate = float(np.cos(np.radians(config.direction_gate_deg)))
         self._tilt_sigma_rad = _TURN_SIGMA_RAD if config.estimate_tilt else _HELD_RAD
@@ -99,7 +99,7 @@ class EdgeTracker:
             last: of the frames before; the tilt is where the search begins.
             prior: for the final estimate of the tilt.
         """
-        dx, dy, floor, _ = gradient(gray, self._config)
+        dx, dy, floor, _ = gradient(self._view.reduced(gray), self._config)
         edges = _by_group(expected)
 
         def look(edges: EdgeSet, tilt_rad: Array, look: Look) -> tuple[Points, Int32s, Ints]:
@@ -144,7 +144,7 @@ def look_ups(calibration: Calibration, max_view_deg: float) -> Grids:
     raw = view.to_raw(grid + centre)
     back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre  # a lens folds over beyond its edge: not invertible
     raw[~(np.hypot(*(back - grid).T) < _INVERTIBLE_PX)] = np.nan
-    table = np.ascontiguousarray(raw.reshape(len(y), len(x), 2), np.float32)
+    table = np.ascontiguousarray(view.reduced_px(raw).reshape(len(y), len(x), 2), np.float32)
     return Grids(lookup, table, (float(low[0]), float(low[1])), _CELL_PX)
 
 

@@ -42,8 +42,9 @@ class EdgeDetector:
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._config = config
-        self._lookup = calibration.level_view.lookup(config.max_view_deg, LOOKUP_STEP_PX)
-        shape = calibration.camera.height_px, calibration.camera.width_px
+        self._view = view = calibration.level_view
+        self._lookup = view.lookup(config.max_view_deg, LOOKUP_STEP_PX)
+        shape = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
         usable = _interpolated(np.isfinite(self._lookup[..., 0]), shape)
         usable[[0, -1], :] = False
         usable[:, [0, -1]] = False
@@ -54,7 +55,7 @@ class EdgeDetector:
 
     def __call__(self, gray: NDArray[np.uint8]) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size."""
-        dx, dy, low, high = gradient(gray, self._config)
+        dx, dy, low, high = gradient(self._view.reduced(gray), self._config)
         mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
         edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
         limit, fraction = self._limit(cv2.countNonZero(edges))

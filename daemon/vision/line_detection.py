@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.angles import pixels
 from ceilvo.daemon.vision.edges import Edges
 from ceilvo.daemon.vision.line_fit import JointFit, Points
 from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
@@ -34,7 +35,7 @@ _STEADY_RAD = np.radians(0.1)
 _DIRECTION_REACH_DEG = 4.0
 """Gradients this near to the peak of the 1 deg bins are averaged; chosen: wider takes in clutter."""
 _MIN_VOTES = 8.0
-"""Fewest votes of a line, however few of the edge points were kept; chosen: as features.min_line_points allows."""
+"""Fewest votes of a line, however few of the edge points were kept; chosen: as features.min_line_deg allows."""
 _REACH_MARGIN = 1.2
 """Points may lie this many times further out once the tilt is taken off; chosen, those beyond have no vote."""
 _START_POINTS = 4000
@@ -91,7 +92,7 @@ class _Problem:
         for gate_px in _COARSE_GATES_PX:
             coarse.assign(gate_px)
             coarse.solve(tilt)
-        need = max(config.min_line_points * fraction, _MIN_VOTES)
+        need = _least_votes(config, fraction, self.focal_px)
         fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, fraction, coarse.tilt)
         again = Points(fine.rho, fine.tangent, points.ends, _REACH_MARGIN * points.reach)
         fine.restart(_peaks(_votes(again, (0.0, 0.0), self.focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
@@ -192,14 +193,20 @@ def _reach(x: Array32, y: Array32) -> float:
 
 def _hough(points: Points, psi: float, config: Features, fraction: float, focal_px: float) -> tuple[float, list[Array]]:
     """The direction with the sharpest votes and, for each group, line offsets."""
-    reach, bin_px = np.radians(config.hough_angle_deg), config.hough_bin_px
+    reach = np.radians(config.hough_angle_deg)
+    bin_px = pixels(config.hough_bin_deg, focal_px, _FINE_BIN_PX)
     angles = (psi + np.linspace(-reach, reach, 5)).tolist()
     stride = points.stride_for(_START_POINTS)
     few = (_votes(points, (a, a + 0.5 * np.pi), focal_px, bin_px, stride) for a in angles)
     best = angles[int(np.argmax([np.vdot(v, v) for v in few]))]
-    need = max(config.min_line_points * fraction, _MIN_VOTES)
+    need = _least_votes(config, fraction, focal_px)
     votes = _votes(points, (best, best + 0.5 * np.pi), focal_px, bin_px)
     return best, _peaks(votes, need, config, bin_px)
+
+
+def _least_votes(config: Features, fraction: float, focal_px: float) -> float:
+    """Of a line: an edge point a pixel of the length it needs, of which a fraction was kept."""
+    return max(pixels(config.min_line_deg, focal_px) * fraction, _MIN_VOTES)
 
 
 def _votes(

@@ -80,6 +80,7 @@ class JointFit:
         line: (P,) a point's line.
         rho, tangent: (P,) coordinates across and along it, as rays of a level robot.
         noise_px: standard deviation of the points about their lines.
+        focal_px: of the level view.
         correlated: points that share one error.
     """
 
@@ -95,7 +96,7 @@ class JointFit:
     ) -> None:
         self.psi = psi
         self.tilt = tilt_rad
-        self._focal, self._config = focal_px, config
+        self.focal_px, self._config = focal_px, config
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
         self._x, self._y, self.ends = points.x, points.y, points.ends
         self.restart(starts)
@@ -113,12 +114,12 @@ class JointFit:
         first, second = self.rho.copy(), self.tangent.copy()
         first[half:], second[half:] = -self.tangent[half:], self.rho[half:]
         uv = np.column_stack([c * first - s * second, s * first + c * second])
-        return np.asarray(uv * np.float32(self._focal), np.float32)
+        return np.asarray(uv * np.float32(self.focal_px), np.float32)
 
     def extents(self) -> tuple[Array, Array]:
         """Where the points of every line (L,) begin and end along it, px."""
         low, high = kernel.extents(self.tangent, self.line, len(self.offset))
-        return low * self._focal, high * self._focal
+        return low * self.focal_px, high * self.focal_px
 
     def _project(self) -> None:
         """Turn the seen rays back by the robot's tilt."""
@@ -134,9 +135,9 @@ class JointFit:
             self.rho,
             self.tangent,
             self.ends,
-            self.offset[order] / self._focal,
+            self.offset[order] / self.focal_px,
             counts,
-            gate_px / self._focal,
+            gate_px / self.focal_px,
         )
         self.line = order.astype(np.int32)[line]
 
@@ -164,7 +165,7 @@ class JointFit:
 
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
-        spread = np.abs(self.rho[::_SPREAD_STRIDE] * self._focal - self.offset[self.line[::_SPREAD_STRIDE]])
+        spread = np.abs(self.rho[::_SPREAD_STRIDE] * self.focal_px - self.offset[self.line[::_SPREAD_STRIDE]])
         sigma = MAD_TO_SIGMA * median(spread)
         return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
 
@@ -178,7 +179,7 @@ class JointFit:
         self.support, total, product = kernel.sums(self.rho, self.tangent, self.line, self.ends[2], n)
         means = total / np.maximum(self.support, 1)[:, None]
         # sums of products about every line's own mean
-        scatter = (product - total.T @ means) * self._focal**2
+        scatter = (product - total.T @ means) * self.focal_px**2
         scatter_r, r_jac, info_jac = scatter[0, 0], scatter[0, 1:], scatter[1:, 1:]
         mean_square = scatter_r / max(len(self.line), 1)
         self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
@@ -222,7 +223,7 @@ class JointFit:
 
     def _update_offsets(self) -> None:
         """Offsets as the means of their points."""
-        mean = kernel.means(self.rho, self.line, len(self.offset)) * self._focal
+        mean = kernel.means(self.rho, self.line, len(self.offset)) * self.focal_px
         self.offset = np.where(self.support > 0, mean, self.offset)
 
     def _tilt_from_axes(self) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Features
+from ceilvo.daemon.vision.angles import pixels
 from ceilvo.daemon.vision.line_fit import JointFit
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Ints, LineKind, Lines
@@ -18,6 +19,8 @@ _SUPPORT_RATIO = 0.5
 """Fewest edge points of an edge, over the votes it took to find it; chosen: the last, narrower gate drops some."""
 _MIN_SUPPORT = 4.0
 """Fewest edge points of an edge, however few of a frame were kept; chosen: offset and spread need more than 2."""
+_BLURRED_PX = 3.0
+"""Sides closer than this may be one groove, whatever the angle; chosen: lens and smoothing part the sides by 2."""
 _NARROW_PX = 1.0
 """Gaps below this count alike when sides of grooves are chosen; chosen: edge points scatter by up to this."""
 
@@ -58,7 +61,8 @@ def pair_edges(
     Returns:
         The lines and the edges under them; None when fewer than two edges have enough points.
     """
-    keep = np.flatnonzero(fit.support >= max(_SUPPORT_RATIO * fraction * config.min_line_points, _MIN_SUPPORT))
+    need = _SUPPORT_RATIO * fraction * pixels(config.min_line_deg, fit.focal_px)
+    keep = np.flatnonzero(fit.support >= max(need, _MIN_SUPPORT))
     if len(keep) < 2:
         return None
     order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
@@ -66,7 +70,7 @@ def pair_edges(
     offset, group = fit.offset[order], fit.line_group[order]
     axis, own = group // 2, np.arange(len(order))
     support = fit.support[order]
-    partner = _pairs(offset, axis, group % 2, support, config.groove_px)
+    partner = _pairs(offset, axis, group % 2, support, pixels(config.groove_deg, fit.focal_px, _BLURRED_PX))
     paired = partner >= 0
     other = np.where(paired, partner, own)
     first = other >= own  # one entry a pair

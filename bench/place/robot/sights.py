@@ -90,8 +90,7 @@ class CrossingSight:
         camera, mount = self._calibration.camera, self._calibration.mount_xy_m
         size = np.array([camera.width_px, camera.height_px])
         centre = np.array([camera.cx_px, camera.cy_px])
-        view = self._calibration.level_view
-        off_m = (size - 1.0 - 2.0 * centre) * self._calibration.ceiling_height_m / view.focal_px
+        off_m = (size - 1.0 - 2.0 * centre) * self._calibration.ceiling_height_m / camera.focal_px
         turn = rotation(self._yaw_rad)
         inside = (xy_base_m - mount) @ turn
         return np.asarray((inside * sign + off_m * (sign < 0)) @ turn.T + mount)

@@ -135,3 +135,23 @@ def test_a_choice_is_read_by_its_old_name_with_a_notice(tmp_path: Path, caplog: 
     assert loads(tmp_path, "filter: {method: joint}\n").filter.method == "joint"
     assert loads(tmp_path, "filter: {method: pfcf_paper}\n").filter.method == "pfcf_paper"
     assert not caplog.messages
+
+
+def test_keys_that_were_pixels_are_read_as_angles_with_a_notice(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Every written-out configuration of ceilvo 0.1 has them: its defaults are today's, and values keep their share."""
+    old = "features:\n  hough_bin_px: 2.0\n  min_line_points: 30\n  groove_px: 7.0\n  crossing_reach_px: 24\n"
+    read, now = loads(tmp_path, old).features, Config().features
+    assert read.hough_bin_deg == pytest.approx(now.hough_bin_deg, rel=1e-3)
+    assert read.min_line_deg == pytest.approx(now.min_line_deg, rel=1e-3)
+    assert read.groove_deg == pytest.approx(now.groove_deg, rel=1e-3)
+    assert read.crossing_reach_deg == pytest.approx(2.0 * now.crossing_reach_deg, rel=1e-3)
+    assert len(caplog.messages) == 4
+    assert "config.yaml:4: features.groove_px is now features.groove_deg, which is 0.9789" in caplog.text
+
+
+@pytest.mark.parametrize("value", ["wide", "900", "true", "[7]"])
+def test_a_wrong_value_of_such_a_key_is_refused(tmp_path: Path, value: str) -> None:
+    (problem,) = problems(tmp_path, f"features:\n  groove_px: {value}\n")
+    assert "features.groove_px, now: features.groove_deg: found" in problem

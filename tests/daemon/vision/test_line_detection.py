@@ -78,6 +78,21 @@ def test_grid_of_grooves_is_measured_to_hundredths_of_a_pixel(psi: float, seed: 
         assert np.abs(world_offsets(lines, psi + axis * np.pi / 2) - truth).max() < 0.15
 
 
+@pytest.mark.parametrize("scale", [0.25, 0.5, 1.0, 1.4, 2.0])
+def test_the_sides_of_a_bar_are_one_line_to_cameras_of_any_size(scale: float) -> None:
+    """24 mm on a ceiling 2.2 m up: 4.5 px of the usual camera, 9 px of one with twice as many."""
+    side = max(2.25 * scale, 1.0)
+    bars: list[Segment] = [
+        (axis, 110.0 * scale * k + polarity * side, polarity, -300.0 * scale, 300.0 * scale)
+        for axis in (0, 1)
+        for k in range(-2, 3)
+        for polarity in (-1, 1)
+    ]
+    lines = find_lines(edges(bars, 0.3, 5), Features(), scale * FOCAL_PX)
+    assert lines is not None
+    assert len(lines.axis) == 10 and (lines.kind == LineKind.GROOVE).all()
+
+
 def test_tilt_is_estimated_and_taken_out() -> None:
     tilt = np.radians([1.2, -0.8])
     lines = find_lines(edges(GRID, 0.3, 5, tilt=(tilt[0], tilt[1])), Features(), FOCAL_PX)
@@ -150,7 +165,7 @@ def test_few_lines_do_not_imitate_a_tilt() -> None:
     lamp: list[Segment] = [(a, o, p, -20.0, 20.0) for a in (0, 1) for o, p in ((-20.0, 1), (20.0, -1))]
     tracker = TiltTracker()
     for seed in range(60):
-        lines = find_lines(edges(lamp, 0.2, seed, noise_px=0.5), Features(min_line_points=15), FOCAL_PX)
+        lines = find_lines(edges(lamp, 0.2, seed, noise_px=0.5), Features(min_line_deg=2.1), FOCAL_PX)
         assert lines is not None
         assert np.abs(lines.tilt_rad).max() < 1e-9
         tracker.update(lines)
