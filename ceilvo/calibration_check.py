@@ -32,6 +32,8 @@ _COEFFICIENTS_MOST = 8
 """Of a noise polynomial; calib fits four at the most."""
 _CURVE_POINTS = 64
 """At which a noise curve must be above zero; chosen, polynomials of few coefficients are smooth between them."""
+_ENTRY_MOST = 1e9
+"""Of M: the largest focal length times the highest ceiling, 3e6 px m, and room; sums of larger ones overflow."""
 _FLAT = 1e-9
 """Singular value over the largest below which M's left block has no inverse."""
 _SHEAR = 1.25
@@ -133,8 +135,8 @@ def _noise_problems(n: NoiseCurves) -> Iterator[str]:
 
 def _projection_problems(c: Calibration) -> Iterator[str]:
     """Whether M is a camera that looks up at a ceiling."""
-    if np.shape(c.projection) != (3, 4) or not np.isfinite(c.projection).all():
-        yield "projection: found something else, expected 3 x 4 finite numbers"
+    if np.shape(c.projection) != (3, 4) or not np.all(np.abs(c.projection) <= _ENTRY_MOST):
+        yield f"projection: found something else, expected 3 x 4 finite numbers, at most {_ENTRY_MOST:g}"
         return
     if not (c.camera.fx_px > 0 and c.camera.fy_px > 0):
         return

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 DEFAULT_CONFIG = Path("/etc/ceilvo/config.yaml")
 DEFAULT_SUMMARY = Path("build/run-summary.json")
+_MOST_TILT_DEG = 45.0
+"""Of a simulated robot that rocks; chosen: one that leans further falls over."""
 WRONG_USE = 2
 """Exit code of argparse, and ours, for words that are no command."""
 BENCHES = {"paper": "paper", "mrclam": "mrclam", "speed": "speed.filter_step"}
@@ -127,8 +129,8 @@ def _run_options(p: argparse.ArgumentParser) -> None:
     p.add_argument("--simulate", action="store_true", help="a rendered ceiling and a simulated robot; no hardware")
     p.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds of frames, with a summary")
     p.add_argument("--summary", type=Path, metavar="FILE", help=f"figures as JSON (simulating: {DEFAULT_SUMMARY})")
-    p.add_argument("--seed", type=int, default=1, metavar="N", help="which simulated world (default: 1)")
-    p.add_argument("--tilt-deg", type=float, default=0.0, metavar="D", help="simulated rocking, at most (default: 0)")
+    p.add_argument("--seed", type=_from_up(0), default=1, metavar="N", help="which simulated world (default: 1)")
+    p.add_argument("--tilt-deg", type=_tilt, default=0.0, metavar="D", help="simulated rocking, at most (default: 0)")
     p.add_argument(
         "--calibration", type=Path, metavar="FILE", help="instead of the config's, or of the simulated truth"
     )
@@ -152,7 +154,9 @@ def _add_replay(commands: Commands) -> None:
     p.add_argument("--tum", type=Path, metavar="FILE", help="write the trajectory as 't x y z qx qy qz qw'")
     p.add_argument("--jsonl", type=Path, metavar="FILE", help="write every estimate as a JSON line")
     p.add_argument("--pictures", type=Path, metavar="DIR", help="draw what was seen, and the particles")
-    p.add_argument("--picture-every", type=_count, default=10, metavar="N", help="a picture of every Nth frame (10)")
+    p.add_argument(
+        "--picture-every", type=_from_up(1), default=10, metavar="N", help="a picture of every Nth frame (10)"
+    )
     p.add_argument("--reference", type=Path, metavar="FILE", help="TUM trajectory to compare with")
     p.add_argument("--align", choices=("none", "first", "se2"), default="none", help="before comparing (none)")
     p.set_defaults(do=_replay)
@@ -163,7 +167,7 @@ def _add_watch(commands: Commands) -> None:
     _config_options(p)
     p.add_argument("--robot", default="*", metavar="NAME", help="one robot (default: every one)")
     p.add_argument("--json", action="store_true", help="every message as it came, one line each")
-    p.add_argument("--count", type=_count, metavar="N", help="end after N poses")
+    p.add_argument("--count", type=_from_up(1), metavar="N", help="end after N poses")
     p.set_defaults(do=_watch)
 
 
@@ -319,11 +323,23 @@ def _positive(text: str) -> float:
     return value
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected at least 1")
+def _tilt(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= _MOST_TILT_DEG:
+        raise argparse.ArgumentTypeError(f"{text}: expected 0 to {_MOST_TILT_DEG:g} deg")
     return value
+
+
+def _from_up(least: int) -> Callable[[str], int]:
+    """The type of a whole number that is not below the least."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text}: expected at least {least}")
+        return value
+
+    return number
 
 
 if __name__ == "__main__":

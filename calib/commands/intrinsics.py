@@ -18,6 +18,7 @@ from ceilvo.calib.session.common import (
     bench_of,
     check_size,
     conclude,
+    from_up,
     pictures,
     session_of,
 )
@@ -68,7 +69,7 @@ def add(commands: Subcommands) -> None:
     p.add_argument("--marker-mm", type=float, help="side of a ChArUco marker (0.72 of the square)")
     p.add_argument("--dictionary", default="5X5_100", help="of the markers (%(default)s)")
     p.add_argument("--model", choices=("auto", *MODELS), default="auto", help="lens model (%(default)s)")
-    p.add_argument("--window-px", type=int, help="half side of a corner's window; default: as the squares allow")
+    p.add_argument("--window-px", type=from_up(1), help="half side of a corner's window; default: as the squares allow")
     p.add_argument("--keep-all", action="store_true", help="drop no picture, however large its residual")
 
 

@@ -56,7 +56,19 @@ def _source_options(p: argparse.ArgumentParser) -> None:
     group.add_argument("--device", metavar="DEV", help="this camera, live, for example /dev/video0")
     group.add_argument("--images", type=Path, metavar="DIR", help="a folder of images, a recording or a video file")
     group.add_argument("--simulate", action="store_true", help="the virtual bench: nothing needed, for practice")
-    p.add_argument("--seed", type=int, default=1, metavar="N", help="noise of the virtual bench (%(default)s)")
+    p.add_argument("--seed", type=from_up(0), default=1, metavar="N", help="noise of the virtual bench (%(default)s)")
+
+
+def from_up(least: int) -> Callable[[str], int]:
+    """The type of a whole number on the command line that is not below the least."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text}: expected at least {least}")
+        return value
+
+    return number
 
 
 def bench_of(args: argparse.Namespace) -> VirtualBench:

@@ -25,8 +25,8 @@ CLOSE_WAIT_S = 1.0
 """Longest that close() waits; chosen."""
 _RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 1.0
 """Of a client without a router, and of a peer's links: a router that restarts is found within a second."""
-_REASON_CHARS = 200
-"""Of a Zenoh error: the log keeps one line."""
+_REASON_CHARS, _LOOKED_AT_CHARS = 200, 2000
+"""Of a Zenoh error: the log keeps one line; it repeats the file that it is about, however long that is."""
 _ONLY_FOUND: dict[str, Any] = {"scouting/multicast/autoconnect": {"router": [], "peer": [], "client": []}}
 """The daemon is found by multicast and connects to nobody it finds: its scouting socket takes answers from the network,
 and whoever forges one would have the daemon come to him."""
@@ -154,7 +154,8 @@ def session_mode(config: zenoh.Config) -> str:
 
 def zenoh_reason(e: Exception) -> str:
     """What a Zenoh error says, on one line and without its source positions."""
-    return one_line(re.sub(r"\s+at\s+/\S+\.rs:\d+\.?", "", str(e)), _REASON_CHARS)
+    text = " ".join(str(e).split())[:_LOOKED_AT_CHARS]
+    return one_line(re.sub(r" at /\S+\.rs:\d+\.?", "", text), _REASON_CHARS)
 
 
 class Connection:

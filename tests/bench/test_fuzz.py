@@ -46,7 +46,7 @@ def test_what_once_broke_a_reader_does_so_no_more(name: str, path: Path) -> None
 
 
 def test_the_corpus_is_small_and_belongs_to_targets() -> None:
-    files = [p for p in CORPUS.rglob("*") if p.is_file()]
+    files = [p for p in CORPUS.glob("*/*") if p.is_file()]
     assert {p.parent.name for p in files} <= set(TARGETS)
     assert 0 < sum(p.stat().st_size for p in files) < 200_000
 

@@ -65,3 +65,11 @@ tilt = st.floats(-0.5, 0.5)
 def test_the_angles_shown_are_those_of_the_mounting(yaw: float, roll: float, pitch: float) -> None:
     calibration = simulated_calibration(yaw_rad=yaw, roll_rad=roll, pitch_rad=pitch)
     np.testing.assert_allclose(mount_angles(calibration.camera_from_base), [yaw, roll, pitch], atol=1e-9)
+
+
+@pytest.mark.parametrize(("option", "value"), [("--seed", "-1"), ("--window-px", "0"), ("--seed", "x")])
+def test_a_number_that_cannot_be_is_wrong_use(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["intrinsics", "--simulate", option, value])
+    assert end.value.code == 2
+    assert f"argument {option}" in capsys.readouterr().err

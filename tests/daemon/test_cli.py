@@ -134,3 +134,15 @@ def test_sigterm_is_an_orderly_end(tmp_path: Path) -> None:
     process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     print(f"ended {time.monotonic() - asked:.2f} s after SIGTERM")
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--seed", "-1"), ("--seed", "7" * 5000), ("--tilt-deg", "nan"), ("--tilt-deg", "1e300"), ("--seconds", "inf")],
+    ids=lambda option: f"{option[0]} {option[1][:5]}",
+)
+def test_a_number_that_cannot_be_is_wrong_use(option: tuple[str, str], capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["run", "--simulate", *option])
+    assert end.value.code == 2
+    assert f"argument {option[0]}" in capsys.readouterr().err
