@@ -26,6 +26,8 @@ _CENTRE = (-0.5, 1.5)
 """Principal point over the picture's size: a cropped sensor's may lie outside, but not by more than half of it."""
 _DISTORTION_MOST = 1e3
 """Of a coefficient; a rational model's may be large, these are rubbish."""
+_READOUT_MOST_S = 0.2
+"""Of all rows; the slowest webcam sensors take 0.1 s at their full size, and more is microseconds mixed up."""
 _NOISE_R_MOST_M, _SIGMA_MOST_M, _SIGMA_MOST_RAD = 100.0, 10.0, 1.0
 """Of the noise curves: beyond what a ceiling shows and what would still be called a measurement."""
 _COEFFICIENTS_MOST = 8
@@ -95,6 +97,7 @@ def _camera_problems(c: CameraModel) -> Iterator[str]:
         ("fy_px", *_FOCALS_PX),
         ("cx_px", _CENTRE[0] * c.width_px, _CENTRE[1] * c.width_px),
         ("cy_px", _CENTRE[0] * c.height_px, _CENTRE[1] * c.height_px),
+        ("readout_s", -_READOUT_MOST_S, _READOUT_MOST_S),
     )
     for key, low, high in ranges:
         value = getattr(c, key)

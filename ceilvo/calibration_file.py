@@ -43,7 +43,7 @@ _HEADER = """\
 # Calibration of one camera on one robot under one ceiling. Written by calib, read by ceilvod.
 # The checksum notices edits: `calib sign FILE` accepts one that is meant.
 """
-_CAMERA_KEYS = ("id", "kind", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
+_CAMERA_KEYS = ("id", "kind", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "readout_s")
 _NOISE_KEYS = ("sigma_x_m", "sigma_y_m", "sigma_theta_rad", "r_min_m", "r_max_m")
 _KEYS = ("version", "created", "camera", "projection", "noise", "tile_m", "meta", "checksum")
 
@@ -167,6 +167,7 @@ def _content(c: Calibration, path: str) -> dict[str, Any]:
             "height_px": int(camera.height_px),
             **{k: float(getattr(camera, k)) for k in ("fx_px", "fy_px", "cx_px", "cy_px")},
             "distortion": [float(k) for k in camera.distortion],
+            **({"readout_s": float(camera.readout_s)} if camera.readout_s else {}),
         },
         "projection": np.asarray(c.projection, np.float64).tolist(),
         "noise": {
@@ -195,7 +196,7 @@ def _simple(value: Any, path: str, key: str) -> Any:
 def _calibration(path: str, content: dict[str, Any]) -> Calibration:
     """Types and sizes; what the values mean is for value_problems."""
     camera, noise = (_mapping(path, content, k) for k in ("camera", "noise"))
-    _check_keys(path, camera, _CAMERA_KEYS, "camera.")
+    _check_keys(path, camera, _CAMERA_KEYS, "camera.", optional=("readout_s",))
     _check_keys(path, noise, _NOISE_KEYS, "noise.")
     if camera["kind"] not in list(DISTORTION_COUNTS):  # a list may be asked for what has no hash
         raise CalibrationError(f"{path}: camera.kind: found {_short(camera['kind'])}, expected pinhole or fisheye")
@@ -210,6 +211,7 @@ def _calibration(path: str, content: dict[str, Any]) -> Calibration:
             height_px=_whole(path, "camera.height_px", camera["height_px"]),
             **{k: _number(path, f"camera.{k}", camera[k]) for k in ("fx_px", "fy_px", "cx_px", "cy_px")},
             distortion=_numbers(path, "camera.distortion", camera["distortion"]),
+            readout_s=_number(path, "camera.readout_s", camera.get("readout_s", 0.0)),
         ),
         projection=np.array([_numbers(path, f"projection[{i}]", r) for i, r in enumerate(rows)]),
         noise=NoiseCurves(

@@ -29,6 +29,8 @@ class CameraModel:
     Attributes:
         kind: "pinhole" (distortion k1 k2 p1 p2 k3 [k4 k5 k6], OpenCV's rational model) or
             "fisheye" (k1 k2 k3 k4, theta_d = theta (1 + k1 theta^2 + ...), OpenCV's equidistant model).
+        readout_s: time from the first row's exposure to that of the row after the last, for a rolling shutter; negative
+            where the last row is read first, 0 for a global shutter.
     """
 
     kind: Literal["pinhole", "fisheye"]
@@ -39,6 +41,11 @@ class CameraModel:
     cx_px: float
     cy_px: float
     distortion: tuple[float, ...] = ()
+    readout_s: float = 0.0
+
+    def row_delays_s(self, rows: Array) -> Array:
+        """How much later than the picture's middle rows are exposed, same shape; a frame's stamp is of its middle."""
+        return (rows - 0.5 * (self.height_px - 1)) * (self.readout_s / self.height_px)
 
     @property
     def matrix(self) -> Array:

@@ -15,7 +15,7 @@ SYNTHETIC_T0_NS = 1_000_000_000
 
 
 class SimCamera:
-    """Frames of a world at a fixed rate; the stamp is the start of the exposure.
+    """Frames of a world at a fixed rate; the stamp is the start of the exposure, of the middle row if rows differ.
 
     In real time it is paced by the clock and, as a real camera would, leaves out exposures that nobody came for in
     time: seq jumps. Otherwise it is a recording: every frame, as fast as they are drawn, the same bytes each time.
@@ -36,7 +36,8 @@ class SimCamera:
         self._world, self._rate_hz, self._realtime = world, rate_hz, realtime
         self._duration_s = duration_s
         self._clock, self._sleep = clock, sleep
-        self._exposure_ns = round(world.spec.render.exposure_s * 1e9)
+        last_row_s = 0.5 * abs(world.calibration.camera.readout_s)
+        self._exposure_ns = round((world.spec.render.exposure_s + last_row_s) * 1e9)
         self._open = False
         self._t0_ns = 0
         self._next = 0

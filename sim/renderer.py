@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -106,13 +107,15 @@ class Renderer:
         """One frame, (H, W) uint8, a new array.
 
         Args:
-            pose: map_from_base, (3,), or (K, 3) for K snapshots spread uniformly over the exposure.
+            pose: map_from_base, (3,), or (K, 3) for K snapshots spread uniformly over the exposure. (K, N, 3) of a
+                rolling shutter: N poses from the time of the first row to that of the last, in even steps.
             rng: picks the frame's noise.
-            tilt_rad: (2,) or (K, 2), rotation vector about base x and y that turns the camera about its own centre.
+            tilt_rad: (2,), (K, 2) or (K, N, 2), rotation vector about base x and y that turns the camera about its own
+                centre.
             t_s: start of the exposure, for the flicker.
         """
         poses = np.atleast_2d(np.asarray(pose, np.float64))
-        tilts = np.broadcast_to(np.asarray(tilt_rad, np.float64), (len(poses), 2))
+        tilts = np.broadcast_to(np.asarray(tilt_rad, np.float64), (*poses.shape[:-1], 2))
         total, lamps = self._sum, self.lamp_shares(t_s)
         for i in range(len(poses)):
             out = self._part if i else total
@@ -139,7 +142,7 @@ class Renderer:
         return np.asarray(1.0 - clear, np.float32)
 
     def _irradiance(self, pose: Array, tilt: Array, lamps: Array, out: Array32) -> None:
-        self._project(self._texel_from_ray(pose, tilt))
+        _map_rays(self._rays, _along_rows(self._texel_from_ray, pose, tilt), self._at)
         base, parts = self._textures
         self._sample(base, out)
         for part, lit in zip(parts, lamps, strict=False):
@@ -156,15 +159,21 @@ class Renderer:
     def _in_front(self, pose: Array, tilt: Array) -> Iterator[tuple[Array32, Array32]]:
         """Radiance times alpha, and alpha, of every surface in view, far ones first."""
         for s in self._surfaces:
-            m = _turned(s.texel_from_ray(pose, self._cal.mount_xy_m), tilt)
-            coarse = cv2.perspectiveTransform(self._coarse_rays, m)
+            m = _along_rows(partial(self._texel_of, s), pose, tilt)
             h, w = s.picture.shape[:2]
-            if not np.any((coarse > -1).all(axis=2) & (coarse[..., 0] < w) & (coarse[..., 1] < h)):
+            ends = [cv2.perspectiveTransform(self._coarse_rays, end) for end in m.reshape(-1, 3, 3)[[0, -1]]]
+            if not any(np.any((at > -1).all(axis=2) & (at[..., 0] < w) & (at[..., 1] < h)) for at in ends):
                 continue
-            cv2.perspectiveTransform(self._rays, m, dst=self._at)
+            if m.ndim == 2:
+                cv2.perspectiveTransform(self._rays, m, dst=self._at)
+            else:
+                _map_rays(self._rays, m, self._at)
             seen = cv2.remap(s.picture, self._at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
             light, alpha = cv2.split(seen)
             yield np.asarray(light, np.float32), np.asarray(alpha, np.float32)
+
+    def _texel_of(self, surface: Surface, pose: Array, tilt: Array) -> Array:
+        return _turned(surface.texel_from_ray(pose, self._cal.mount_xy_m), tilt)
 
     def _ambient(self, lamps: Array) -> float:
         """Light on what is not the ceiling."""
@@ -172,13 +181,6 @@ class Renderer:
         n = len(self._ceiling.layout.lamps)
         on = n if self.spec.lit is None else len(self.spec.lit)
         return float(day + (1.0 - day) * (on / n if n else 1.0) * np.mean(lamps))
-
-    def _project(self, m: Array) -> None:
-        """Where each pixel's ray meets a texture."""
-        if np.array_equal(m[2], [0.0, 0.0, 1.0]):
-            cv2.transform(self._rays, m[:2], dst=self._at)
-        else:
-            cv2.perspectiveTransform(self._rays, m, dst=self._at)
 
     def _sample(self, texture: Array32, out: Array32) -> None:
         cv2.remap(
@@ -245,6 +247,34 @@ class Renderer:
 def _turned(m: Array, tilt: Array) -> Array:
     """The homography for rays of a camera that the tilt has turned about its own centre."""
     return np.asarray(m @ cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]) if tilt.any() else m
+
+
+def _along_rows(homography: Callable[[Array, Array], Array], pose: Array, tilt: Array) -> Array:
+    """(3, 3) of a pose, or (N, 3, 3) of the poses of a rolling shutter."""
+    if pose.ndim == 1:
+        return homography(pose, tilt)
+    return np.stack([homography(p, t) for p, t in zip(pose, tilt, strict=True)])
+
+
+def _map_rays(rays: Array32, m: Array, out: Array32) -> None:
+    """Where rays (H, W, 2) meet a texture; m: (3, 3), or (N, 3, 3) from the first row's to the last's in even steps."""
+    if m.ndim == 2:
+        if np.array_equal(m[2], [0.0, 0.0, 1.0]):
+            cv2.transform(rays, m[:2], dst=out)
+        else:
+            cv2.perspectiveTransform(rays, m, dst=out)
+        return
+    bounds = np.linspace(0.0, len(rays) - 1.0, len(m))
+    for k in range(len(m) - 1):  # linear between the two that a row lies between
+        rows = np.arange(int(np.ceil(bounds[k])), int(np.ceil(bounds[k + 1])) + (k == len(m) - 2))
+        band = slice(rows[0], rows[-1] + 1)
+        part = ((rows - bounds[k]) / (bounds[k + 1] - bounds[k])).astype(np.float32)[:, None, None]
+        _map_rays(rays[band], m[k], out[band])
+        other = np.empty_like(out[band])
+        _map_rays(rays[band], m[k + 1], other)
+        other -= out[band]
+        other *= part
+        out[band] += other
 
 
 def _level_rays(calibration: Calibration) -> Array32:

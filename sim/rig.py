@@ -25,6 +25,7 @@ def simulated_camera(
     width_px: int = _WIDTH_PX,
     height_px: int = 480,
     distortion: tuple[float, ...] | None = None,
+    readout_s: float = 0.0,
 ) -> CameraModel:
     """A lens with fx, fy of 410.3, 409.1 px at 640 px width (fisheye 205.2, 204.6), scaled with the width."""
     scale = width_px / _WIDTH_PX
@@ -40,6 +41,7 @@ def simulated_camera(
         cx_px=0.5 * (width_px - 1) + _OFF_CENTRE_PX[0] * scale,
         cy_px=0.5 * (height_px - 1) + _OFF_CENTRE_PX[1] * scale,
         distortion=distortion,
+        readout_s=readout_s,
     )
 
 

@@ -305,3 +305,22 @@ def test_an_old_version_is_migrated_step_by_step(path: Path, monkeypatch: pytest
         },
     )
     assert same(read_calibration(path), calibration())
+
+
+@pytest.mark.parametrize("readout_s", [0.02, -0.0125])
+def test_a_rolling_shutter_is_kept_with_its_direction(path: Path, readout_s: float) -> None:
+    rolling = calibration(camera=dataclasses.replace(LENS, readout_s=readout_s))
+    write_calibration(path, rolling, force=True)
+    assert f"readout_s: {readout_s}" in path.read_text()
+    assert read_calibration(path).camera.readout_s == readout_s
+
+
+def test_files_of_a_global_shutter_are_as_they_were(path: Path) -> None:
+    assert "readout" not in path.read_text()
+    assert read_calibration(path).camera.readout_s == 0.0
+
+
+def test_a_readout_in_milliseconds_is_refused(tmp_path: Path) -> None:
+    wrong = calibration(camera=dataclasses.replace(LENS, readout_s=20.0))
+    with pytest.raises(CalibrationError, match=r"camera.readout_s: found 20, expected -0.2 to 0.2"):
+        write_calibration(tmp_path / "k.yaml", wrong)

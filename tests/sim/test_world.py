@@ -264,3 +264,31 @@ def test_curves_of_the_rig_cover_its_view() -> None:
     assert (reach > 2.0).all() and (reach < 2.75).all()
     np.testing.assert_allclose(cal.mount_xy_m, [0.05, -0.03], atol=1e-9)
     assert abs(cal.ceiling_height_m - 2.2) < 1e-9
+
+
+@pytest.mark.parametrize("readout_s", [0.02, -0.02])
+@pytest.mark.parametrize("tilt", [TiltSpec(), TiltSpec(0.03)])
+def test_each_row_of_a_rolling_shutter_is_of_its_own_time(readout_s: float, tilt: TiltSpec) -> None:
+    """Against whole pictures of a global shutter at the rows' times; the stamp is the middle row's."""
+    lens = simulated_camera(width_px=160, height_px=120, readout_s=readout_s)
+    drive = {"lap": LapSpec(speed_mps=1.0, corner_radius_m=1.0 / 1.5), "render": RenderSpec(read_noise=0, shot_noise=0)}
+    still = small(**drive, tilt=tilt)
+    rolling = World(WorldSpec(ceiling=COARSE, **drive, tilt=tilt), simulated_calibration(lens))  # type: ignore[arg-type]
+    t_s = 3.1
+    seen, at_once = rolling.frame_at(t_s).astype(int), still.frame_at(t_s).astype(int)
+    for row in (0, 31, 60, 101, 119):
+        late_s = (row - 59.5) * readout_s / 120
+        expected = still.frame_at(t_s + late_s)[row]
+        assert np.abs(seen[row] - expected).max() <= 2
+    assert np.abs(seen[0] - at_once[0]).max() > 20, "or the test shows nothing"
+
+
+def test_a_picture_is_there_when_its_last_row_is() -> None:
+    time = FakeTime()
+    lens = simulated_camera(width_px=160, height_px=120, readout_s=-0.02)
+    world = World(WorldSpec(ceiling=COARSE), simulated_calibration(lens))
+    camera = SimCamera(world, 10.0, clock=time.clock, sleep=time.sleep)
+    camera.open()
+    frame = camera.read()
+    assert frame is not None
+    assert time.now_ns - frame.stamp_ns == 10_000_000
