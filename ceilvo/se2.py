@@ -65,6 +65,23 @@ def between(a_from_b: Array, a_from_c: Array) -> Array:
     return compose(inverse(a_from_b), a_from_c)
 
 
+def driven(twist: Array, duration_s: Array) -> Array:
+    """(N, 3) start_from_end after (N,) seconds at a constant twist (3,) [m/s, m/s, rad/s]."""
+    t = np.asarray(duration_s, np.float64)
+    turn = twist[2] * t
+    half = 0.5 * turn
+    chord = t * np.sinc(half / np.pi)  # of an arc, over the speed
+    c, s = np.cos(half), np.sin(half)
+    return np.column_stack([chord * (c * twist[0] - s * twist[1]), chord * (s * twist[0] + c * twist[1]), turn])
+
+
+def mean_twist(start_from_end: Array, duration_s: float) -> Array:
+    """(3,) the constant twist that drives start_from_end (3,) in so many seconds; the inverse of driven()."""
+    half = 0.5 * float(start_from_end[2])
+    along = rotation(-half) @ start_from_end[:2] / np.sinc(half / np.pi)
+    return np.array([*along, start_from_end[2]]) / duration_s
+
+
 def transform(a_from_b: Array, xy_b: Array) -> Array:
     """(N, 2) points of b expressed in a."""
     return np.asarray(xy_b @ rotation(float(a_from_b[2])).T + a_from_b[:2], dtype=np.float64)

@@ -65,8 +65,9 @@ class Pipeline:
     def step(self, frame: Frame, wheels: WheelMotion | None = None, on_stage_done: OnStageDone = ignore) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
         elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
-        expected = self.odometry.expected(elapsed_s, self.checks.usable_wheels(wheels, elapsed_s))
-        crossings = self.vision(frame, expected, on_stage_done)
+        usable = self.checks.usable_wheels(wheels, elapsed_s)
+        expected, twist = self.odometry.expected(elapsed_s, usable), self.odometry.expected_twist(elapsed_s, usable)
+        crossings = self.vision(frame, expected, on_stage_done, twist)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done)
 
     def step_crossings(

@@ -17,6 +17,8 @@ from ceilvo.sim.surroundings import Slab, SurroundingsSpec
 from ceilvo.sim.world import World, WorldSpec
 
 LAP = LapSpec(room_m=6.94, inset_m=1.0)  # 19.0 m
+TURNING = replace(LAP, speed_mps=1.0, corner_radius_m=1.0 / 1.5)
+ROLLING = simulated_calibration(simulated_camera(readout_s=0.020))
 USUAL = RenderSpec()
 TWO_DEG = TiltSpec(float(np.radians(2.0)))  # rad; docs/simulation.md: tilt of up to 2 deg
 T_BAR = CeilingSpec(groove_m=0.024, lip_m=0.0, groove_albedo=0.95)
@@ -138,6 +140,8 @@ def _driving() -> list[Condition]:
         _make("tilt", "tilt up to 2 deg with vibration", tilt=TWO_DEG, bars=bars),
         _make("tilt-full", "the same, every frame looked at whole", tilt=TWO_DEG, overrides=FULL, bars=bars),
         _make("fast", "0.8 m/s, turns of 90 deg/s", lap=fast),
+        _make("turning", "1 m/s, turns of 1.5 rad/s", lap=TURNING),
+        _make("rolling-20ms", "the same, rows read in 20 ms", lap=TURNING, true=ROLLING),
         _make("5-fps", "5 frames a second", fps=5.0),
         _make("blackout", "1 s without light on a straight", blackouts=(0.33,)),
         _make("blackout-bend", "1 s without light in a bend", blackouts=(0.213,)),

@@ -319,7 +319,7 @@ def plan_real(
     config: Config, calibration: Calibration, seconds: float | None, summary_file: Path | None, record: Path | None
 ) -> Plan:
     """A plan for the configured camera; a recording in its place keeps its own pace."""
-    camera = make_camera(config.camera)
+    camera = make_camera(config.camera, calibration.camera.readout_s)
     if config.camera.source != "v4l2":
         camera = PacedCamera(camera)
     return Plan(config, calibration, camera, seconds=seconds, summary_file=summary_file, record=record)

@@ -21,6 +21,7 @@ from ceilvo.daemon.odometry.course import Course, contradicted, off_course
 from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
 from ceilvo.daemon.odometry.registration import Registration, direction_change, register, view_size_m
 from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
+from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
 _MAX_FAILED_FRAMES = 8
@@ -51,6 +52,12 @@ _MOVED_RAD = np.pi / math.sqrt(3.0)
 _NEW_ERROR = 0.6
 """Part of a direction's or tilt's error that is new in a frame; the rest is the same lines' in the next and cancels.
 Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
+_TWIST_SIGMA = np.array([0.005, 0.005, 0.006])
+"""[m/s, m/s, rad/s] of the next frame's twist when it did not change lately; chosen: a steady drive differs
+by less, and what lamps and lens do to lines looks like 0.007 rad/s (docs/method.md)."""
+_TWIST_LATE = 1.5
+"""Steps from the middle of the last one, whose twist is known, to the next frame: the twist goes on changing as in the
+last step, or does not."""
 _NONE = np.empty((0, 3))
 
 
@@ -73,6 +80,7 @@ class VisualOdometryState:
         refused: (3,) ref_from_prev of the previous frame, when that was a motion that no robot makes; else None.
         disagreeing: usual fraction of the crossings that both frames must show but do not agree.
         special_disagreeing: the same of those of all types but the commonest.
+        twist_change: (3,) [m/s, m/s, rad/s] of the twist from the step before to the last.
     """
 
     reference: Crossings | None = None
@@ -89,6 +97,7 @@ class VisualOdometryState:
     refused: Array | None = None
     disagreeing: float = 0.1
     special_disagreeing: float = 0.2
+    twist_change: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +130,18 @@ class VisualOdometry:
         if self.state.reference is None or self.state.since_ref_s > 0.0:
             return None
         return wheels.prev_from_curr if wheels is not None else self.state.twist * dt_s
+
+    def expected_twist(self, dt_s: float, wheels: WheelMotion | None = None) -> TwistPrior | None:
+        """Of the robot at the end of dt_s, by wheels or as it was last seen; None when nothing is known of it."""
+        s = self.state
+        if not s.twist_known or s.twist_span_s <= 0.0 or dt_s <= 0.0:
+            return None
+        last = se2.mean_twist(s.twist * s.twist_span_s, s.twist_span_s)
+        if wheels is None:
+            late = _TWIST_LATE * s.twist_change
+            return TwistPrior(last + late, _TWIST_SIGMA + np.abs(late))
+        mean = se2.mean_twist(wheels.prev_from_curr, dt_s)
+        return TwistPrior(mean, _TWIST_SIGMA + np.abs(mean - last))
 
     def step(
         self,
@@ -247,10 +268,12 @@ class VisualOdometry:
         cov = fit.cov + self._noise_floor()
         cov[:2, :2] += _NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else _NONE
+        before = s.twist
         s.twist, s.twist_span_s = fit.b_from_a / course.elapsed_s, course.elapsed_s
         if course.refused is not None:  # the way up to it was no motion of a robot
             s.twist, s.twist_span_s = se2.between(course.refused, fit.b_from_a) / course.step_s, course.step_s
         s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
+        s.twist_change = s.twist - before
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
         special = _missing(place.special, place.special_expected)
         s.special_disagreeing += (special - s.special_disagreeing) / _USUAL_FRAMES

@@ -12,6 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.line_finder import LineFinder, LineFinderState
+from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Frame, Lines
 
 _SAMPLES_A_SIDE = 32
@@ -50,9 +51,20 @@ class CrossingFinder:
     def state(self, state: LineFinderState) -> None:
         self._lines.state = state
 
-    def __call__(self, frame: Frame, expected: Array | None, on_stage_done: OnStageDone = ignore) -> Crossings | None:
-        """Crossings of a frame, None without lines; expected: (3,) predicted motion since the last frame."""
-        lines = self._lines(frame.gray, expected, on_stage_done)
+    def __call__(
+        self,
+        frame: Frame,
+        expected: Array | None,
+        on_stage_done: OnStageDone = ignore,
+        twist: TwistPrior | None = None,
+    ) -> Crossings | None:
+        """Crossings of a frame, None without lines.
+
+        Args:
+            expected: (3,) predicted motion since the last frame.
+            twist: predicted while the frame is read, for a rolling shutter.
+        """
+        lines = self._lines(frame.gray, expected, on_stage_done, twist)
         crossings = None if lines is None else cross(lines, self._calibration, self._config)
         if crossings is not None:
             crossings = replace(crossings, sample_gray=_sample(frame.gray))

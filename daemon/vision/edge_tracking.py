@@ -21,6 +21,7 @@ from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, En
 from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
 from ceilvo.daemon.vision.line_fit import JointFit, Points
 from ceilvo.daemon.vision.line_pairing import EdgeSet, pair_edges
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Lines
@@ -91,19 +92,26 @@ class EdgeTracker:
         self._tilt_sigma_rad = _TURN_SIGMA_RAD if config.estimate_tilt else _HELD_RAD
 
     def __call__(
-        self, gray: NDArray[np.uint8], expected: EdgeSet, last: LastFit, prior: TiltPrior
+        self,
+        gray: NDArray[np.uint8],
+        expected: EdgeSet,
+        last: LastFit,
+        prior: TiltPrior,
+        readout: Readout | None = None,
     ) -> tuple[Lines, EdgeSet] | None:
         """Lines at the expected places, or None when too few are there.
 
         Args:
             last: of the frames before; the tilt is where the search begins.
             prior: for the final estimate of the tilt.
+            readout: of a rolling shutter.
         """
         dx, dy, floor, _ = gradient(self._view.reduced(gray), self._config)
+        rows = None if readout is None else readout.rows
         edges = _by_group(expected)
 
         def look(edges: EdgeSet, tilt_rad: Array, look: Look) -> tuple[Points, Int32s, Ints]:
-            x, y, line, looked = kernel.follow(dx, dy, self._grids, _oriented(edges), tilt_rad, self._focal, look)
+            x, y, line, looked = kernel.follow(dx, dy, self._grids, _oriented(edges), tilt_rad, self._focal, look, rows)
             return Points(x, y, _ends(line, edges), np.inf), line, looked
 
         sparse = look(edges, last.tilt_rad, Look(_SPARSE_STEP_PX, _SPARSE_REACH_PX, floor, self._gate, True))
@@ -114,14 +122,21 @@ class EdgeTracker:
         seen = np.bincount(line, minlength=len(looked))
         if len(line) < _MIN_CLOSE_POINTS or not _enough(seen, looked * edges.coverage):
             return None
-        return self._fit(points, line, edges, tilt_rad, last, prior)
+        return self._fit(points, line, edges, tilt_rad, last, prior, readout)
 
     def _fit(
-        self, points: Points, line: Int32s, edges: EdgeSet, tilt_rad: Array, last: LastFit, prior: TiltPrior
+        self,
+        points: Points,
+        line: Int32s,
+        edges: EdgeSet,
+        tilt_rad: Array,
+        last: LastFit,
+        prior: TiltPrior,
+        readout: Readout | None,
     ) -> tuple[Lines, EdgeSet] | None:
         fraction = 1.0 / _CLOSE_STEP_PX
         starts = [edges.offset_px[_group(edges) == g] for g in range(4)]
-        fit = JointFit(points, edges.psi_rad, starts, self._focal, self._config, fraction, tilt_rad)
+        fit = JointFit(points, edges.psi_rad, starts, self._focal, self._config, fraction, tilt_rad, readout)
         fit.start(line, edges.offset_px)
         fit.solve()
         free = fit.finish()

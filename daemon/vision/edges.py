@@ -12,6 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, Int16s
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.robust import MAD_TO_SIGMA, median
 
 Array32 = NDArray[np.float32]
@@ -53,13 +54,14 @@ class EdgeDetector:
         rank = np.random.default_rng(0).permutation(usable.size) * _RANKS // usable.size
         self._rank = rank.astype(np.uint16).reshape(shape)
 
-    def __call__(self, gray: NDArray[np.uint8]) -> Edges:
-        """Edge points of a (H, W) frame of the calibrated size."""
+    def __call__(self, gray: NDArray[np.uint8], readout: Readout | None = None) -> Edges:
+        """Edge points of a (H, W) frame of the calibrated size, at the instant of its middle row."""
         dx, dy, low, high = gradient(self._view.reduced(gray), self._config)
         mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
         edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
         limit, fraction = self._limit(cv2.countNonZero(edges))
-        uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit)
+        rows = None if readout is None else readout.rows
+        uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit, rows)
         return Edges(uv, phi, fraction)
 
     def _limit(self, found: int) -> tuple[int, float]:

@@ -17,6 +17,7 @@ from ceilvo.daemon.vision.angles import pixels
 from ceilvo.daemon.vision.edges import Edges
 from ceilvo.daemon.vision.line_fit import JointFit, Points
 from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Lines
 
@@ -82,6 +83,7 @@ class _Problem:
     config: Features
     focal_px: float
     fraction: float
+    readout: Readout | None
 
     def start(self, tilt_rad: Array, tilt: bool = True) -> JointFit:
         """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: sharper ones."""
@@ -93,7 +95,7 @@ class _Problem:
             coarse.assign(gate_px)
             coarse.solve(tilt)
         need = _least_votes(config, fraction, self.focal_px)
-        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, fraction, coarse.tilt)
+        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, fraction, coarse.tilt, self.readout)
         again = Points(fine.rho, fine.tangent, points.ends, _REACH_MARGIN * points.reach)
         fine.restart(_peaks(_votes(again, (0.0, 0.0), self.focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
         fine.assign(_FINE_GATE_PX)
@@ -121,12 +123,18 @@ def find_lines(edges: Edges, config: Features, focal_px: float, prior: TiltPrior
 
 
 def detect(
-    edges: Edges, config: Features, focal_px: float, prior: TiltPrior | None = None, last: LastFit = _NO_LAST_FIT
+    edges: Edges,
+    config: Features,
+    focal_px: float,
+    prior: TiltPrior | None = None,
+    last: LastFit = _NO_LAST_FIT,
+    readout: Readout | None = None,
 ) -> tuple[Lines, EdgeSet] | None:
     """As find_lines, with the edges under the lines.
 
     Args:
         last: of the frames before; where to begin for a robot that rocks.
+        readout: of a rolling shutter.
     """
     psi = dominant_direction(edges.phi_deg)
     if psi is None:
@@ -138,7 +146,7 @@ def detect(
     psi, starts = _hough(points, psi, config, edges.fraction, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
-    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction)
+    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout)
     if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
         fit, free = _solve_steady(problem, prior, last)
     else:

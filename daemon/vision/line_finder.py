@@ -14,6 +14,7 @@ from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.line_detection import LastFit, detect
 from ceilvo.daemon.vision.line_pairing import EdgeSet
+from ceilvo.daemon.vision.rolling_shutter import Readout, RollingShutter, TwistPrior
 from ceilvo.daemon.vision.tilt_prior import TiltPrior, TiltState, TiltTracker
 from ceilvo.types import Array, Lines
 
@@ -51,6 +52,7 @@ class LineFinder:
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._calibration, self._config = calibration, config
         self._detector = EdgeDetector(calibration, config)
+        self._shutter = RollingShutter(calibration, config.max_view_deg)
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
 
@@ -59,6 +61,7 @@ class LineFinder:
         gray: NDArray[np.uint8],
         prev_from_curr: Array | None,
         on_stage_done: Callable[[str], None] = lambda stage: None,
+        twist: TwistPrior | None = None,
     ) -> Lines | None:
         """Lines of a frame, None when too few edge points agree on a direction.
 
@@ -66,16 +69,19 @@ class LineFinder:
             gray: (H, W) of the calibrated size.
             prev_from_curr: (3,) predicted motion since the last frame; None when there is no good prediction.
             on_stage_done: called with "edges" and "lines" when these stages have ended.
+            twist: predicted of the robot while the frame is read, for a rolling shutter; None when nothing is known.
         """
         s, tilt = self.state, TiltTracker(self.state.tilt)
-        found = self._track(gray, prev_from_curr, tilt.prior())
+        readout = self._shutter.readout(twist)
+        found = self._track(gray, prev_from_curr, tilt.prior(), readout)
         if found is None:
             s.since_detection = 0
             s.detections += 1
-            edges = self._detector(gray)
+            edges = self._detector(gray, readout)
             on_stage_done("edges")
             focal_px = self._calibration.level_view.focal_px
-            found = detect(edges, self._config, focal_px, tilt.prior(), LastFit(s.tilt_rad, s.best_noise_px))
+            last = LastFit(s.tilt_rad, s.best_noise_px)
+            found = detect(edges, self._config, focal_px, tilt.prior(), last, readout)
         else:
             s.since_detection += 1
             s.tracked += 1
@@ -92,7 +98,7 @@ class LineFinder:
         return lines
 
     def _track(
-        self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None
+        self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None, readout: Readout | None
     ) -> tuple[Lines, EdgeSet] | None:
         s = self.state
         if self._tracker is None or s.edges is None or prev_from_curr is None or prior is None:
@@ -102,4 +108,4 @@ class LineFinder:
         expected = predicted(s.edges, prev_from_curr, self._calibration)
         # what a full look could not fit better, a close one need not
         last = LastFit(s.tilt_rad, max(s.best_noise_px, s.detection_noise_px))
-        return self._tracker(gray, expected, last, prior)
+        return self._tracker(gray, expected, last, prior, readout)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import Ends
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.robust import MAD_TO_SIGMA, median
 from ceilvo.types import Array, Ints
@@ -93,10 +94,11 @@ class JointFit:
         config: Features,
         fraction: float,
         tilt_rad: Array,
+        readout: Readout | None = None,
     ) -> None:
         self.psi = psi
         self.tilt = tilt_rad
-        self.focal_px, self._config = focal_px, config
+        self.focal_px, self._config, self._readout = focal_px, config, readout
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
         self._x, self._y, self.ends = points.x, points.y, points.ends
         self.restart(starts)
@@ -201,8 +203,36 @@ class JointFit:
         self._project()
         self._update_offsets()
 
+    def _unbend(self, tilt: bool = True) -> None:
+        """Take out what is wrong with the twist by which a rolling shutter's rows were brought to one instant.
+
+        One step on (psi, tilt, twist); psi and tilt follow from the next solve().
+        """
+        assert self._readout is not None
+        n, half, c, s = len(self.offset), self.ends[2], np.cos(self.psi), np.sin(self.psi)
+        r, t = self.rho.astype(np.float64), self.tangent.astype(np.float64)
+        own, across = 1.0 + r * r, r * t
+        by_x, by_y = self._readout.moved_by(self._x, self._y)
+        first, second = c * by_x + s * by_y, c * by_y - s * by_x
+        about = np.column_stack([np.append(-across[:half], -own[half:]), np.append(own[:half], -across[half:])])
+        model = np.column_stack([r, t, about, np.vstack([first[:half], second[half:]])]) * self.focal_px
+        count = np.maximum(np.bincount(self.line, minlength=n), 1)
+        for k in range(model.shape[1]):
+            model[:, k] -= (np.bincount(self.line, model[:, k], n) / count)[self.line]
+        product = model.T @ model / (self.noise_px**2 * self.correlated)
+        held = not (tilt and self._config.estimate_tilt)
+        turn_info = np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg) ** -2
+        info = product[1:, 1:] + np.diag([_DIRECTION_INFO, turn_info, turn_info, *self._readout.twist_info])
+        wrong = np.linalg.solve(info, -product[1:, 0])[3:]
+        self._x = (self._x + by_x @ wrong).astype(np.float32)
+        self._y = (self._y + by_y @ wrong).astype(np.float32)
+        self._project()
+        self._update_offsets()
+
     def finish_held(self) -> None:
         """The last round with the tilt where it is."""
+        if self._readout is not None:
+            self._unbend(tilt=False)
         self.assign(self.last_gate_px())
         self.solve(tilt=False)
         self.covariance = self.covariance + np.diag([0.0, _HELD_RAD**2, _HELD_RAD**2])
@@ -233,6 +263,8 @@ class JointFit:
 
     def finish(self) -> TiltPrior:
         """The last round; returns the tilt of this frame alone."""
+        if self._readout is not None:
+            self._unbend()
         self.assign(self.last_gate_px())
         self.solve()
         grow = np.ones(3)

@@ -11,14 +11,17 @@ from ceilvo.drivers.ports import Camera
 from ceilvo.errors import ConfigError, FileFormatError
 
 
-def make_camera(settings: CameraConfig) -> Camera:
+def make_camera(settings: CameraConfig, readout_s: float = 0.0) -> Camera:
     """The camera that camera.source asks for, not opened.
+
+    Args:
+        readout_s: of its rolling shutter, as calibrated.
 
     Raises:
         ConfigError: source is folder or video and camera.path is empty.
     """
     if settings.source == "v4l2":
-        return V4l2Camera(settings)
+        return V4l2Camera(settings, readout_s=readout_s)
     if not settings.path:
         raise ConfigError(f"camera.path: empty, but camera.source is {settings.source!r}; name the {settings.source}")
     if settings.source == "folder":

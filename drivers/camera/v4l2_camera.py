@@ -102,8 +102,10 @@ class V4l2Camera:
     instead, which a note in CameraInfo says and `read_time_stamps` counts.
     """
 
-    def __init__(self, settings: CameraConfig, device: Device | None = None) -> None:
+    def __init__(self, settings: CameraConfig, device: Device | None = None, readout_s: float = 0.0) -> None:
+        """readout_s: of a rolling shutter, as in CameraModel; a stamp is then moved on to the middle row's time."""
         self._cfg = settings
+        self._to_middle_ns = round(0.5e9 * abs(readout_s))
         self._device: Device = device or LinuxDevice()
         self._capture: Capture | None = None
         self._name = settings.device
@@ -122,7 +124,7 @@ class V4l2Camera:
 
     def read(self) -> Frame | None:
         gray, stamp = self._frame(self._cfg.read_timeout_s)
-        frame = Frame(self._seq, stamp, gray)
+        frame = Frame(self._seq, stamp + (self._to_middle_ns if self._driver_stamps else 0), gray)
         self._seq += 1
         return frame
 

@@ -111,3 +111,14 @@ def test_compose_cov_is_the_spread_of_perturbed_poses(a: np.ndarray, b: np.ndarr
     f, g = jacobian(True), jacobian(False)
     expected = f @ cov_a @ f.T + g @ cov_b @ g.T
     np.testing.assert_allclose(se2.compose_cov(a, cov_a, b, cov_b), expected, atol=1e-4, rtol=1e-5)
+
+
+@given(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3)).map(np.array), st.floats(0.01, 1.0))
+def test_a_constant_twist_is_many_small_steps(twist: np.ndarray, duration_s: float) -> None:
+    whole = se2.driven(twist, np.array([duration_s, -duration_s]))
+    steps, one = 2000, np.zeros(3)
+    for _ in range(steps):
+        one = se2.compose(one, twist * duration_s / steps)
+    np.testing.assert_allclose(whole[0], one, atol=2e-3)
+    np.testing.assert_allclose(se2.compose(whole[0], whole[1]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(se2.mean_twist(whole[0], duration_s), twist, atol=1e-9)

@@ -1,8 +1,9 @@
 """The loops over single edge points: compiled where a compiler was there when ceilvo was installed, else in NumPy.
 
-reference.py says what each one computes. Points stand in four groups, one after the other: axis 0 falling, axis 0
-rising, axis 1 falling, axis 1 rising along the normal; `ends` are the bounds of the groups. A point's `rho` is its
-coordinate along its axis' normal, its `tangent` that along the line, counted along the normal turned by +90 deg.
+reference.py and in_picture.py say what each one computes. Points stand in four groups, one after the other: axis 0
+falling, axis 0 rising, axis 1 falling, axis 1 rising along the normal; `ends` are the bounds of the groups. A point's
+`rho` is its coordinate along its axis' normal, its `tangent` that along the line, counted along the normal turned by
++90 deg.
 """
 
 from ceilvo.daemon.vision.kernel import reference

@@ -73,6 +73,16 @@ def check_lookup(lookup: tuple[int, ...], picture: tuple[int, int]) -> None:
         raise ValueError(f"look-up of {found} cells for {picture[0]} x {picture[1]} pixels, expected {wanted} or more")
 
 
+def check_rows(rows: tuple[int, ...] | None, height: int) -> None:
+    """ValueError unless a table of a rolling shutter's rows has every row of the picture, and one more.
+
+    Args:
+        rows: its shape, None where there is none.
+    """
+    if rows is not None and rows != (height + 1, 4):
+        raise ValueError(f"rows of {' x '.join(map(str, rows))} numbers, expected {height + 1} x 4")
+
+
 def check_search(grids: Grids, look: Look, picture: tuple[int, int]) -> None:
     """ValueError unless edges can be followed in a picture of this height and width."""
     check_lookup(grids.lookup.shape, picture)

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The loops of reference.py over pixels, compiled; see points.pyx."""
+"""The loops of in_picture.py, compiled; see points.pyx."""
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ cdef struct Picture:
     const int16_t *dx
     const int16_t *dy
     const float *lookup
+    const float *rows  # NULL where all are of one instant
 
 
 cdef struct Place:
@@ -34,7 +35,7 @@ cdef struct Place:
 cdef struct RawOfLevel:
     const float *table
     Py_ssize_t rows, columns
-    float x, y, scale, about_x, about_y
+    float x, y, scale, about_x, about_y, per_cell
 
 
 cdef struct Search:
@@ -63,12 +64,15 @@ cdef check_pixels(str name, Py_ssize_t height, Py_ssize_t width, const Picture *
         raise ValueError(f"{name} of {height} x {width} pixels, expected {p.height} x {p.width} as dx")
 
 
-cdef Picture picture_of(const int16_t[:, ::1] dx, const int16_t[:, ::1] dy, const float[:, :, ::1] lookup) except *:
+cdef Picture picture_of(
+    const int16_t[:, ::1] dx, const int16_t[:, ::1] dy, const float[:, :, ::1] lookup, const float[:, ::1] rows
+) except *:
     cdef Picture p
     p.height, p.width, p.columns = dx.shape[0], dx.shape[1], lookup.shape[1]
     check_pixels("dy", dy.shape[0], dy.shape[1], &p)
     arguments.check_length("a cell of the look-up", lookup.shape[2], 2)
-    p.dx, p.dy, p.lookup = &dx[0, 0], &dy[0, 0], &lookup[0, 0, 0]
+    arguments.check_rows(None if rows is None else (rows.shape[0], rows.shape[1]), p.height)
+    p.dx, p.dy, p.lookup, p.rows = &dx[0, 0], &dy[0, 0], &lookup[0, 0, 0], NULL if rows is None else &rows[0, 0]
     return p
 
 
@@ -97,6 +101,18 @@ cdef inline uint32_t square(const Picture *p, Py_ssize_t at) noexcept nogil:
     return <uint32_t>(x * x) + <uint32_t>(y * y)
 
 
+cdef inline void to_one_instant(const float *row, float shift_y, Place *to) noexcept nogil:
+    """Move a point, shift_y off its row, and its changes per raw pixel, from the row's time to the picture's."""
+    cdef float c = row[0], s = row[1], u = to.uv[0], v = to.uv[1]
+    cdef float along = (row[4] - c) * u - (row[5] - s) * v + row[6] - row[2]
+    cdef float across = (row[5] - s) * u + (row[4] - c) * v + row[7] - row[3]
+    to.uv[0], to.uv[1] = c * u - s * v + row[2] + shift_y * along, s * u + c * v + row[3] + shift_y * across
+    u, v = to.along_x[0], to.along_x[1]
+    to.along_x[0], to.along_x[1] = c * u - s * v, s * u + c * v
+    u, v = to.along_y[0], to.along_y[1]
+    to.along_y[0], to.along_y[1] = c * u - s * v + along, s * u + c * v + across
+
+
 cdef inline void locate(const Picture *p, Py_ssize_t x, Py_ssize_t y, bint horizontal, Place *to) noexcept nogil:
     """Level pixel of the peak of the gradient at (x, y) along x or y, and how it changes along either."""
     cdef float one = 1, half = 0.5, two = 2, per_step = one / <float>STEP
@@ -117,6 +133,8 @@ cdef inline void locate(const Picture *p, Py_ssize_t x, Py_ssize_t y, bint horiz
         to.along_y[k] = ((one - fx) * (up[k] - low[k]) + fx * (up[k + 2] - low[k + 2])) * per_step
         level = (one - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up)
         to.uv[k] = level + shift * (by_x * to.along_x[k] + by_y * to.along_y[k])
+    if p.rows != NULL:
+        to_one_instant(p.rows + 4 * y, shift * by_y, to)
 
 
 cdef Py_ssize_t points_of(
@@ -128,7 +146,7 @@ cdef Py_ssize_t points_of(
     cdef Place place
     for y in range(1, p.height - 1):  # a neighbour on every side
         x = 0
-        while x < p.width - 2:
+        while x < p.width - 2 and out < room:
             x += 1
             at = y * p.width + x
             if not mask[at]:
@@ -141,8 +159,6 @@ cdef Py_ssize_t points_of(
                     continue
             if limit < UINT16_MAX and rank[at] >= limit:
                 continue
-            if out == room:
-                return out
             gx, gy = p.dx[at], p.dy[at]
             locate(p, x, y, fabsf(gx) >= fabsf(gy), &place)
             uv[2 * out], uv[2 * out + 1] = place.uv[0], place.uv[1]
@@ -154,14 +170,11 @@ cdef Py_ssize_t points_of(
 
 
 def level_points(
-    const uint8_t[:, ::1] mask not None,
-    const int16_t[:, ::1] dx not None,
-    const int16_t[:, ::1] dy not None,
-    const float[:, :, ::1] lookup not None,
-    const uint16_t[:, ::1] rank not None,
-    Py_ssize_t limit,
+    const uint8_t[:, ::1] mask not None, const int16_t[:, ::1] dx not None, const int16_t[:, ::1] dy not None,
+    const float[:, :, ::1] lookup not None, const uint16_t[:, ::1] rank not None, Py_ssize_t limit,
+    const float[:, ::1] rows=None
 ):
-    cdef Picture p = picture_of(dx, dy, lookup)
+    cdef Picture p = picture_of(dx, dy, lookup, rows)
     check_pixels("mask", mask.shape[0], mask.shape[1], &p)
     check_pixels("rank", rank.shape[0], rank.shape[1], &p)
     arguments.check_lookup((lookup.shape[0], lookup.shape[1]), (p.height, p.width))
@@ -174,11 +187,9 @@ def level_points(
     return uv_px[:n], phi_deg[:n]
 
 
-cdef inline void to_raw(const RawOfLevel *t, float x, float y, float *raw) noexcept nogil:
-    """Raw pixel of a ray as a level robot would see it; nan outside."""
+cdef inline void raw_at(const RawOfLevel *t, float gx, float gy, float *raw) noexcept nogil:
+    """Raw pixel at a cell of the look-up; nan outside."""
     cdef float one = 1
-    cdef float z = t.scale / (one - t.about_x * y + t.about_y * x)
-    cdef float gx = (x - t.about_y) * z - t.x, gy = (y + t.about_x) * z - t.y
     raw[0] = raw[1] = NAN
     if not (gx >= 0 and gy >= 0 and gx < <float>(t.columns - 1) and gy < <float>(t.rows - 1)):
         return
@@ -190,6 +201,18 @@ cdef inline void to_raw(const RawOfLevel *t, float x, float y, float *raw) noexc
     for k in range(2):
         right, right_up = low[k + 2] - low[k], up[k + 2] - up[k]
         raw[k] = (one - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up)
+
+
+cdef inline void to_raw(const RawOfLevel *t, const Picture *p, float x, float y, float *raw) noexcept nogil:
+    """Raw pixel of a ray as a level robot would see it; nan outside. A row's own time hardly changes the row."""
+    cdef Py_ssize_t at
+    cdef float one = 1, z = t.scale / (one - t.about_x * y + t.about_y * x), u, v
+    cdef float gx = (x - t.about_y) * z, gy = (y + t.about_x) * z
+    raw_at(t, gx - t.x, gy - t.y, raw)
+    if p.rows != NULL and raw[1] >= 0 and raw[1] < <float>p.height:
+        at = 4 * <Py_ssize_t>raw[1]
+        u, v = gx - p.rows[at + 2] * t.per_cell, gy - p.rows[at + 3] * t.per_cell
+        raw_at(t, p.rows[at] * u + p.rows[at + 1] * v - t.x, p.rows[at] * v - p.rows[at + 1] * u - t.y, raw)
 
 
 cdef inline bint straight(
@@ -280,10 +303,10 @@ cdef inline Py_ssize_t follow_line(
     cdef float first = <float>(l[3] + 0.5 * s.stride) * s.per_focal, step = <float>s.stride * s.per_focal
     cdef float[2] begin, end
     cdef Segment g
-    to_raw(t, offset * c - first * s_, offset * s_ + first * c, end)
+    to_raw(t, p, offset * c - first * s_, offset * s_ + first * c, end)
     while k < count:
         begin[0], begin[1], along = end[0], end[1], first + step * <float>(k + per)
-        to_raw(t, offset * c - along * s_, offset * s_ + along * c, end)
+        to_raw(t, p, offset * c - along * s_, offset * s_ + along * c, end)
         if straight(p, s, begin, end, <float>per, &g):
             looked += follow_segment(p, s, &g, min(count - k, per), &last, line, found)
         k += per
@@ -291,26 +314,21 @@ cdef inline Py_ssize_t follow_line(
 
 
 def follow(
-    const int16_t[:, ::1] dx not None,
-    const int16_t[:, ::1] dy not None,
-    grids,
-    const double[:, ::1] lines not None,
-    const double[:] tilt_rad not None,
-    double focal_px,
-    look,
+    const int16_t[:, ::1] dx not None, const int16_t[:, ::1] dy not None, grids, const double[:, ::1] lines not None,
+    const double[:] tilt_rad not None, double focal_px, look, const float[:, ::1] rows=None
 ):
     cdef const float[:, :, ::1] lookup = grids.lookup, table = grids.raw_of_level
     if lookup is None or table is None:
         raise TypeError("a look-up is None, expected an array")
-    cdef Picture p = picture_of(dx, dy, lookup)
+    cdef Picture p = picture_of(dx, dy, lookup, rows)
     arguments.check_search(grids, look, (p.height, p.width))
-    arguments.check_length("a cell of raw_of_level", table.shape[2], 2)
-    arguments.check_length("a row of lines", lines.shape[1], 5)
+    for name, size, expected in (("a cell of raw_of_level", table.shape[2], 2), ("a row of lines", lines.shape[1], 5)):
+        arguments.check_length(name, size, expected)
     arguments.check_length("tilt_rad", tilt_rad.shape[0], 2)
     cdef double cell = grids.cell_px, low_x = grids.low_px[0], low_y = grids.low_px[1]
     cdef RawOfLevel t = RawOfLevel(
         &table[0, 0, 0], table.shape[0], table.shape[1], <float>(low_x / cell), <float>(low_y / cell),
-        <float>(focal_px / cell), <float>tilt_rad[0], <float>tilt_rad[1],
+        <float>(focal_px / cell), <float>tilt_rad[0], <float>tilt_rad[1], <float>(1.0 / cell),
     )
     cdef double gate = look.gate, least = ceil(look.floor * look.floor)
     cdef Search s = Search(
@@ -320,13 +338,12 @@ def follow(
     cdef Py_ssize_t n = lines.shape[0], k, room = 0
     for k in range(n):
         room += places_along(&lines[k, 0], s.stride)
-    x_out, y_out, line_out = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.int32)
-    looked_out = np.empty(n, np.int64)
-    cdef float[::1] x = x_out, y = y_out
+    xy, line_out, looked_out = np.empty((2, room), np.float32), np.empty(room, np.int32), np.empty(n, np.int64)
+    cdef float[:, ::1] places = xy
     cdef int32_t[::1] line = line_out
     cdef int64_t[::1] looked = looked_out
-    cdef Found found = Found(&x[0], &y[0], &line[0], 0, room)
+    cdef Found found = Found(&places[0, 0], &places[1, 0], &line[0], 0, room)
     with nogil:
         for k in range(n):
             looked[k] = follow_line(&p, &t, &s, &lines[k, 0], <int32_t>k, &found)
-    return x_out[: found.count], y_out[: found.count], line_out[: found.count], looked_out
+    return xy[0, : found.count], xy[1, : found.count], line_out[: found.count], looked_out

@@ -42,6 +42,16 @@ def test_frames_are_the_scene_stamped_at_capture(fmt: str, padding: int) -> None
         assert frame.stamp_ns == round(device.clock_ns / 1000) * 1000
 
 
+@pytest.mark.parametrize("readout_s", [0.02, -0.02])
+def test_a_frame_read_row_by_row_is_of_its_middle_row(readout_s: float) -> None:
+    device = MockV4l2Device()
+    camera = V4l2Camera(settings(), device, readout_s)
+    camera.open()
+    frame = camera.read()
+    assert frame is not None
+    assert frame.stamp_ns == round(device.clock_ns / 1000) * 1000 + 10_000_000
+
+
 def test_raw_buffers_are_asked_for() -> None:
     device = MockV4l2Device()
     V4l2Camera(settings(), device).open()
