@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from ceilvo.calib.commands import calibration_file, check, intrinsics, mount, projection, report, sigma, survey
+from ceilvo.calib.commands import calibration_file, check, intrinsics, mount, projection, report, shutter, sigma, survey
 from ceilvo.errors import CeilvoError
 
 STEPS = (intrinsics, projection, mount, sigma, survey, check, report)
@@ -37,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
     for step in STEPS:
         step.add(commands)
+    shutter.add(commands)
     calibration_file.add(commands)
     return parser
 

@@ -74,6 +74,7 @@ def describe(calibration: Calibration) -> str:
         ("principal point", f"{camera.cx_px:.2f}, {camera.cy_px:.2f} px"),
         ("field of view", f"{field:.1f} deg across the diagonal"),
         ("distortion", ", ".join(f"{k:.5g}" for k in camera.distortion) or "none"),
+        ("shutter", _shutter_row(camera.readout_s)),
         ("ceiling", f"{calibration.ceiling_height_m:.3f} m above the camera"),
         ("camera position", f"{x:+.3f} m forward, {y:+.3f} m left of the base's origin"),
         ("camera mounting", f"yaw {yaw:+.2f}, roll {roll:+.2f}, pitch {pitch:+.2f} deg"),
@@ -92,6 +93,12 @@ def _corner_cosine(calibration: Calibration) -> float:
     w, h = camera.width_px - 1.0, camera.height_px - 1.0
     corners = camera.rays(np.array([[0, 0], [w, 0], [0, h], [w, h]]))
     return float(corners[:, 2].mean())
+
+
+def _shutter_row(readout_s: float) -> str:
+    if not readout_s:
+        return "global, or not measured"
+    return f"rolling, {1e3 * abs(readout_s):.2f} ms for all rows, the {'first' if readout_s > 0 else 'last'} one first"
 
 
 def _sigma_row(calibration: Calibration) -> str:

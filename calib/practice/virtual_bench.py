@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,12 @@ _MIDDLE = (0.3, 0.7)
 """Of the room's side, where the robot is put."""
 _WANDER_M, _WOBBLE_RAD, _RUN_M = 0.001, 0.01, 2.4
 """Of somebody who turns and pushes a robot by hand; chosen, measured on nobody."""
+PAN_READOUT_S = 0.02
+"""Of the camera in a pan; chosen: as webcams have it."""
+_PAN_RAD, _PAN_S, _PAN_RATE_HZ = 0.6, 4.0, 30.0
+"""Swing to either side, time to and fro: 0.94 rad/s at the most; chosen."""
+_PAN_POSES = 17
+"""While a picture is read, evenly."""
 _TAPE_M, _PROTRACTOR_RAD = 0.001, 0.002
 """Sigma of poses measured by hand; chosen."""
 
@@ -123,6 +129,19 @@ class VirtualBench:
                 measured.append(f"{x:.4f} {y:.4f} {np.degrees(heading):.2f}")
                 poses.append(Place(pose + np.array([*mark, 0.0]), "circle"))
         return measured, self._pictures(poses, 7)
+
+    def pan(self, frames: int = 60, readout_s: float = PAN_READOUT_S) -> Iterator[Picture]:
+        """To and fro on the spot, with a camera that reads row by row whatever the rig says."""
+        rng = self._rng(8)
+        camera = replace(self.rig.camera, readout_s=readout_s)
+        late_s = camera.row_delays_s(np.linspace(0.0, camera.height_px - 1.0, _PAN_POSES))
+        middle, start = 0.5 * self._world.spec.lap.room_m, rng.uniform(-np.pi, np.pi)
+        for i in range(frames):
+            t = i / _PAN_RATE_HZ + late_s
+            turned = start + _PAN_RAD * np.sin(2.0 * np.pi * t / _PAN_S)
+            pose = np.column_stack([np.full_like(t, middle), np.full_like(t, middle), turned])
+            gray = self._world.renderer.render(pose[None], rng)
+            yield Picture(f"pan {i}", 1 + round(1e9 * (1.0 + i / _PAN_RATE_HZ)), gray)
 
     def drive(self, frames: int, rate_hz: float = 10.0, lap_fraction: float = 1.0) -> Iterator[Picture]:
         """The lap of the simulated robot."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import date
 from typing import Any
 
@@ -92,7 +92,7 @@ def assemble(session: Session) -> Calibration | None:
     Raises:
         CalibrationError: a result is damaged.
     """
-    results = {step: session.result(step) for step in STEPS}
+    results = {step: session.result(step) for step in (*STEPS, "shutter")}
     lens, projection = results["intrinsics"], results["projection"]
     if lens is None or projection is None:
         return None
@@ -107,6 +107,7 @@ def _assembled(
     lens: Mapping[str, Any], projection: Mapping[str, Any], results: Mapping[str, Mapping[str, Any] | None]
 ) -> Calibration:
     mount, sigma, survey, check = (results[step] for step in ("mount", "sigma", "survey", "check"))
+    shutter = results["shutter"]
     best = refined(lens, projection)
     camera, _ = camera_from(best)
     xy, yaw = projection.get("xy_m"), projection.get("yaw_rad")
@@ -127,6 +128,9 @@ def _assembled(
     }
     if mount is not None:
         meta["mount"] = {k: mount[k] for k in ("sigma", "wheel_scale")}
+    if shutter is not None:
+        camera = replace(camera, readout_s=float(shutter["readout_s"]))
+        meta["shutter"] = {"sigma_s": shutter["sigma_s"]}
     if sigma is not None:
         meta["sigma"] = {k: sigma[k] for k in ("samples", "bias_m")}
     projection_m = projection_matrix(camera, rotation, (float(xy[0]), float(xy[1])), projection["height_m"])
