@@ -120,7 +120,7 @@ def test_files_named_exist(page: Path) -> None:
 def test_keys_named_exist(page: Path) -> None:
     """`section.key` is a key of config.yaml, or of the calibration, which has a camera section, too."""
     suffixes = "yaml|json|jsonl|py|md|service"
-    calibration_camera = {"id", "kind", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"}
+    calibration_camera = {"id", "kind", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "readout_s"}
     for snippet in INLINE.findall(prose(page)) + re.findall(r"--set (\S+)", page.read_text(encoding="utf-8")):
         found = re.match(rf"({'|'.join(SECTIONS)})\.(?!(?:{suffixes})$)([a-z]\w*)(?=$|[:=\s])", snippet)
         if found and not (found[1] == "camera" and found[2] in calibration_camera):
