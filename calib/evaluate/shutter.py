@@ -86,7 +86,7 @@ def measure(calibration: Calibration, frames: list[Frame]) -> Shutter:
     best_s = float(tried_s[np.argmin(_costs(calibration, moving[:_FEW_FRAMES], tried_s).mean(axis=0))])
     # again, with twists that were measured with this readout
     moving = _fastest(calibration, frames, best_s)[:_MANY_FRAMES]
-    tried_s = best_s + _FINE_STEP_S * np.arange(-_FINE_STEPS, _FINE_STEPS + 1)
+    tried_s = (best_s + _FINE_STEP_S * np.arange(-_FINE_STEPS, _FINE_STEPS + 1)).astype(np.float64)
     costs = _costs(calibration, moving, tried_s)
     found_s = _minimum(tried_s, costs)
     rng = np.random.default_rng(1)
