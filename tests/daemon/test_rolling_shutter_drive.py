@@ -1,4 +1,4 @@
-"""A bend at 1 m/s and 1.5 rad/s: most of what a rolling shutter of 20 ms costs is taken out (docs/bench.md: not all)."""
+"""A bend at 1 m/s and 1.5 rad/s: most of what a rolling shutter of 20 ms costs is taken out (docs/method.md)."""
 
 from __future__ import annotations
 
