@@ -22,6 +22,7 @@ from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
+from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.line_finder import LineFinderState
@@ -150,6 +151,19 @@ class Pipeline:
         return self.relocaliser.filter
 
     @property
+    def elsewhere(self) -> float:
+        """Probability that the robot is at another place than the tracked one, for a run that begins where this ends.
+
+        While the place is in doubt no less than when that began: what was seen since would be counted twice.
+        """
+        s = self.relocaliser.state
+        return max(s.belief.doubt(), s.began, 0.0 if s.pending is None else s.pending.elsewhere)
+
+    def landmarks(self) -> Landmarks:
+        """The map, without what was learnt in doubt of the place: that lies right to the robot only."""
+        return rest_of(self.filter.landmarks(), self.relocaliser.state.submap_from)
+
+    @property
     def state(self) -> PipelineState:
         """All that is remembered; setting it continues from there, in a pipeline of the same configuration."""
         return PipelineState(
@@ -174,7 +188,7 @@ class Pipeline:
         """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without."""
         cfg = self.config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
-        known = self.filter.landmarks() if keep_map else None
+        known = self.landmarks() if keep_map else None
         doubt = Doubt("the pose was reset", np.diag(START_SIGMA**2), doubts.RESET_WRONG, np.inf)
         self.odometry.state = VisualOdometryState()
         self.vision.state = LineFinderState()
@@ -186,12 +200,25 @@ class Pipeline:
     def set_pose(self, pose: Pose, cov: Array, reason: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
         doubt = Doubt(reason, cov, doubts.GIVEN_WRONG, np.inf)
-        self.relocaliser.start_at(pose, cov, self.filter.landmarks(), doubt)
+        self.relocaliser.start_at(pose, cov, self.landmarks(), doubt)
         self._begin(reason)
 
-    def load_map(self, landmarks: Landmarks, map_axis_rad: float, pose: Pose, cov: Array, recent: bool = False) -> None:
-        """Start on a map of an earlier run, which ended just now or long ago; the pose is to be confirmed."""
-        self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, recent)
+    def load_map(
+        self,
+        landmarks: Landmarks,
+        map_axis_rad: float,
+        pose: Pose,
+        cov: Array,
+        recent: bool = False,
+        elsewhere: float = 0.0,
+    ) -> None:
+        """Start on a map of an earlier run, which ended just now or long ago; the pose is to be confirmed.
+
+        Args:
+            elsewhere: that run's own.
+        """
+        doubt = doubts.of_stored(cov, recent, elsewhere)
+        self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, doubt)
         self._begin("stored map and pose, to be confirmed")
 
     def _begin(self, reason: str) -> None:

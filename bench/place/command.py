@@ -30,7 +30,7 @@ from ceilvo.files import write_atomic
 
 _FILES = (
     *(f"place/{name}.py" for name in ("case", "studies")),
-    *(f"place/faults/{name}.py" for name in ("carried", "changes", "kinds", "pictures", "script", "signals")),
+    *(f"place/faults/{name}.py" for name in ("carried", "changes", "claims", "kinds", "pictures", "script", "signals")),
     *(f"place/robot/{name}.py" for name in ("drive", "driver", "sights", "tally")),
     *(f"place/ceiling/{name}.py" for name in ("eye", "truth", "worlds")),
 )

@@ -135,7 +135,8 @@ class Estimator:
             cov = np.diag(_RESTART_SIGMA**2) + (0.0 if state is None else state.cov)
             ago_ns = self._clock() - (0 if state is None else state.stamp_ns)
             recent = state is not None and 0 <= ago_ns < RECENT_NS  # the clock begins anew with the computer
-            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, pose, cov, recent))
+            elsewhere = 0.0 if state is None else state.elsewhere
+            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, pose, cov, recent, elsewhere))
             if state is None:
                 self._do(Reset(keep_map=True))
 
@@ -179,4 +180,9 @@ class Estimator:
 
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:
-            return self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+            return self._pipeline.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+
+    def elsewhere(self) -> float:
+        """Probability that the robot is at another place than the last estimate says."""
+        with self._lock:
+            return self._pipeline.elsewhere

@@ -26,8 +26,9 @@ from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Landmarks, Pose, State, froze
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
-MAP_VERSION, STATE_VERSION = 2, 1
-"""docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected."""
+MAP_VERSION, STATE_VERSION = 2, 2
+"""docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected. A state of
+version 1 does not say how likely the robot was elsewhere."""
 MAX_MAP_BYTES = 256 * 2**20
 """Largest map file that is read; the most that filter.max_landmarks allows take 183 MiB."""
 MAX_STATE_BYTES = 64 * 2**10
@@ -43,7 +44,8 @@ _COLUMNS = {
     "expected": ("<i8", 1),
 }
 """Of a map: type of the numbers and how many a landmark has."""
-_NOT_IN_1 = {"expected"}
+_STATE_KEYS = {"pose_map_from_base", "cov", "state", "stamp_ns", "elsewhere"}
+_NOT_IN_1 = {"expected", "elsewhere"}
 _REMEDY = {
     _MAP_FORMAT: "move it away to let the daemon build a new map, or restore a backup",
     _STATE_FORMAT: "remove it to start from the configured initial pose",
@@ -63,12 +65,16 @@ class StoredState:
     """The last pose of an earlier run: map_from_base (3,), cov (3, 3), the state it was in, and its frame's stamp.
 
     The stamp is CLOCK_MONOTONIC of the boot it was written in: it orders saves, it does not tell the time since.
+
+    Attributes:
+        elsewhere: probability that the robot was at another place.
     """
 
     pose: Pose
     cov: Array
     state: State
     stamp_ns: int
+    elsewhere: float = 0.0
 
 
 class _Damage(Exception):
@@ -105,13 +111,14 @@ def load_map(path: Path) -> StoredMap | None:
     return _load(path, _MAP_FORMAT, _read_map, MAX_MAP_BYTES)
 
 
-def save_state(path: Path, pose: Array, cov: Array, state: State, stamp_ns: int) -> None:
+def save_state(path: Path, pose: Array, cov: Array, state: State, stamp_ns: int, elsewhere: float = 0.0) -> None:
     """Replace the state file; raises as save_map."""
     content = {
         "pose_map_from_base": {"x_m": float(pose[0]), "y_m": float(pose[1]), "theta_rad": float(pose[2])},
         "cov": np.asarray(cov, np.float64).tolist(),
         "state": state.name,
         "stamp_ns": int(stamp_ns),
+        "elsewhere": float(elsewhere),
     }
     _save(path, _STATE_FORMAT, content, _read_state, MAX_STATE_BYTES)
 
@@ -219,7 +226,7 @@ def _read_map(content: Any, version: int) -> StoredMap:
 
 
 def _read_state(content: Any, version: int) -> StoredState:
-    _keys(content, {"pose_map_from_base", "cov", "state", "stamp_ns"}, "content")
+    _keys(content, _STATE_KEYS - (_NOT_IN_1 if version == 1 else set()), "content")
     pose = content["pose_map_from_base"]
     _keys(pose, {"x_m", "y_m", "theta_rad"}, "pose_map_from_base")
     values = _floats([pose["x_m"], pose["y_m"], pose["theta_rad"]], "pose_map_from_base", (3,), MAX_COORDINATE_M)
@@ -229,7 +236,10 @@ def _read_state(content: Any, version: int) -> StoredState:
     if not isinstance(name, str) or name not in State.__members__:
         raise _Damage(f"state is {_shown(name)}, expected one of {', '.join(State.__members__)}")
     stamp = _ints([content["stamp_ns"]], "stamp_ns", 0, MAX_ID)
-    return StoredState(Pose(values), cov, State[name], int(stamp[0]))
+    elsewhere = 0.0 if version == 1 else float(_floats(content["elsewhere"], "elsewhere", (), 1.0))
+    if elsewhere < 0.0:
+        raise _Damage(f"elsewhere is {elsewhere}, expected a probability")
+    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere)
 
 
 def _keys(value: Any, expected: Set[str], where: str) -> None:

@@ -27,8 +27,8 @@ OFF_MAP = 0.05
 STORED_WRONG, GIVEN_WRONG, RESET_WRONG = 0.05, 0.2, 0.9
 """Chance that a robot was moved while it was off; that a person mistakes the tile; that a robot whose pose is thrown
 away does not stand where it is told to begin. Chosen."""
-STORED_ALIGNED = float(np.log(72.0))
-"""Log-likelihood ratio at most of tiles that lie as a stored pose says, also against whole tiles; chosen: a robot that
+STORED_ALIGNED = 72.0
+"""Likelihood ratio at most of tiles that lie as a stored pose says, also against whole tiles; chosen: a robot that
 is put down within 5 cm of the same spot on another tile of 0.6 m by chance is one in 36, and along the same axis every
 other time."""
 UNLIKELY = 0.005
@@ -126,6 +126,20 @@ def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float) -> Doub
     elsewhere = max(JUMPED if jumped else lifted, min(other, JUMPED))
     why = "the picture jumped" if jumped else f"{blind_s:.1f} s without vision"
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
+
+
+def of_stored(cov: Array, recent: bool, before: float) -> Doubt:
+    """Of a pose that an earlier run stored: the robot may have been moved since, less likely if it ended just now.
+
+    Args:
+        cov: (3, 3) of the pose where nobody moved it.
+        before: probability that the robot was elsewhere when the pose was stored. A claim that nothing had confirmed is
+            not better for a restart, and how the tiles lie says nothing of it: whole tiles are what it may be off by.
+    """
+    moved = LIFTED if recent else STORED_WRONG
+    before = min(before, RESET_WRONG)
+    aligned = float(np.log((moved + before) / (moved / STORED_ALIGNED + before)))
+    return Doubt("stored map and pose", cov, min(moved + before, RESET_WRONG), np.inf, aligned)
 
 
 def negligible(doubt: Doubt, rate: float) -> bool:

@@ -64,7 +64,7 @@ class RelocaliserState:
     Attributes:
         belief: over places.
         pending: what may have happened since the last view that could be weighed.
-        reason: why the place is in doubt, "" while it is not.
+        reason: why the place is in doubt, "" while it is not; began: chance of being elsewhere when that began.
         views: weighed since the last doubt.
         surprised: the last of them speaks against the tracked place.
         gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
@@ -79,6 +79,7 @@ class RelocaliserState:
     belief: PlaceBelief = field(default_factory=PlaceBelief)
     pending: Doubt | None = None
     reason: str = ""
+    began: float = 0.0
     views: int = 0
     surprised: bool = False
     gapped: bool = False
@@ -147,7 +148,7 @@ class Relocaliser:
         s = self.state
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
-        s.belief, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0, False, False, None
+        s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, False, None
         s.survey.measured_m = np.inf
         if known is None:
             self.state = RelocaliserState()
@@ -155,10 +156,8 @@ class Relocaliser:
         s.pending = doubt
         s.reason = "" if doubt is None else doubt.reason
 
-    def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float, recent: bool) -> None:
-        """Begin on a map of an earlier run; the robot may have been moved since, less likely if it ended just now."""
-        moved = doubts.LIFTED if recent else doubts.STORED_WRONG
-        doubt = Doubt("stored map and pose", cov, moved, np.inf, doubts.STORED_ALIGNED)
+    def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float, doubt: Doubt) -> None:
+        """Begin on a map of an earlier run, with what is doubted of its pose (3,)."""
         self.start_at(pose, cov, landmarks, doubt)
         self.state.map_axis_rad = map_axis_rad
         self.survey_map()
@@ -288,6 +287,7 @@ class Relocaliser:
             unknown -= doubt.alignment(here, lattice.tile_m) if doubt.unmeasured else 0.0
         s.belief.doubt_unknown(unknown)
         s.pending = None
+        s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0 if doubt.elsewhere >= doubts.UNLIKELY else FEWEST_VIEWS - 1
             if s.submap_from is None:
@@ -326,7 +326,7 @@ class Relocaliser:
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
-            s.reason, s.submap_from = "", None
+            s.reason, s.began, s.submap_from = "", 0.0, None
             s.belief.forget()
         return winner is not None
 

@@ -42,13 +42,19 @@ class Silence:
 
 @dataclass(frozen=True, slots=True)
 class LoadMap:
-    """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at; recent: it ended just now."""
+    """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at.
+
+    Attributes:
+        recent: that run ended just now.
+        elsewhere: probability that the robot was at another place when the pose was stored.
+    """
 
     landmarks: Landmarks
     map_axis_rad: float
     pose: Pose
     cov: Array
     recent: bool = False
+    elsewhere: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +99,8 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
     if isinstance(given, Silence):
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
     if isinstance(given, LoadMap):
-        pipeline.load_map(given.landmarks, given.map_axis_rad, given.pose, given.cov, given.recent)
+        g = given
+        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.recent, g.elsewhere)
     elif isinstance(given, SetPose):
         pipeline.set_pose(given.pose, given.cov, given.why)
     elif isinstance(given, Continuation):
@@ -121,7 +128,7 @@ def input_json(given: Input, number: int) -> bytes:
         }
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
-        body["recent"] = given.recent
+        body |= {"recent": given.recent, "elsewhere": given.elsewhere}
         body["landmarks"] = {key: getattr(given.landmarks, name).tolist() for key, (name, _, _) in _LANDMARKS.items()}
     elif isinstance(given, SetPose):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
@@ -205,9 +212,8 @@ def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     }
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")
-    return LoadMap(
-        Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body), bool(body.get("recent", False))
-    )
+    recent, elsewhere = bool(body.get("recent", False)), float(body.get("elsewhere", 0.0))
+    return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body), recent, elsewhere)
 
 
 def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:

@@ -28,6 +28,12 @@ STATE_V1 = (
     '{"x_m": 1.25, "y_m": -0.5, "theta_rad": 3.0}, "cov": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.001], [0.0, 0.001, 0.003]], '
     '"state": "TRACKING", "stamp_ns": 123456789012345}}\n'
 )
+STATE_V2 = (
+    '{"format": "ceilvo-state", "version": 2, "sha256": '
+    '"e35f00cd08d7e4e23f71ddbf0ff33b56fbb4f082e50f486b312991b18fcd2552", "content": {"pose_map_from_base": '
+    '{"x_m": 1.25, "y_m": -0.5, "theta_rad": 3.0}, "cov": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.001], [0.0, 0.001, 0.003]], '
+    '"state": "RELOCALISING", "stamp_ns": 123456789012345, "elsewhere": 0.2}}\n'
+)
 
 
 def signed(document: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Robots that are carried, pushed, turned, restarted or told where they are."""
+"""Robots that are carried, pushed, turned or restarted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.bench.place.faults.script import Script, Site, carry, goes_on, halt, tiles_away
 from ceilvo.bench.place.robot.drive import Drive
-from ceilvo.types import Pose
 
 
 def carried_tiles(tiles: tuple[int, ...], dark: bool) -> Script:
@@ -95,20 +94,6 @@ def spun_dark(d: Drive, site: Site) -> Iterator[None]:
     d.conditions.dark = False
     d.tally.effect()
     yield from goes_on(d)
-
-
-def reset_map_kept(d: Drive, site: Site) -> Iterator[None]:
-    d.estimator.reset(keep_map=True)
-    d.tally.effect()
-    yield
-
-
-def pose_a_tile_off(d: Drive, site: Site) -> Iterator[None]:
-    off = tiles_away(d, site, 1)
-    pose = Pose(np.asarray(se2.compose(d.map_from_room, off)))
-    d.estimator.set_pose(pose, np.array([0.03, 0.03, 0.02]), "a pose was given")
-    d.tally.effect()
-    yield
 
 
 def restart(elsewhere: bool) -> Script:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Origin
-from ceilvo.bench.place.faults import carried, changes, pictures, signals
+from ceilvo.bench.place.faults import carried, changes, claims, pictures, signals
 from ceilvo.bench.place.faults.script import Kind, Site
 from ceilvo.bench.place.robot.drive import Drive
 
@@ -79,12 +79,25 @@ KINDS: dict[str, Kind] = {
     "slip in yaw": Kind(signals.wheels_say(signals.turning(0.5), 2.0, 2.0), wheels=(True,)),
     "over-run": Kind(signals.wheels_say(signals.scaled(1.9, 1.0), 2.0, 2.0), wheels=(True,)),
     "loss": Kind(signals.wheels_say(signals.scaled(0.1, 1.0), 2.0, 2.0), wheels=(True,)),
-    "reset with map kept": Kind(carried.reset_map_kept),
-    "pose a tile off": Kind(carried.pose_a_tile_off),
+    "reset with map kept": Kind(claims.reset_map_kept),
+    "pose a tile off": Kind(claims.pose_a_tile_off),
     "restart here": Kind(carried.restart(False)),
     "restart elsewhere": Kind(carried.restart(True)),
     "a third renovated": Kind(changes.over_night(changes.SHARE)),
     "lamps rehung": Kind(changes.rehung()),
     "another building": Kind(changes.over_night(1.0)),
     "other floor": Kind(changes.other_floor),
+    "reset elsewhere": Kind(claims.told(claims.reset_to(claims.elsewhere)), pictures=True),
+    "reset here": Kind(claims.told(claims.reset_to(claims.here)), pictures=True),
+    "given a tile off 2 cm": Kind(claims.told(claims.given_a_tile_off(0.02)), pictures=True),
+    "given a tile off 11 cm": Kind(claims.told(claims.given_a_tile_off(0.11)), pictures=True),
+    "given a tile off 50 cm": Kind(claims.told(claims.given_a_tile_off(0.5)), pictures=True),
+    "given turned": Kind(claims.told(claims.given_turned), pictures=True),
+    "given right": Kind(claims.told(claims.given_right), pictures=True),
+    "given again and again": Kind(claims.told_again(claims.given_a_tile_off(0.02)), pictures=True),
+    "asked again and again": Kind(claims.told_again(claims.relocalise), pictures=True),
+    "given and restarted": Kind(claims.told_and_restarted(claims.given_a_tile_off(0.02)), pictures=True),
+    "reset and restarted": Kind(claims.told_and_restarted(claims.reset_to(claims.elsewhere)), pictures=True),
+    "configured elsewhere": Kind(claims.told(claims.started_at(claims.elsewhere)), pictures=True),
+    "configured here": Kind(claims.told(claims.started_at(claims.here)), pictures=True),
 }

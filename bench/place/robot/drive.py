@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -97,6 +98,26 @@ class Drive:
         self.pipeline = Pipeline(self._calibration, self.config, self.rng.spawn(1)[0])
         self.estimator = Estimator(self.pipeline, lambda: self._ns)
         self._before_ns = None
+
+    def configure(self, pose: Array) -> None:
+        """filter.initial_pose from now on: (3,) map_from_base."""
+        x_m, y_m, theta_rad = (float(v) for v in pose)
+        start = replace(
+            self.config.filter,
+            initial_pose_x_m=x_m,
+            initial_pose_y_m=y_m,
+            initial_pose_theta_deg=float(np.degrees(theta_rad)),
+        )
+        self.config = self.pipeline.config = replace(self.config, filter=start)
+
+    def restart(self) -> None:
+        """Another process on what this one would store now, a moment later; without a map it begins anew."""
+        landmarks, axis_rad = self.estimator.map()
+        last, elsewhere = self.estimate, self.estimator.elsewhere()
+        self.begin_anew()
+        if last is not None and axis_rad is not None and len(landmarks):
+            state = StoredState(last.pose, last.cov, last.state, last.stamp_ns, elsewhere)
+            self.estimator.load_map(StoredMap(landmarks, axis_rad), state)
 
     @property
     def pose(self) -> Array:

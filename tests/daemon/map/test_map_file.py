@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from map_texts import MAP_V1, MAP_V2, STATE_V1, edited, table
+from map_texts import MAP_V1, MAP_V2, STATE_V1, STATE_V2, edited, table
 
 from ceilvo.daemon.map import map_file
 from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_map, save_state
@@ -63,18 +63,19 @@ def test_a_map_comes_back_bit_for_bit(tmp_path: Path, n: int) -> None:
     st.tuples(*[st.floats(0, 10)] * 3),
     st.sampled_from(State),
     st.integers(0, 2**60),
+    st.floats(0.0, 1.0),
 )
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
 def test_a_state_comes_back_bit_for_bit(
-    tmp_path: Path, pose: tuple[float, ...], sigma: tuple[float, ...], state: State, stamp_ns: int
+    tmp_path: Path, pose: tuple[float, ...], sigma: tuple[float, ...], state: State, stamp_ns: int, elsewhere: float
 ) -> None:
     cov = np.diag(np.square(sigma))
-    save_state(tmp_path / "state", np.array(pose), cov, state, stamp_ns)
+    save_state(tmp_path / "state", np.array(pose), cov, state, stamp_ns, elsewhere)
     stored = load_state(tmp_path / "state")
     assert stored is not None
     assert np.array_equal(stored.pose, pose)
     assert np.array_equal(stored.cov, cov)
-    assert (stored.state, stored.stamp_ns) == (state, stamp_ns)
+    assert (stored.state, stored.stamp_ns, stored.elsewhere) == (state, stamp_ns, elsewhere)
 
 
 def test_version_1_files_load(tmp_path: Path) -> None:
@@ -88,7 +89,14 @@ def test_version_1_files_load(tmp_path: Path) -> None:
     assert (stored.map_axis_rad, stored.landmarks.crossing_type.tolist()) == (0.25, [4, 0])
     assert stored.landmarks.expected.tolist() == stored.landmarks.sightings.tolist() == [12, 3]
     assert state.pose.tolist() == [1.25, -0.5, 3.0]
-    assert (state.state, state.stamp_ns) == (State.TRACKING, 123456789012345)
+    assert (state.state, state.stamp_ns, state.elsewhere) == (State.TRACKING, 123456789012345, 0.0)
+
+
+def test_a_state_of_version_2_loads(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text(STATE_V2)
+    state = load_state(tmp_path / "state")
+    assert state is not None
+    assert (state.state, state.stamp_ns, state.elsewhere) == (State.RELOCALISING, 123456789012345, 0.2)
 
 
 def test_no_file_is_no_map(tmp_path: Path) -> None:
@@ -149,12 +157,15 @@ def test_a_bad_map_is_one_clear_line(tmp_path: Path, name: str) -> None:
         (lambda c: c.update(cov=[[1, 0, 0], [1, 1, 0], [0, 0, 1]]), "cov is not symmetric"),
         (lambda c: c.update(stamp_ns=1.5), "stamp_ns is not a list of whole numbers"),
         (lambda c: c["pose_map_from_base"].update(x_m=None), "pose_map_from_base is not an array"),
+        (lambda c: c.update(elsewhere=-0.1), "elsewhere is -0.1, expected a probability"),
+        (lambda c: c.update(elsewhere=1.5), "elsewhere has a value that is not finite or beyond 1"),
+        (lambda c: c.pop("elsewhere"), "content: missing keys ['elsewhere']"),
     ],
-    ids=["state", "shape", "asymmetric", "stamp", "null"],
+    ids=["state", "shape", "asymmetric", "stamp", "null", "negative", "above 1", "missing"],
 )
 def test_a_bad_state_is_one_clear_line(tmp_path: Path, change: Callable[[Any], Any], expected: str) -> None:
     path = tmp_path / "state"
-    path.write_text(edited(STATE_V1, lambda d: change(d["content"])))
+    path.write_text(edited(STATE_V2, lambda d: change(d["content"])))
     with pytest.raises(FileFormatError, match=re.escape(expected)):
         load_state(path)
 
