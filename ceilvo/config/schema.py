@@ -281,7 +281,9 @@ class Zenoh:
 @dataclass(frozen=True)
 class Service:
     state_dir: str = key("", "where map and last pose are kept; empty = $STATE_DIRECTORY, else nothing is kept")
-    state_period_s: float = key(10.0, "period of saving the last pose", low=0.5, high=3600.0)
+    state_period_s: float = key(
+        10.0, "period of saving map and last pose; the pose also once the robot has stopped", low=0.5, high=3600.0
+    )
     map_generations: int = key(5, "maps of earlier runs that are kept, as map.json.1 and so on", low=0, high=100)
     seed: int = key(1, "seed of all randomness", low=0, high=2**31 - 1)
     log_level: str = key("info", "least severe message logged", choices=("debug", "info", "warning", "error"))

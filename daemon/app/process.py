@@ -27,6 +27,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
+from ceilvo.daemon.app.keeping import Keeper
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
 from ceilvo.daemon.app.screen import Screen
@@ -113,7 +114,8 @@ class Daemon:
             self._base.wheels.between if self._base is not None and config.base.use_wheels else no_wheels,
             no_listener if self._recording is None else self._recording.input,
         )
-        answers = handlers(config, plan.calibration, self._estimator, self._store, self._save)
+        self._keeper = Keeper(self._estimator, self._store, config.service.state_period_s)
+        answers = handlers(config, plan.calibration, self._estimator, self._store, self._keeper.save)
         self._bus = ZenohBus(config.zenoh, config.robot.name, answers) if config.zenoh.enabled else None
         self._outputs = Outputs(
             config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock, self._recording
@@ -186,7 +188,7 @@ class Daemon:
 
     def _supervise(self, screen: Screen | None) -> None:
         """Everything slow and periodic, until the end is asked for."""
-        health = save = self._clock()
+        health = self._clock()
         trim = health + _TRIM_NS
         reported: State | None = None
         while not self._stop.wait(_TICK_S):
@@ -199,9 +201,7 @@ class Daemon:
             if now >= health:
                 health = now + int(1e9 * self._config.zenoh.health_period_s)
                 self._report_health()
-            if now >= save:
-                save = now + int(1e9 * self._config.service.state_period_s)
-                self._save()
+            self._keeper.keep(now)
             if now >= trim:
                 trim = now + _TRIM_NS
                 give_back_memory()
@@ -223,14 +223,10 @@ class Daemon:
         self._capture.stop(_STOP_S)
         if self._thread.ident is not None:
             self._thread.join(_STOP_S)
-        self._save()
+        self._keeper.save()
         self._report_health(State.STOPPED)
         if self._base is not None:
             self._base.stop()
-
-    def _save(self) -> bool:
-        last = self._estimator.last
-        return last is not None and self._store.save(*self._estimator.map(), last)
 
     def _report_health(self, state: State | None = None) -> None:
         if state is None:

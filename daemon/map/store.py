@@ -23,6 +23,7 @@ MAP_NAME, STATE_NAME = "map.json", "state.json"
 BESIDE_NAME = "map.smaller.json"
 """A map that is much smaller than the one that is kept."""
 REJECTED = ".rejected"
+_NOT_SAVED = "map and pose not saved"
 SMALLER = 0.5
 """A map with less than this share of the landmarks does not replace the one that is kept; chosen: what was renovated
 or forgotten is less, and a robot that begins again on another ceiling has less for minutes."""
@@ -54,6 +55,7 @@ class Store:
         self._complained = ""
         self._landmarks = 0
         self._written = False
+        self._in_use = False
         self._generations = None if folder is None else Generations(folder / MAP_NAME, generations)
 
     @property
@@ -81,7 +83,7 @@ class Store:
             said = "stored map loaded without a pose: the robot is searched for on all of it"
         if stored is None:
             return None
-        self._landmarks = len(stored.landmarks)
+        self._landmarks, self._in_use = len(stored.landmarks), True
         return Kept(stored, state, said)
 
     def _earlier(self) -> StoredMap | None:
@@ -118,7 +120,7 @@ class Store:
     def begin_anew(self) -> bool:
         """The map was given up by its owner: what is saved next may be smaller. True where the old one stays as the
         newest generation."""
-        self._landmarks, self._written = 0, False
+        self._landmarks, self._written, self._in_use = 0, False, False
         if self._generations is None:
             return False
         try:
@@ -127,10 +129,15 @@ class Store:
             return self._complain(f"map not kept as a generation: {e}")
         return bool(self._generations.paths())
 
-    def save(self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate) -> bool:
+    def save(
+        self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate, elsewhere: float = 0.0
+    ) -> bool:
         """Write both files; False when they were not, with the reason in the log.
 
         The map goes first: a state without its map would be a pose in another map.
+
+        Args:
+            elsewhere: probability that the robot is at another place.
         """
         if self._folder is None or self._generations is None or map_axis_rad is None:
             return False
@@ -142,9 +149,9 @@ class Store:
                 if not self._written:
                     self._generations.keep()
                 save_map(self._folder / MAP_NAME, landmarks, map_axis_rad)
-                save_state(self._folder / STATE_NAME, estimate.pose, estimate.cov, estimate.state, estimate.stamp_ns)
+                self._write_pose(self._folder, estimate, elsewhere)
         except (CeilvoError, OSError) as e:
-            return self._complain(f"map and pose not saved: {e}")
+            return self._complain(f"{_NOT_SAVED}: {e}")
         if smaller:
             return self._complain(
                 f"{MAP_NAME} with {self._landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
@@ -152,8 +159,23 @@ class Store:
             )
         if self._complained:
             _log.info("map and pose are saved again")
-        self._complained, self._landmarks, self._written = "", len(landmarks), True
+        self._complained, self._landmarks, self._written, self._in_use = "", len(landmarks), True, True
         return True
+
+    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0) -> bool:
+        """Write the pose alone; False where the map that lies in the folder is not the one in use, or saving failed of
+        late: then it waits for the map."""
+        if self._folder is None or not self._in_use or self._complained:
+            return False
+        try:
+            self._write_pose(self._folder, estimate, elsewhere)
+        except (CeilvoError, OSError) as e:
+            return self._complain(f"{_NOT_SAVED}: {e}")
+        return True
+
+    @staticmethod
+    def _write_pose(folder: Path, e: Estimate, elsewhere: float) -> None:
+        save_state(folder / STATE_NAME, e.pose, e.cov, e.state, e.stamp_ns, elsewhere)
 
     def _complain(self, why: str) -> bool:
         """Once for each kind of trouble: figures in it change at every save."""

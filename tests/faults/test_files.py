@@ -201,6 +201,50 @@ def test_no_generations_where_none_are_wanted(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == [MAP_NAME, STATE_NAME]
 
 
+def stored_stamp(folder: Path) -> int | None:
+    state = load_state(folder / STATE_NAME)
+    return None if state is None else state.stamp_ns
+
+
+def test_a_pose_alone_is_written_beside_the_map_in_use_only(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    assert not store.save_pose(estimate(1)) and not list(tmp_path.iterdir())
+    assert store.save(landmarks(300), 0.25, estimate(2))
+    untouched = (tmp_path / MAP_NAME).stat().st_mtime_ns
+    assert store.save_pose(estimate(3), 0.2) and stored_stamp(tmp_path) == 3
+    assert (tmp_path / MAP_NAME).stat().st_mtime_ns == untouched, "the map is not written again"
+    again = Store(tmp_path)
+    found = again.load()
+    assert found is not None and found.state is not None and found.state.elsewhere == 0.2
+    assert again.save_pose(estimate(4)) and stored_stamp(tmp_path) == 4
+    assert not again.save(landmarks(3), 0.25, estimate(5))
+    assert not again.save_pose(estimate(6)), "the smaller map beside is the one in use"
+    again.begin_anew()
+    assert not again.save_pose(estimate(7)) and stored_stamp(tmp_path) == 4, "a pose in another map"
+    assert again.save(landmarks(3), 0.25, estimate(8)) and again.save_pose(estimate(9))
+    assert stored_stamp(tmp_path) == 9
+    assert not Store(None).save_pose(estimate(9))
+
+
+def test_a_pose_that_cannot_be_written_waits_for_the_map_and_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = Store(tmp_path)
+    assert store.save(landmarks(30), 0.25, estimate(1))
+
+    def full(fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert not any(store.save_pose(estimate(n)) for n in range(2, 6))
+    assert not store.save(landmarks(30), 0.25, estimate(6))
+    assert len([r for r in caplog.records if "No space left" in r.getMessage()]) == 1
+    monkeypatch.undo()
+    assert not store.save_pose(estimate(7)) and stored_stamp(tmp_path) == 1
+    assert store.save(landmarks(30), 0.25, estimate(8)) and store.save_pose(estimate(9))
+    assert store.error == "" and stored_stamp(tmp_path) == 9
+
+
 def test_a_state_without_its_map_is_not_used(tmp_path: Path) -> None:
     save_state(tmp_path / STATE_NAME, np.zeros(3), np.eye(3), State.TRACKING, 1)
     assert Store(tmp_path).load() is None
