@@ -166,7 +166,7 @@ def check_plausible(given: Input) -> None:
 
 def _problem(given: Input) -> str:
     if isinstance(given, LoadMap):
-        return belief_problem(given.pose, given.cov) or landmarks_problem(given.landmarks) or _angle_problem(given)
+        return belief_problem(given.pose, given.cov) or landmarks_problem(given.landmarks) or _map_problem(given)
     if isinstance(given, SetPose):
         return belief_problem(given.pose, given.cov)
     if isinstance(given, Sighting) and given.crossings is not None:
@@ -174,7 +174,9 @@ def _problem(given: Input) -> str:
     return wheels_problem(given.wheels) if isinstance(given, FrameInput | Sighting | Silence) else ""
 
 
-def _angle_problem(given: LoadMap) -> str:
+def _map_problem(given: LoadMap) -> str:
+    if not 0.0 <= given.elsewhere <= 1.0:
+        return f"elsewhere is {given.elsewhere:g}, expected a probability"
     return "" if abs(given.map_axis_rad) <= _MAX_ANGLE_RAD else f"map_axis_rad is {given.map_axis_rad:g}"
 
 
