@@ -18,9 +18,6 @@ CROSSING_TYPES = 9
 JOINTS = 4
 """Where two joints between tiles meet."""
 
-FORM = np.array([0, 1, 0, 1, 2, 1, 0, 1, 0])
-"""What a type is whichever way round it is seen: a corner of two edges, an edge on a joint, two joints."""
-
 TYPE_MISTAKEN = np.array([0.04, 0.38, 0.04, 0.38, 0.01, 0.38, 0.04, 0.38, 0.04])
 """Chance that a crossing is seen as one of another type, by its type: an edge that crosses a joint often is, for the
 joint's nearer edge may be all that is found of it; counted on 7000 crossings in pairs of views up to 0.8 s apart."""

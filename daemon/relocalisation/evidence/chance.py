@@ -1,8 +1,4 @@
-"""How often a wrong place of the same ceiling explains what is seen: measured on the map itself.
-
-The four names of a corner, and those of an edge on a joint, have one chance. By chances of their own a place was the
-likelier for being the other way round, view by view, though it explained the same.
-"""
+"""How often a wrong place of the same ceiling explains what is seen: measured on the map itself."""
 
 from __future__ import annotations
 
@@ -11,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import FORM, TYPE_MISTAKEN
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, TypeRaster
 from ceilvo.types import Array, Landmarks
@@ -26,8 +22,6 @@ UNMEASURED, UNMEASURED_COMMON = 0.5, 0.95
 between tiles, which are wherever there are tiles. Chosen."""
 LEAST, MOST = 0.02, 0.98
 """Nothing that was measured is believed beyond these; chosen: a map around the robot has some fifty of a kind."""
-_FORMS = 3
-"""See FORM."""
 _NAMES = 3
 """Names that a rare crossing is mistaken for, about: four types are corners, four are edges on joints."""
 
@@ -62,15 +56,16 @@ class Chance:
     @staticmethod
     def unmeasured(landmarks: Landmarks) -> Chance:
         """Of a map that is too small to tell."""
-        same = _unmeasured(landmarks)[:, FORM]
+        same = np.full((2, CROSSING_TYPES), UNMEASURED)
+        same[:, np.argmax(np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES))] = UNMEASURED_COMMON
         return Chance(same, _between(same, same))
 
     @staticmethod
     def measured(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Chance:
         """By shifts (S, 2) of landmarks that are named.
 
-        The most alike is chosen by all forms but the commonest together, for the best of many is good by chance where a
-        form has few landmarks; for the same reason such a form takes the rate of all.
+        The most alike is chosen by all types but the commonest together, for the best of many is good by chance where a
+        type has few landmarks; for the same reason such a type takes the rate of all.
         """
         if not len(shifts) or not len(landmarks):
             return Chance.unmeasured(landmarks)
@@ -78,33 +73,22 @@ class Chance:
         known = coverage.knows(at)
         bits = raster.at(at)
         same = raster.has(at, np.broadcast_to(landmarks.crossing_type, at.shape[:2])) & known
-        of = np.eye(_FORMS)[FORM[landmarks.crossing_type]]
+        of = np.eye(CROSSING_TYPES)[landmarks.crossing_type]
         tried, hits = known @ of, same @ of
         anyone = (same | (bits & RARE > 0) & known) @ of
-        out, out_any = (_rates(landmarks, tried, found)[:, FORM] for found in (hits, anyone))
+        out, out_any = _rates(landmarks, tried, hits), _rates(landmarks, tried, anyone)
         return Chance(out, _between(out, out_any))
 
 
-def _commonest(landmarks: Landmarks) -> int:
-    """Form of the commonest type."""
-    return int(FORM[np.argmax(np.bincount(landmarks.crossing_type, minlength=len(FORM)))])
-
-
-def _unmeasured(landmarks: Landmarks) -> Array:
-    """(2, 3) by form."""
-    out = np.full((2, _FORMS), UNMEASURED)
-    out[:, _commonest(landmarks)] = UNMEASURED_COMMON
-    return out
-
-
 def _rates(landmarks: Landmarks, tried: Array, hits: Array) -> Array:
-    """(2, 3) shares of hits (S, 3) in those that were tried (S, 3): on average, and by the most alike shift."""
-    kinds, common = np.bincount(FORM[landmarks.crossing_type], minlength=_FORMS), _commonest(landmarks)
-    rare = np.arange(_FORMS) != common
+    """(2, 9) shares of hits (S, 9) in those that were tried (S, 9): on average, and by the most alike shift."""
+    kinds = np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES)
+    common = int(np.argmax(kinds))
+    rare = np.arange(CROSSING_TYPES) != common
     all_tried, all_hits = tried[:, rare].sum(axis=1), hits[:, rare].sum(axis=1)
     rate = (all_hits + 1.0) / (all_tried + 2.0)
     enough = all_tried >= max(FEWEST_SAMPLES, ENOUGH * float(kinds[rare].sum()))
-    out = _unmeasured(landmarks)
+    out = Chance.unmeasured(landmarks).same
     if np.any(enough):
         best = int(np.argmax(np.where(enough, rate, 0.0)))
         pooled = float(np.sum(all_hits[enough]) / np.sum(all_tried[enough]))
