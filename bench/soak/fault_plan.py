@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 LEAD_S = 30.0
 """Nothing happens before: the robot starts and builds its map."""
+AFTER_FAULT_S = 3.0
+"""Until a stroke is over for good; above the bar for recovery."""
 WARM_UP_S = 600.0
 """Memory counts from here on (docs/faults.md)."""
 

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.bench.soak.fault_plan import Stroke
+from ceilvo.bench.soak.fault_plan import AFTER_FAULT_S, Stroke
 from ceilvo.bench.soak.parts import Usage
 from ceilvo.bench.soak.poses import Poses
 
 RATE_BAR = 0.9  # of the rate without a flood; the bar of docs/faults.md
 MEMORY_BAR = 1.1  # of what it was before, 2 min later; the bar of docs/faults.md
-_AFTER_FAULT_S = 3.0  # until a stroke of the plan is over for good; above the bar for recovery
 _AFTER_FLOOD_S = 60.0  # free memory goes back to the kernel once a minute
 
 
@@ -34,13 +33,14 @@ def floods_met(
     floods = [s for s in plan if s.fault.part == "flood"]
     blind = [s for s in plan if s.fault.part in ("camera", "process")]
     still = calm(usage, plan)
-    usual_hz = _rate_hz(poses, ~_inside(poses.recv_s, [*floods, *blind]))
+    faulty = poses.inside(blind)
+    usual_hz = _rate_hz(poses, ~(faulty | poses.inside(floods, 0.0)))
     out = {}
     for k, flood in enumerate(floods):
         begun_s = floods[k - 1].to_s if k else 0.0
         before = [u for u in still if begun_s <= u.t_s < flood.from_s]
         after = [u for u in still if flood.to_s <= u.t_s < flood.to_s + flood.fault.rest_s]
-        seen = _inside(poses.recv_s, [flood]) & ~_inside(poses.recv_s, blind)
+        seen = poses.inside([flood], 0.0) & ~faulty
         out[flood.fault.name] = {
             "struck": struck.get(flood.fault.name, 0),
             "seconds": flood.fault.lasts_s,
@@ -77,20 +77,11 @@ def flood_lines(found: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _settling_s(stroke: Stroke) -> float:
-    return _AFTER_FLOOD_S if stroke.fault.part == "flood" else _AFTER_FAULT_S
-
-
-def _inside(t_s: NDArray[np.float64], strokes: Sequence[Stroke]) -> NDArray[np.bool_]:
-    """Which of the times lie in a stroke or just after it; a flood is over when it ends."""
-    out = np.zeros(len(t_s), bool)
-    for s in strokes:
-        end_s = s.to_s if s.fault.part == "flood" else s.to_s + _AFTER_FAULT_S
-        out[np.searchsorted(t_s, s.from_s) : np.searchsorted(t_s, end_s)] = True
-    return out
+    return _AFTER_FLOOD_S if stroke.fault.part == "flood" else AFTER_FAULT_S
 
 
 def _rate_hz(poses: Poses, chosen: NDArray[np.bool_]) -> float:
-    """Poses per second of the time that they stand for; a gap longer than a stroke's rest is none of theirs."""
+    """Of some samples, each with the time up to the next one."""
     seconds = float(np.sum(poses.gap_s[chosen]))
     return float(np.count_nonzero(chosen)) / seconds if seconds > 0 else float("nan")
 

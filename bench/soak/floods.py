@@ -6,7 +6,6 @@ python -m ceilvo.bench.soak.floods puts tcp/127.0.0.1:7447
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import signal
 import subprocess
@@ -20,9 +19,11 @@ from typing import Any
 
 import zenoh
 
-_STEM = "ceilvo/robot1"
+from ceilvo.bench.soak.parts import STEM
+
 _MB = 1_000_000
 _SMALL_BYTES = 100  # chosen: as a command
+_ANSWER_S = 1.0  # that an answer is waited for; chosen: a flood ends this much late at most
 _SESSIONS = 990  # Zenoh takes 1000; the owner's are among them
 _BURST_SESSIONS = 20  # opened and closed together; chosen
 _READERS = 20  # subscribers that never read; chosen
@@ -54,12 +55,12 @@ def puts(endpoint: str, stop: Stop) -> int:
     """Of 1 MB and of 100 bytes, to a key that the daemon answers, as fast as its computer takes them."""
 
     def put(payload: bytes) -> int:
+        count = 0
         with session(endpoint) as s:
-            for count in itertools.count():
-                if stop.is_set():
-                    return count
-                s.put(f"{_STEM}/cmd/reset", payload, congestion_control=zenoh.CongestionControl.BLOCK)
-        raise AssertionError("itertools.count() ended")
+            while not stop.is_set():
+                s.put(f"{STEM}/cmd/reset", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+                count += 1
+        return count
 
     return _together([partial(put, bytes(n)) for n in (_MB, _SMALL_BYTES)])
 
@@ -69,15 +70,20 @@ def queries(endpoint: str, stop: Stop) -> int:
 
     def ask(key: str, payload: bytes) -> int:
         with session(endpoint) as s:
-            for count in itertools.count():
-                if stop.is_set():
-                    return count
-                for _ in s.get(f"{_STEM}/{key}", payload=payload, timeout=1.0):
-                    pass
-        raise AssertionError("itertools.count() ended")
+            return ask_until(stop.is_set, s, key, payload)
 
     kinds = (("map", b""), ("**", b""), ("cmd/initial_pose", b'{"x_m": "here"}'), ("cmd/reset", bytes(_MB)))
     return _together([partial(ask, *k) for k in kinds])
+
+
+def ask_until(over: Callable[[], bool], s: zenoh.Session, key: str, payload: bytes) -> int:
+    """Ask the robot as fast as answers come; returns how often."""
+    asked = 0
+    while not over():
+        for _ in s.get(f"{STEM}/{key}", payload=payload, timeout=_ANSWER_S):
+            pass
+        asked += 1
+    return asked
 
 
 def idle_sessions(endpoint: str, stop: Stop) -> int:
@@ -118,13 +124,14 @@ def deaf_readers(endpoint: str, stop: Stop) -> int:
 
 def router(endpoint: str, stop: Stop) -> int:
     """A router where the daemon looks for one, which comes and goes."""
-    for count in itertools.count():
-        settings = {"mode": "router", "listen/endpoints": [endpoint], "connect/endpoints": []}
+    settings = {"mode": "router", "listen/endpoints": [endpoint], "connect/endpoints": []}
+    count = 0
+    while not stop.is_set():
         with contextlib.suppress(zenoh.ZError), session(endpoint, **settings):
             stop.wait(_ROUTER_S)
-        if stop.wait(_ROUTER_S):
-            return count + 1
-    raise AssertionError("itertools.count() ended")
+        count += 1
+        stop.wait(_ROUTER_S)
+    return count
 
 
 def _together(jobs: Sequence[Callable[[], int]]) -> int:

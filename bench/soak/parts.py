@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +22,6 @@ from ceilvo.sim.base import SimBase
 from ceilvo.types import State
 
 STEM = "ceilvo/robot1"
-_FLOOD_TIMEOUT_S = 1.0  # of one request; chosen: a flood ends this much late at most
 
 
 def free_port() -> int:
@@ -107,15 +105,6 @@ class Listener:
         if age_s is not None:
             self.heard.answered_ns.append((stamp_ns, stamp_ns - round(1e9 * age_s)))
         self.heard.health.append((stamp_ns, counters))
-
-    def flood(self, key: str, payload: bytes, until: Callable[[], bool]) -> int:
-        """Ask as fast as answers come until told to stop; returns how often."""
-        asked = 0
-        while not until():
-            for _ in self.session.get(f"{STEM}/{key}", payload=payload, timeout=_FLOOD_TIMEOUT_S):
-                pass
-            asked += 1
-        return asked
 
     def close(self) -> None:
         self.session.close()  # type: ignore[no-untyped-call]

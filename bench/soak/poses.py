@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.bench.soak.fault_plan import LEAD_S, Stroke
+from ceilvo.bench.soak.fault_plan import AFTER_FAULT_S, LEAD_S, Stroke
 from ceilvo.bench.soak.parts import Heard
 from ceilvo.drivers.base.link import GOOD
 from ceilvo.sim.world import World
@@ -32,13 +32,17 @@ class Poses:
         self.latency_s: Floats = self.recv_s - self.t_s
         self.gap_s: Floats = np.diff(self.recv_s, append=self.recv_s[-1:])
 
-    def quiet(self, plan: Sequence[Stroke]) -> NDArray[np.bool_]:
-        """Whether the last stroke is more than 3 s ago, and none is under way."""
-        out = self.recv_s > LEAD_S / 2
-        for s in plan:
-            a, b = np.searchsorted(self.recv_s, [s.from_s, s.to_s + 3.0])
-            out[a:b] = False
+    def inside(self, strokes: Sequence[Stroke], after_s: float = AFTER_FAULT_S) -> NDArray[np.bool_]:
+        """Which samples came in a stroke, or up to so long after it."""
+        out = np.zeros(len(self.recv_s), bool)
+        for s in strokes:
+            begin, end = np.searchsorted(self.recv_s, [s.from_s, s.to_s + after_s])
+            out[begin:end] = True
         return out
+
+    def quiet(self, plan: Sequence[Stroke]) -> NDArray[np.bool_]:
+        """Which samples came when the last stroke was over, and none was under way."""
+        return (self.recv_s > LEAD_S / 2) & ~self.inside(plan)
 
     def first(self, after_s: float, states: Sequence[State], wanted: bool = True) -> float | None:
         """Time since after_s until a pose came whose state is (not) among some."""

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.bench.soak.fault_plan import WARM_UP_S, Stroke
 from ceilvo.bench.soak.flood_verdict import calm, flood_bars, flood_lines, floods_met
 from ceilvo.bench.soak.parts import Heard, Usage
-from ceilvo.bench.soak.poses import Poses
+from ceilvo.bench.soak.poses import Floats, Poses
 from ceilvo.sim.world import World
 from ceilvo.types import State
 
@@ -22,8 +21,6 @@ WRONG_M = 0.3  # the bar of docs/faults.md, half a tile
 STALL_BAR_S = 0.2  # after the first missing frame; the bar of docs/faults.md
 _BLIND = ("unplugged", "stalled", "frozen picture", "black picture", "white picture", "corrupt frames")
 _NS = 1e-9  # s in a nanosecond
-
-Floats = NDArray[np.float64]
 
 
 def judge(

@@ -20,6 +20,7 @@ import pytest
 from patience import PATIENCE_S, until
 
 from ceilvo.bench.soak.faulty_camera import FaultyCamera
+from ceilvo.bench.soak.floods import ask_until
 from ceilvo.bench.soak.parts import STEM, Listener, PoseRow, free_port, set_base_fault
 from ceilvo.config import Config
 from ceilvo.daemon.app.process import Daemon, Plan
@@ -214,7 +215,8 @@ def test_a_flood_of_malformed_commands_is_refused_and_poses_go_on(
     robot.until_state(*GOOD)
     caplog.clear()
     count = len(robot.poses) + 15
-    asked = robot.listener.flood("cmd/initial_pose", b'{"x_m": "here"}', lambda: len(robot.poses) > count)
+    session = robot.listener.session
+    asked = ask_until(lambda: len(robot.poses) > count, session, "cmd/initial_pose", b'{"x_m": "here"}')
     assert asked > 0
     robot.until(lambda: int(robot.health()["zenoh"]["request_errors"]) >= asked, "refusals are counted")  # type: ignore[index]
     refused = [r for r in caplog.records if "refused" in r.getMessage()]
