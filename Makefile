@@ -23,7 +23,7 @@ help:
 	@echo "make bench-find-place time, memory and answers of the place index on halls of 150 m"
 	@echo "make bench-gaps        what odometry claims after gaps against the truth: SEED=901"
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
-	@echo "make soak              the daemon with faults for hours: HOURS=1; verdict, plot and JSON in build/bench/"
+	@echo "make soak              the daemon with faults and floods for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"

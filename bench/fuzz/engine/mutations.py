@@ -68,10 +68,9 @@ def mutated_json(data: bytes, rng: Random) -> bytes:
     if rng.random() < 0.2:
         return mutated(data, rng)
     try:
-        tree = json.loads(data)
-    except ValueError:
+        return json.dumps(mutated_tree(json.loads(data), rng)).encode("utf-8", "surrogatepass")
+    except (ValueError, RecursionError):
         return mutated(data, rng)
-    return json.dumps(mutated_tree(tree, rng)).encode("utf-8", "surrogatepass")
 
 
 def mutated_tree(tree: Any, rng: Random) -> Any:
