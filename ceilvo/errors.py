@@ -17,9 +17,14 @@ _CHARS = 120
 """Of what a message repeats; chosen: it stays one line."""
 
 
+def printable(text: str) -> str:
+    """With a question mark for what would steer a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def one_line(text: object, most: int = _CHARS) -> str:
     """What somebody else wrote, fit for a message: on one line, printable, not long."""
-    line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
+    line = printable(" ".join(str(text).split()))
     return line if len(line) <= most else line[: most - 3] + "..."
 
 

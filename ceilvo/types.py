@@ -27,6 +27,8 @@ Twist = NewType("Twist", NDArray[np.float64])
 
 MAX_COORDINATE_M = 1e6
 """Coordinates beyond it are damage: no building is so large."""
+MAX_ANGLE_RAD = 10.0
+"""Directions beyond it are damage: a direction, with room for a turn too many."""
 MAX_ID = 2**62
 """Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 

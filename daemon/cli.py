@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -17,6 +17,7 @@ from ceilvo import __version__
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
+from ceilvo.config.arguments import from_up
 from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
@@ -129,7 +130,7 @@ def _run_options(p: argparse.ArgumentParser) -> None:
     p.add_argument("--simulate", action="store_true", help="a rendered ceiling and a simulated robot; no hardware")
     p.add_argument("--seconds", type=_positive, metavar="S", help="end after S seconds of frames, with a summary")
     p.add_argument("--summary", type=Path, metavar="FILE", help=f"figures as JSON (simulating: {DEFAULT_SUMMARY})")
-    p.add_argument("--seed", type=_from_up(0), default=1, metavar="N", help="which simulated world (default: 1)")
+    p.add_argument("--seed", type=from_up(0), default=1, metavar="N", help="which simulated world (default: 1)")
     p.add_argument("--tilt-deg", type=_tilt, default=0.0, metavar="D", help="simulated rocking, at most (default: 0)")
     p.add_argument(
         "--calibration", type=Path, metavar="FILE", help="instead of the config's, or of the simulated truth"
@@ -155,7 +156,7 @@ def _add_replay(commands: Commands) -> None:
     p.add_argument("--jsonl", type=Path, metavar="FILE", help="write every estimate as a JSON line")
     p.add_argument("--pictures", type=Path, metavar="DIR", help="draw what was seen, and the particles")
     p.add_argument(
-        "--picture-every", type=_from_up(1), default=10, metavar="N", help="a picture of every Nth frame (10)"
+        "--picture-every", type=from_up(1), default=10, metavar="N", help="a picture of every Nth frame (10)"
     )
     p.add_argument("--reference", type=Path, metavar="FILE", help="TUM trajectory to compare with")
     p.add_argument("--align", choices=("none", "first", "se2"), default="none", help="before comparing (none)")
@@ -167,7 +168,7 @@ def _add_watch(commands: Commands) -> None:
     _config_options(p)
     p.add_argument("--robot", default="*", metavar="NAME", help="one robot (default: every one)")
     p.add_argument("--json", action="store_true", help="every message as it came, one line each")
-    p.add_argument("--count", type=_from_up(1), metavar="N", help="end after N poses")
+    p.add_argument("--count", type=from_up(1), metavar="N", help="end after N poses")
     p.set_defaults(do=_watch)
 
 
@@ -328,18 +329,6 @@ def _tilt(text: str) -> float:
     if not 0.0 <= value <= _MOST_TILT_DEG:
         raise argparse.ArgumentTypeError(f"{text}: expected 0 to {_MOST_TILT_DEG:g} deg")
     return value
-
-
-def _from_up(least: int) -> Callable[[str], int]:
-    """The type of a whole number that is not below the least."""
-
-    def number(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f"{text}: expected at least {least}")
-        return value
-
-    return number
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ceilvo.calib.evaluate.shutter import first_row
 from ceilvo.calib.session.common import Subcommands
 from ceilvo.calibration import Calibration, mount_angles
 from ceilvo.calibration_file import read_calibration, sign_calibration, write_calibration
@@ -98,7 +99,7 @@ def _corner_cosine(calibration: Calibration) -> float:
 def _shutter_row(readout_s: float) -> str:
     if not readout_s:
         return "global, or not measured"
-    return f"rolling, {1e3 * abs(readout_s):.2f} ms for all rows, the {'first' if readout_s > 0 else 'last'} one first"
+    return f"rolling, {1e3 * abs(readout_s):.2f} ms for all rows, {first_row(readout_s)}"
 
 
 def _sigma_row(calibration: Calibration) -> str:

@@ -18,7 +18,6 @@ from ceilvo.calib.session.common import (
     bench_of,
     check_size,
     conclude,
-    from_up,
     pictures,
     session_of,
 )
@@ -36,6 +35,7 @@ from ceilvo.calib.solve.intrinsics import (
 from ceilvo.calib.solve.lens import guessed_camera
 from ceilvo.calib.targets.board import Board, BoardFinder, other_board
 from ceilvo.calib.targets.sources import Picture
+from ceilvo.config.arguments import from_up
 from ceilvo.errors import CalibrationError
 
 STEP = "intrinsics"

@@ -13,8 +13,8 @@ from ceilvo.calib.session.common import (
     add_step,
     bench_of,
     calibration_of,
-    check_size,
     conclude,
+    frames_of,
     pictures,
     session_of,
 )
@@ -60,20 +60,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _frames(args: argparse.Namespace, calibration: Calibration) -> list[Frame]:
-    progress, camera = Progress(STEP), calibration.camera
+    progress = Progress(STEP)
     out: list[Frame] = []
     with pictures(args, bench_of(args).pan() if args.simulate else None) as source:
-        for picture in source:
-            reason = picture.problem or check_size(picture, (camera.width_px, camera.height_px), "calibrated are")
-            if reason:
-                progress.note(f"{picture.name}: rejected, {reason}")
-                continue
-            if out and picture.stamp_ns <= out[-1].stamp_ns:
-                continue
-            out.append(Frame(len(out), picture.stamp_ns, picture.gray))
+        for frame in frames_of(source, calibration.camera, args.seconds, progress):
+            out.append(frame)
             progress.tell(f"{len(out)} frames; go on turning")
-            late = source.info.live and (out[-1].stamp_ns - out[0].stamp_ns) * 1e-9 > args.seconds
-            if late or len(out) == _MOST_FRAMES:
+            if len(out) == _MOST_FRAMES:
                 break
     progress.end()
     if len(out) < 2:

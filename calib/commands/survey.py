@@ -17,8 +17,8 @@ from ceilvo.calib.session.common import (
     add_step,
     bench_of,
     calibration_of,
-    check_size,
     conclude,
+    frames_of,
     pictures,
     session_of,
 )
@@ -28,7 +28,6 @@ from ceilvo.config import Config
 from ceilvo.daemon.integrity.staleness import STRETCH_S, worst_stretch
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.errors import CalibrationError
-from ceilvo.types import Frame
 
 STEP = "survey"
 _SIMULATED = 240
@@ -81,26 +80,15 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
     """All frames through the daemon's own pipeline; whether Ctrl-C ended it."""
     progress, survey = Progress(STEP), Survey(calibration)
     pipeline = Pipeline(calibration, Config(), np.random.default_rng(args.seed))
-    camera = calibration.camera
     bench = bench_of(args).drive(_SIMULATED) if args.simulate else None
-    first_ns = last_ns = 0
     with pictures(args, bench) as source:
         try:
-            for picture in source:
-                reason = picture.problem or check_size(picture, (camera.width_px, camera.height_px), "calibrated are")
-                if reason:
-                    progress.note(f"{picture.name}: rejected, {reason}")
-                    continue
-                if picture.stamp_ns <= last_ns:
-                    continue
-                first_ns, last_ns = first_ns or picture.stamp_ns, picture.stamp_ns
-                estimate = pipeline.step(Frame(len(survey.path), picture.stamp_ns, picture.gray))
+            for frame in frames_of(source, calibration.camera, args.seconds, progress):
+                estimate = pipeline.step(frame)
                 view = pipeline.vision.view
                 ok = estimate.motion.ok or not survey.path
-                survey.add(picture.gray, estimate, view.crossings if view else None, ok)
+                survey.add(frame.gray, estimate, view.crossings if view else None, ok)
                 progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")
-                if source.info.live and (last_ns - first_ns) * 1e-9 > args.seconds:
-                    break
             ended = False
         except KeyboardInterrupt:
             if not survey.path:

@@ -61,7 +61,7 @@ class Shutter:
         known = f"{1e3 * abs(self.readout_s):.2f} +- {1e3 * self.sigma_s:.2f} ms"
         if not self.rolls:
             return f"global: {known} are none"
-        return f"rolling: {known} for all rows, the {'first' if self.readout_s > 0 else 'last'} one first"
+        return f"rolling: {known} for all rows, {first_row(self.readout_s)}"
 
     def problems(self) -> list[str]:
         """What keeps the result from a PASS, with what to do."""
@@ -70,6 +70,11 @@ class Shutter:
         return [
             f"the readout is known to {1e3 * self.sigma_s:.1f} ms only, {1e3 * SIGMA_S:g} needed: turn faster or longer"
         ]
+
+
+def first_row(readout_s: float) -> str:
+    """Which end of the picture is read first, in words."""
+    return f"the {'first' if readout_s > 0 else 'last'} one first"
 
 
 def measure(calibration: Calibration, frames: list[Frame]) -> Shutter:
@@ -107,7 +112,7 @@ def _fastest(calibration: Calibration, frames: list[Frame], readout_s: float) ->
     """The frames between two measured motions, the fastest first."""
     steps = _motions(_with_readout(calibration, readout_s), frames)
     camera, height_m = calibration.camera, calibration.ceiling_height_m
-    reach = float(np.hypot(camera.width_px, camera.height_px)) / (camera.fx_px + camera.fy_px)
+    reach = float(np.hypot(camera.width_px, camera.height_px)) / (2.0 * camera.focal_px)
     out = []
     for frame, (before, after) in zip(frames[1:-1], pairwise(steps), strict=True):
         if before is not None and after is not None:

@@ -15,9 +15,12 @@ from ceilvo.calib.session.session import CALIBRATION, Session
 from ceilvo.calib.targets.sources import ListSource, Picture, Source, open_source
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
+from ceilvo.camera import CameraModel
 from ceilvo.config import Camera as CameraConfig
+from ceilvo.config.arguments import from_up
 from ceilvo.config.reader import load_config
 from ceilvo.errors import CalibrationError
+from ceilvo.types import Frame
 
 Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -57,18 +60,6 @@ def _source_options(p: argparse.ArgumentParser) -> None:
     group.add_argument("--images", type=Path, metavar="DIR", help="a folder of images, a recording or a video file")
     group.add_argument("--simulate", action="store_true", help="the virtual bench: nothing needed, for practice")
     p.add_argument("--seed", type=from_up(0), default=1, metavar="N", help="noise of the virtual bench (%(default)s)")
-
-
-def from_up(least: int) -> Callable[[str], int]:
-    """The type of a whole number on the command line that is not below the least."""
-
-    def number(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f"{text}: expected at least {least}")
-        return value
-
-    return number
 
 
 def bench_of(args: argparse.Namespace) -> VirtualBench:
@@ -190,6 +181,23 @@ def check_size(picture: Picture, size: tuple[int, int] | None, what: str) -> str
     if size is not None and (w, h) != size:
         return f"is {w} x {h} px, {what} {size[0]} x {size[1]}: all must come from the same camera mode"
     return ""
+
+
+def frames_of(source: Source, camera: CameraModel, seconds: float, progress: Progress) -> Iterator[Frame]:
+    """Usable pictures of the calibrated size, each later than the one before; of a live source for so long at most."""
+    number, first_ns, last_ns = 0, 0, 0
+    for picture in source:
+        reason = picture.problem or check_size(picture, (camera.width_px, camera.height_px), "calibrated are")
+        if reason:
+            progress.note(f"{picture.name}: rejected, {reason}")
+            continue
+        if picture.stamp_ns <= last_ns:
+            continue
+        first_ns, last_ns = first_ns or picture.stamp_ns, picture.stamp_ns
+        yield Frame(number, picture.stamp_ns, picture.gray)
+        number += 1
+        if source.info.live and (last_ns - first_ns) * 1e-9 > seconds:
+            return
 
 
 def session_of(args: argparse.Namespace) -> Session:

@@ -21,7 +21,7 @@ from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
 from ceilvo.se2 import covariance_problem
-from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Landmarks, Pose, State, frozen
+from ceilvo.types import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID, Landmarks, Pose, State, frozen
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -222,7 +222,7 @@ def _read_map(content: Any, version: int) -> StoredMap:
         sightings=sightings,
         expected=expected,
     )
-    return StoredMap(landmarks, float(_floats(content["map_axis_rad"], "map_axis_rad", (), 10.0)))
+    return StoredMap(landmarks, float(_floats(content["map_axis_rad"], "map_axis_rad", (), MAX_ANGLE_RAD)))
 
 
 def _read_state(content: Any, version: int) -> StoredState:

@@ -20,7 +20,18 @@ from ceilvo.daemon.replay.plausible import belief_problem, crossings_problem, la
 from ceilvo.daemon.replay.snapshot import restore
 from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
-from ceilvo.types import MAX_ID, Array, Crossings, Displacement, Estimate, Frame, Landmarks, Pose, WheelMotion
+from ceilvo.types import (
+    MAX_ANGLE_RAD,
+    MAX_ID,
+    Array,
+    Crossings,
+    Displacement,
+    Estimate,
+    Frame,
+    Landmarks,
+    Pose,
+    WheelMotion,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +110,7 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
     if isinstance(given, Silence):
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
     if isinstance(given, LoadMap):
-        g = given
-        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.recent, g.elsewhere)
+        pipeline.load_map(given.landmarks, given.map_axis_rad, given.pose, given.cov, given.recent, given.elsewhere)
     elif isinstance(given, SetPose):
         pipeline.set_pose(given.pose, given.cov, given.why)
     elif isinstance(given, Continuation):
@@ -177,7 +187,7 @@ def _problem(given: Input) -> str:
 def _map_problem(given: LoadMap) -> str:
     if not 0.0 <= given.elsewhere <= 1.0:
         return f"elsewhere is {given.elsewhere:g}, expected a probability"
-    return "" if abs(given.map_axis_rad) <= _MAX_ANGLE_RAD else f"map_axis_rad is {given.map_axis_rad:g}"
+    return "" if abs(given.map_axis_rad) <= MAX_ANGLE_RAD else f"map_axis_rad is {given.map_axis_rad:g}"
 
 
 _LANDMARKS: Mapping[str, tuple[str, type, tuple[int, ...]]] = {
@@ -192,8 +202,6 @@ _LANDMARKS: Mapping[str, tuple[str, type, tuple[int, ...]]] = {
 _LATER = ("expected",)
 """Columns that older recordings lack; Landmarks has defaults for them."""
 
-_MAX_ANGLE_RAD = 10.0
-"""Of the map's axis, as in map.json: a direction, with room for a turn too many."""
 FrameOf = Callable[[int, int], Frame]
 
 

@@ -162,10 +162,11 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
     expected = _LEVEL_RAD if prior is None else prior.mean_rad
     if not problem.config.estimate_tilt:
         return fit, free
-    if not fit.is_doubtful(expected, prior) and not _is_vague(fit, free, prior):
+    vague = _is_vague(fit, free, prior)
+    if not vague and not fit.is_doubtful(expected, prior):
         return fit, free
     level = problem.start(expected, tilt=False)
-    if _is_vague(fit, free, prior):  # so few lines that any tilt fits: then none is read from them
+    if vague:  # so few lines that any tilt fits: then none is read from them
         level.finish_held()
         return level, free
     return _best(problem, [(fit, free), (level, level.finish())], last.tilt_rad)

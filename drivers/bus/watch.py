@@ -19,7 +19,7 @@ from ceilvo.config import Zenoh
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.bus.zenoh_session import Connection, watcher_config
 from ceilvo.drivers.ports import Topic
-from ceilvo.errors import BusError
+from ceilvo.errors import BusError, printable
 from ceilvo.types import State
 
 log = logging.getLogger(__name__)
@@ -137,7 +137,7 @@ class _Printer:
         except BusError as e:
             line, is_pose = f"{robot} {e}", False
         if line is not None:
-            self._out.write(_printable(line) + "\n")
+            self._out.write(printable(line) + "\n")
             self._out.flush()
             self.poses += is_pose
 
@@ -190,8 +190,3 @@ def pose_line(p: messages.Pose) -> str:
         f"quality {p.quality:.2f}  age {p.age_ms:5.1f} ms"
     )
     return f"{text}  {p.reason}" if p.reason else text
-
-
-def _printable(text: str) -> str:
-    """What comes from the bus must not steer the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
