@@ -12,6 +12,7 @@ from ceilvo import se2
 from ceilvo.bench.faults.crossing_log import RATE_HZ, CrossingLog
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.drivers.base.wheel_track import WheelNoise
 from ceilvo.types import Array, Crossings, Estimate, Pose, State, WheelMotion
 
@@ -183,7 +184,8 @@ class Drive:
 
     def _restart(self) -> None:
         """Another process with the stored map and the stored pose, which may be 10 s old."""
-        landmarks, axis = self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+        known = self._pipeline.relocaliser.state
+        landmarks, axis = rest_of(self._pipeline.filter.landmarks(), known.submap_from), known.map_axis_rad
         self._pipeline = self._fresh()
         self._wheel_k = self._k
         self._state = State.INIT

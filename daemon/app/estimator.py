@@ -12,6 +12,7 @@ import numpy as np
 from ceilvo.daemon.integrity.stamp_rate import StampRate
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.crossing_finder import OnStageDone, View, ignore
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
@@ -180,3 +181,10 @@ class Estimator:
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:
             return self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+
+    def map_to_keep(self) -> tuple[Landmarks, float | None]:
+        """map() without what was learnt in doubt: how that lies to the rest is not known, and a later run would take it
+        for known."""
+        with self._lock:
+            known = self._pipeline.relocaliser.state
+            return rest_of(self._pipeline.filter.landmarks(), known.submap_from), known.map_axis_rad

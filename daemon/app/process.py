@@ -230,7 +230,7 @@ class Daemon:
 
     def _save(self) -> bool:
         last = self._estimator.last
-        return last is not None and self._store.save(*self._estimator.map(), last)
+        return last is not None and self._store.save(*self._estimator.map_to_keep(), last)
 
     def _report_health(self, state: State | None = None) -> None:
         if state is None:

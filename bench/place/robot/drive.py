@@ -115,7 +115,7 @@ class Drive:
 
     def stored(self) -> tuple[Landmarks, float, Array] | None:
         """Map, its axis and pose as the daemon would store them, None without a map."""
-        landmarks, axis = self.estimator.map()
+        landmarks, axis = self.estimator.map_to_keep()
         if axis is None or not len(landmarks) or self.estimate is None:
             return None
         return landmarks, axis, np.asarray(self.estimate.pose)
