@@ -183,7 +183,7 @@ class Drive:
 
     def _restart(self) -> None:
         """Another process with the stored map and the stored pose, which may be 10 s old."""
-        landmarks, axis = self._pipeline.filter.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+        landmarks, axis = self._pipeline.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
         self._pipeline = self._fresh()
         self._wheel_k = self._k
         self._state = State.INIT

@@ -11,7 +11,7 @@ from ceilvo.config.zenoh_names import endpoint_address
 from ceilvo.daemon.doctor.findings import Finding, Patient, fine, note, wrong
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.zenoh_session import session_config
-from ceilvo.errors import BaseLinkError, BusError
+from ceilvo.errors import BaseLinkError, BusError, ConfigError
 
 _CONNECT_S = 1.0
 """How long an endpoint may take to answer; chosen: a local network takes milliseconds."""
@@ -76,7 +76,7 @@ def bus(p: Patient) -> Iterator[Finding]:
         return
     try:
         session_config(cfg)
-    except BusError as e:
+    except (BusError, ConfigError) as e:
         yield wrong("zenoh", str(e))
         return
     if cfg.config_file:

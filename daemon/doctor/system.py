@@ -126,7 +126,7 @@ def disk(machine: Machine, state_dir: Path | None, config: Config | None) -> Ite
         load_map(state_dir / MAP_NAME)
         load_state(state_dir / STATE_NAME)
     except FileFormatError as e:
-        yield wrong("state", f"{e}; the daemon starts without it, move it away")
+        yield wrong("state", f"{e}")
 
 
 def limits(machine: Machine) -> Iterator[Finding]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
+import filecmp
+import logging
 import os
 from pathlib import Path
 
+from ceilvo.daemon.map.usable import out_of_the_way
 from ceilvo.files import write_atomic
+
+_log = logging.getLogger("ceilvo.store")
 
 APART_S = 3600.0
 """Two generations are so far apart at least; chosen: a service that restarts for ever must not push them out."""
@@ -20,44 +24,51 @@ class Generations:
 
     def paths(self) -> list[Path]:
         """Those that there are, the newest first."""
-        return [p for p in (self._numbered(n) for n in range(1, self._most + 1)) if _is_there(p)]
+        return [p for p in (self._numbered(n) for n in range(1, self._most + 1)) if os.path.lexists(p)]
 
     def keep(self, whatever_the_age: bool = False) -> None:
-        """What the file holds now becomes the newest generation; the file itself stays where it is.
+        """What the file holds now becomes the newest generation, unless it is that; the file itself stays where it is.
 
         Raises:
             OSError: the disk refuses; nothing is lost then.
         """
         if not self._most or not self._path.exists():
             return
+        self._clear()
         newest = self._numbered(1)
         if newest.exists():
             apart_s = abs(self._path.stat().st_mtime - newest.stat().st_mtime)
-            if newest.samefile(self._path) or (apart_s < APART_S and not whatever_the_age):
+            if (apart_s < APART_S and not whatever_the_age) or filecmp.cmp(self._path, newest, shallow=False):
                 return
-        for n in range(self._most, 1, -1):
-            with contextlib.suppress(FileNotFoundError):
-                self._numbered(n - 1).replace(self._numbered(n))
-        self._copy_to(newest)
+        copy = self._copied()
+        for n in range(self._first_free(), 1, -1):
+            self._numbered(n - 1).replace(self._numbered(n))
+        copy.replace(newest)
 
-    def _copy_to(self, to: Path) -> None:
-        """As a second name of the file, which the next save replaces; as a copy where the disk knows no such names."""
-        name = to.with_name(f".{self._path.name}.{os.getpid()}.tmp")
+    def _clear(self) -> None:
+        """A folder or a broken link in the place of a generation would be in the way of every later one."""
+        for path in self.paths():
+            if not path.is_file():
+                _log.warning("%s: not a file, expected an earlier map; %s", path, out_of_the_way(path))
+
+    def _first_free(self) -> int:
+        """Where there is a gap, nothing beyond it needs to move."""
+        return next((n for n in range(1, self._most) if not os.path.lexists(self._numbered(n))), self._most)
+
+    def _copied(self) -> Path:
+        """A second name of the file, which the next save replaces; a copy where the disk knows no such names.
+
+        It is made before anything moves: a disk that is full must not cost a generation at every attempt.
+        """
+        name = self._path.with_name(f".{self._path.name}.{os.getpid()}.tmp")
+        name.unlink(missing_ok=True)
         try:
-            name.unlink(missing_ok=True)
             os.link(self._path, name)
-            name.replace(to)
         except OSError:
-            write_atomic(to, self._path.read_bytes())
+            write_atomic(name, self._path.read_bytes())
+            stamp = self._path.stat()
+            os.utime(name, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+        return name
 
     def _numbered(self, n: int) -> Path:
         return self._path.with_name(f"{self._path.name}.{n}")
-
-
-def _is_there(path: Path) -> bool:
-    """Not where the folder may not be looked into, or has an impossible name, which Path.exists() raises."""
-    try:
-        path.stat()
-    except (OSError, ValueError):
-        return False
-    return True

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import stat
 from collections.abc import Callable, Set
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,8 +48,8 @@ _COLUMNS = {
 _STATE_KEYS = {"pose_map_from_base", "cov", "state", "stamp_ns", "elsewhere"}
 _NOT_IN_1 = {"expected", "elsewhere"}
 _REMEDY = {
-    _MAP_FORMAT: "move it away to let the daemon build a new map, or restore a backup",
-    _STATE_FORMAT: "remove it to start from the configured initial pose",
+    _MAP_FORMAT: "restore a backup, or go on with an earlier map or a new one",
+    _STATE_FORMAT: "without it the robot is searched for on all of the map",
 }
 
 
@@ -149,17 +150,26 @@ def _save(path: Path, kind: str, content: dict[str, Any], read: Callable[[Any, i
 
 def _load(path: Path, kind: str, read: Callable[[Any, int], _T], limit: int) -> _T | None:
     try:
+        raw = _bytes(path, limit)
+        return None if raw is None else read(*_content(raw, kind, limit))
+    except (_Damage, RecursionError) as e:
+        raise FileFormatError(f"{path}: {e}; {_REMEDY[kind]}") from e
+
+
+def _bytes(path: Path, limit: int) -> bytes | None:
+    """What a file holds, one more than the limit at most; None where there is none. A pipe would never end."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise _Damage("a folder, a pipe or a device, expected a file")
         with path.open("rb") as f:
-            raw = f.read(limit + 1)
+            return f.read(limit + 1)
     except FileNotFoundError:
+        if path.is_symlink():
+            raise _Damage(f"a link to {path.readlink()}, which is not there") from None
         return None
     except (OSError, ValueError) as e:
         why = (e.strerror or str(e)) if isinstance(e, OSError) else str(e)
-        raise FileFormatError(f"{path}: cannot be read: {why}; check the path and its owner") from e
-    try:
-        return read(*_content(raw, kind, limit))
-    except (_Damage, RecursionError) as e:
-        raise FileFormatError(f"{path}: {e}; {_REMEDY[kind]}") from e
+        raise _Damage(f"cannot be read: {why}, check its owner") from e
 
 
 def _content(raw: bytes, kind: str, limit: int) -> tuple[Any, int]:

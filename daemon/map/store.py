@@ -5,28 +5,30 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+import threading
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+
+import numpy as np
 
 from ceilvo.daemon.map.generations import Generations
-from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_map, save_state
-from ceilvo.errors import CeilvoError, FileFormatError
-from ceilvo.types import Estimate, Landmarks
+from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_state
+from ceilvo.daemon.map.map_slot import MapSlot
+from ceilvo.daemon.map.usable import usable
+from ceilvo.errors import CeilvoError
+from ceilvo.types import Array, Estimate, Landmarks
 
 _log = logging.getLogger("ceilvo.store")
-
-_T = TypeVar("_T")
 
 MAP_NAME, STATE_NAME = "map.json", "state.json"
 BESIDE_NAME = "map.smaller.json"
 """A map that is much smaller than the one that is kept."""
-REJECTED = ".rejected"
+VAGUE_M, VAGUE_RAD = 100.0, np.pi
+"""A sigma from which on a pose or a landmark says nothing; chosen: more than a building, any heading. Far larger ones,
+of hours in the dark, leave no digits for the filter."""
+_VAGUE_COV = np.diag([1e2 * VAGUE_M**2, 1e2 * VAGUE_M**2, 1e2 * VAGUE_RAD**2])
+"""Stored for all of them."""
 _NOT_SAVED = "map and pose not saved"
-SMALLER = 0.5
-"""A map with less than this share of the landmarks does not replace the one that is kept; chosen: what was renovated
-or forgotten is less, and a robot that begins again on another ceiling has less for minutes."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +46,21 @@ class Kept:
 
 
 class Store:
-    """Map and state files of one robot; without a folder nothing is kept. Problems are logged, once each.
+    """Map and state files of one robot; without a folder nothing is kept. Problems are logged, once each. Thread-safe.
 
-    A file that cannot be used is set aside as NAME.rejected before it would be overwritten: it may be mendable, or of
-    a newer ceilvo. Maps of earlier runs stay as generations, and a map never gives way to a much smaller one.
+    A file that cannot be used is set aside before it would be overwritten. Maps of earlier runs stay as generations,
+    and a map never gives way to a much smaller one.
     """
 
     def __init__(self, folder: Path | None, generations: int = 5) -> None:
         self._folder = folder
         self._complained = ""
-        self._landmarks = 0
         self._written = False
         self._in_use = False
-        self._generations = None if folder is None else Generations(folder / MAP_NAME, generations)
+        self._lock = threading.Lock()
+        at = Path() if folder is None else folder
+        self._map, self._beside = MapSlot(at / MAP_NAME), MapSlot(at / BESIDE_NAME)
+        self._generations = Generations(self._map.path, generations)
 
     @property
     def error(self) -> str:
@@ -74,60 +78,49 @@ class Store:
         if self._folder is None:
             return None
         self._sweep(self._folder)
-        stored = self._read(self._folder / MAP_NAME, load_map)
-        state = self._read(self._folder / STATE_NAME, load_state)
-        said = "stored map loaded; its last pose is a hypothesis until landmarks confirm it"
+        stored, name = self._map.read(), MAP_NAME
+        state = usable(self._folder / STATE_NAME, load_state)
         if stored is None:
-            stored, said = self._earlier(), "an earlier map loaded, for the last one is missing or damaged"
-        elif state is None:
-            said = "stored map loaded without a pose: the robot is searched for on all of it"
+            stored, name = self._earlier()
         if stored is None:
             return None
-        self._landmarks, self._in_use = len(stored.landmarks), True
-        return Kept(stored, state, said)
+        self._map.landmarks, self._in_use = len(stored.landmarks), True
+        said = "its last pose is a hypothesis until landmarks confirm it"
+        if state is None or _is_vague(state.cov):
+            state, said = None, "without a pose: the robot is searched for on all of it"
+        which = "stored map loaded" if name == MAP_NAME else f"an earlier map loaded, {name}"
+        return Kept(_bounded(stored), state, f"{which}, {len(stored.landmarks)} landmarks; {said}")
 
-    def _earlier(self) -> StoredMap | None:
-        """The newest generation that can be used."""
-        for path in [] if self._generations is None else self._generations.paths():
-            stored = self._read(path, load_map)
+    def _earlier(self) -> tuple[StoredMap | None, str]:
+        """The newest generation that can be used, and its name."""
+        for path in self._generations.paths():
+            stored = usable(path, load_map)
             if stored is not None:
-                _log.warning("%s: used instead of %s", path.name, MAP_NAME)
-                return stored
-        return None
-
-    def _read(self, path: Path, load: Callable[[Path], _T | None]) -> _T | None:
-        try:
-            return load(path)
-        except FileFormatError as e:
-            _log.warning("starting without %s: %s", path.name, e)
-        aside = path.with_name(path.name + REJECTED)
-        try:
-            path.replace(aside)
-        except OSError as e:
-            _log.warning("%s: cannot be set aside: %s", path, e.strerror or e)
-        else:
-            _log.warning("%s: set aside as %s", path, aside.name)
-        return None
+                return stored, path.name
+        return None, ""
 
     @staticmethod
     def _sweep(folder: Path) -> None:
         """What a process left that was killed while it wrote."""
         for name in (MAP_NAME, STATE_NAME, BESIDE_NAME):
             with contextlib.suppress(OSError):  # of the folder, too: it may not be looked into
-                for left in folder.glob(f".{name}.*.tmp"):
+                for left in folder.glob(f".*{name}.*.tmp"):
                     left.unlink(missing_ok=True)
 
     def begin_anew(self) -> bool:
         """The map was given up by its owner: what is saved next may be smaller. True where the old one stays as the
         newest generation."""
-        self._landmarks, self._written, self._in_use = 0, False, False
-        if self._generations is None:
+        if self._folder is None:
             return False
-        try:
-            self._generations.keep(whatever_the_age=True)
-        except OSError as e:
-            return self._complain(f"map not kept as a generation: {e}")
-        return bool(self._generations.paths())
+        with self._lock:
+            self._written, self._in_use = False, False
+            try:
+                self._generations.keep(whatever_the_age=True)
+            except OSError as e:
+                self._map.give_up(kept=False)
+                return self._complain(f"map not kept as a generation: {e}")
+            self._map.give_up(kept=True)
+            return bool(self._generations.paths())
 
     def save(
         self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate, elsewhere: float = 0.0
@@ -139,43 +132,54 @@ class Store:
         Args:
             elsewhere: probability that the robot is at another place.
         """
-        if self._folder is None or self._generations is None or map_axis_rad is None:
+        if self._folder is None or map_axis_rad is None:
             return False
-        smaller = len(landmarks) < SMALLER * self._landmarks
-        try:
-            if smaller:
-                save_map(self._folder / BESIDE_NAME, landmarks, map_axis_rad)
-            else:
-                if not self._written:
-                    self._generations.keep()
-                save_map(self._folder / MAP_NAME, landmarks, map_axis_rad)
+        with self._lock:
+            try:
+                self._map.look()
+                if self._map.is_better_than(len(landmarks)):
+                    return self._save_beside(landmarks, map_axis_rad)
+                if not self._written or self._map.unkept:
+                    self._generations.keep(whatever_the_age=self._map.unkept)
+                self._map.write(landmarks, map_axis_rad)
                 self._write_pose(self._folder, estimate, elsewhere)
-        except (CeilvoError, OSError) as e:
-            return self._complain(f"{_NOT_SAVED}: {e}")
-        if smaller:
-            return self._complain(
-                f"{MAP_NAME} with {self._landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
-                f"that one is in {BESIDE_NAME}. If it is the right one: cmd/reset without the map, then save"
-            )
-        if self._complained:
-            _log.info("map and pose are saved again")
-        self._complained, self._landmarks, self._written, self._in_use = "", len(landmarks), True, True
-        return True
+            except (CeilvoError, OSError) as e:
+                return self._complain(f"{_NOT_SAVED}: {e}")
+            if self._complained:
+                _log.info("map and pose are saved again")
+            self._complained, self._written, self._in_use = "", True, True
+            return True
 
     def save_pose(self, estimate: Estimate, elsewhere: float = 0.0) -> bool:
         """Write the pose alone; False where the map that lies in the folder is not the one in use, or saving failed of
         late: then it waits for the map."""
-        if self._folder is None or not self._in_use or self._complained:
+        if self._folder is None:
             return False
-        try:
-            self._write_pose(self._folder, estimate, elsewhere)
-        except (CeilvoError, OSError) as e:
-            return self._complain(f"{_NOT_SAVED}: {e}")
-        return True
+        with self._lock:
+            if not self._in_use or self._complained or not self._map.is_ours():
+                return False
+            try:
+                self._write_pose(self._folder, estimate, elsewhere)
+            except (CeilvoError, OSError) as e:
+                return self._complain(f"{_NOT_SAVED}: {e}")
+            return True
 
     @staticmethod
     def _write_pose(folder: Path, e: Estimate, elsewhere: float) -> None:
-        save_state(folder / STATE_NAME, e.pose, e.cov, e.state, e.stamp_ns, elsewhere)
+        cov = _VAGUE_COV if _is_vague(e.cov) else e.cov
+        save_state(folder / STATE_NAME, e.pose, cov, e.state, e.stamp_ns, elsewhere)
+
+    def _save_beside(self, landmarks: Landmarks, map_axis_rad: float) -> bool:
+        """Where a smaller map of another run lies that is itself better than this one, nothing is written."""
+        self._beside.look()
+        there = f"{BESIDE_NAME} of an earlier run has more, too, and stays"
+        if not self._beside.is_better_than(len(landmarks)):
+            self._beside.write(landmarks, map_axis_rad)
+            there = f"that one is in {BESIDE_NAME}"
+        return self._complain(
+            f"{MAP_NAME} with {self._map.landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
+            f"{there}. If it is the right one: cmd/reset without the map, then save"
+        )
 
     def _complain(self, why: str) -> bool:
         """Once for each kind of trouble: figures in it change at every save."""
@@ -187,3 +191,17 @@ class Store:
     @property
     def folder(self) -> Path | None:
         return self._folder
+
+
+def _is_vague(cov: Array) -> bool:
+    """Whether a pose with this covariance (3, 3) may as well be anywhere."""
+    sigma = np.sqrt(np.diag(cov))
+    return not (max(sigma[:2]) < VAGUE_M and sigma[2] < VAGUE_RAD)
+
+
+def _bounded(stored: StoredMap) -> StoredMap:
+    """The map with no landmark vaguer than VAGUE_M."""
+    cov_m2 = stored.landmarks.cov_m2
+    largest_m2 = np.maximum(cov_m2[:, 0, 0], cov_m2[:, 1, 1])
+    share = np.minimum(1.0, VAGUE_M**2 / np.maximum(largest_m2, VAGUE_M**2))
+    return replace(stored, landmarks=replace(stored.landmarks, cov_m2=share[:, None, None] * cov_m2))

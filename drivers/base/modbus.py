@@ -46,6 +46,21 @@ def port_parity(port: str, parity: str) -> str:
         return parity
 
 
+class _Client(ModbusSerialClient):
+    """With a timeout that nobody prolongs who sets the clock: pymodbus's own goes by the time of day."""
+
+    def _wait_for_data(self) -> int:
+        """Bytes that are there once no more come, or at the timeout."""
+        size, end_s = 0, time.monotonic() + self.comm_params.timeout_connect
+        while time.monotonic() <= end_s:
+            available = int(self._in_waiting())  # type: ignore[no-untyped-call]
+            if size and available in (0, size):
+                break
+            size = available
+            time.sleep(self._recv_interval)
+        return size
+
+
 class ModbusBase:
     """drivers.ports.Base on a serial port. No retries: a late pose is worth less than a new one."""
 
@@ -63,7 +78,7 @@ class ModbusBase:
 
     def open(self) -> None:
         c = self._config
-        client = ModbusSerialClient(
+        client = _Client(
             c.port,
             baudrate=c.baud,
             parity=port_parity(c.port, c.parity),

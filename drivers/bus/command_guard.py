@@ -67,6 +67,8 @@ class CommandGuard:
 def _read(path: Path) -> bytes:
     key = "zenoh.command_token_file"
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise ConfigError(f"{key}: found {path}: not a file, expected one with a token; {_MAKE_ONE}")
         with path.open("rb") as f:
             token = f.read(MOST_BYTES + 1).strip()
             mode = os.fstat(f.fileno()).st_mode

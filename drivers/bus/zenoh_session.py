@@ -15,7 +15,7 @@ import zenoh
 from ceilvo.config import Zenoh
 from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer
 from ceilvo.drivers.bus.messages import short
-from ceilvo.errors import BusError, one_line
+from ceilvo.errors import BusError, ConfigError, one_line
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +53,8 @@ def session_config(config: Zenoh) -> zenoh.Config:
     """What the daemon opens: config_file whole when it is given, else our keys.
 
     Raises:
-        BusError: an endpoint or the file cannot be used; names the key.
+        BusError: an endpoint cannot be used; names the key.
+        ConfigError: the file cannot be used.
     """
     if config.config_file:
         return _from_file(config.config_file)
@@ -125,11 +126,13 @@ def _from_settings(settings: dict[str, Any]) -> zenoh.Config:
 
 def _from_file(path: str) -> zenoh.Config:
     if not Path(path).is_file():
-        raise BusError(f"zenoh.config_file: found {short(path)}, expected a Zenoh configuration file; no such file")
+        raise ConfigError(f"zenoh.config_file: found {short(path)}, expected a Zenoh configuration file; no such file")
     try:
         out: zenoh.Config = zenoh.Config.from_file(path)
     except (zenoh.ZError, OSError, ValueError) as e:
-        raise BusError(f"zenoh.config_file: {path} cannot be used: {zenoh_reason(e)}; correct the file") from e
+        raise ConfigError(
+            f"zenoh.config_file: {path} cannot be used: {zenoh_reason(e)}; correct the file, or restore it"
+        ) from e
     return out
 
 

@@ -4,45 +4,89 @@ would move both robots."""
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
+import logging
 import os
 import socket
+import stat
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from ceilvo.errors import CeilvoError
+from ceilvo.files import set_aside
+
+_log = logging.getLogger("ceilvo.owner")
 
 LOCK_NAME = ".owner"
+_MOST_BYTES = 20
+"""Of a process id and a line's end."""
 
 
 @contextmanager
 def owner_of_folder(folder: Path) -> Iterator[None]:
-    """Hold a state directory, by a lock that goes with the process; a folder that cannot be written to is not held.
+    """Hold a state directory, by a lock that goes with the process; where it cannot be held, a line says so.
 
     Raises:
         CeilvoError: another process holds it; names that process.
     """
+    path = folder / LOCK_NAME
     try:
-        fd = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError:
+        fd = _opened(path)
+    except FileNotFoundError:
+        yield  # there is no such folder, as the first saving says
+        return
+    except OSError as e:
+        _log.warning(
+            "%s: cannot be locked: %s; a second daemon there would not be noticed, remove it", path, e.strerror
+        )
         yield
         return
     try:
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            pid = os.pread(fd, 20, 0).decode(errors="replace").strip()
-            raise CeilvoError(
-                f"service.state_dir: {folder} is in use by {_named(pid)}, expected no other daemon there; "
-                "stop that one, or give this one a folder of its own"
-            ) from None
-        os.ftruncate(fd, 0)
-        os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
+        _lock(fd, folder)
+        with contextlib.suppress(OSError):  # a full disk; the lock holds all the same
+            os.ftruncate(fd, 0)
+            os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:
         os.close(fd)
+
+
+def _opened(path: Path) -> int:
+    """The lock file. What is no lock file has somebody's data in it and makes way.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    for _ in range(2):
+        try:
+            fd = os.open(path, flags, 0o600)
+        except OSError as e:
+            if e.errno not in (errno.EISDIR, errno.ELOOP):
+                raise
+        else:
+            seen = os.fstat(fd)
+            if stat.S_ISREG(seen.st_mode) and seen.st_size <= _MOST_BYTES:
+                return fd
+            os.close(fd)
+        _log.warning(
+            "%s: found something else, expected the daemon's lock; set aside as %s", path, set_aside(path).name
+        )
+    raise OSError(errno.EEXIST, os.strerror(errno.EEXIST))
+
+
+def _lock(fd: int, folder: Path) -> None:
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        pid = os.pread(fd, _MOST_BYTES, 0).decode(errors="replace").strip()
+        raise CeilvoError(
+            f"service.state_dir: {folder} is in use by {_named(pid)}, expected no other daemon there; "
+            "stop that one, or give this one a folder of its own"
+        ) from None
 
 
 @contextmanager

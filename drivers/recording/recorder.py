@@ -6,6 +6,7 @@ counted. Encoding and compression happen in the thread.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -160,7 +161,8 @@ class Recorder:
         try:
             while self._turn():
                 pass
-            self._storage.close()
+            with contextlib.suppress(OSError) if self._stopped else contextlib.nullcontext():
+                self._storage.close()  # what it may not do once it has stopped is no news
             self._count_bytes()
         except Exception as e:  # recording must never take the robot's localisation down
             if not isinstance(e, OSError):

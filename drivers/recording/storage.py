@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ceilvo.config import Recorder as RecorderConfig
 from ceilvo.drivers.recording.mcap_file import Head, McapFile, Message
+from ceilvo.files import write_atomic
 
 _PREFIX = "flight-"
 _NS = 1e-9
@@ -187,7 +188,7 @@ class Ring:
         for folder in (self._ring.parent, self._ring, self._kept):  # not their parent: it may be a disk that is gone
             folder.mkdir(exist_ok=True)
         found = sorted(self._ring.glob(f"{_PREFIX}*.mcap"))
-        self._segments = [_Segment(p, _size(p), self._segment_s) for p in found]
+        self._segments = [_Segment(p, _size(p), self._segment_s) for p in found if p.is_file()]
         numbers = [int(m[1]) for p in (*found, *self._kept.glob("*/*.mcap")) if (m := re.search(r"(\d+)$", p.stem))]
         self._number = max(self._number, max(numbers, default=-1) + 1)
         self._ready = True
@@ -195,7 +196,7 @@ class Ring:
         if not self._marked and self._segments and self._boot_id and _text(mark) == self._boot_id:
             self.fault("the process died", self._now_ns)
             self._keeping = None
-        mark.write_text(self._boot_id + "\n")
+        write_atomic(mark, self._boot_id + "\n")
         self._marked = True
 
     def _open(self, stamp_ns: int) -> None:

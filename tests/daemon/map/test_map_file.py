@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -144,7 +145,7 @@ def test_a_bad_map_is_one_clear_line(tmp_path: Path, name: str) -> None:
     message = str(caught.value)
     assert expected in message
     assert message.startswith(f"{path}: ")
-    assert message.endswith("move it away to let the daemon build a new map, or restore a backup")
+    assert message.endswith("restore a backup, or go on with an earlier map or a new one")
     assert "\n" not in message
     assert len(message) < 500
 
@@ -273,7 +274,18 @@ def test_a_failed_write_leaves_the_old_map(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_folder_in_place_of_the_file_is_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "map").mkdir()
-    with pytest.raises(FileFormatError, match="cannot be read: Is a directory"):
+    with pytest.raises(FileFormatError, match="a folder, a pipe or a device, expected a file"):
+        load_map(tmp_path / "map")
+
+
+def test_a_link_to_nothing_and_a_pipe_are_clear_errors(tmp_path: Path) -> None:
+    """The one was no map, silently; the other was waited for, for ever."""
+    (tmp_path / "map").symlink_to(tmp_path / "nothing")
+    with pytest.raises(FileFormatError, match=r"map: a link to .*nothing, which is not there; restore"):
+        load_map(tmp_path / "map")
+    (tmp_path / "map").unlink()
+    os.mkfifo(tmp_path / "map")
+    with pytest.raises(FileFormatError, match="map: a folder, a pipe or a device, expected a file"):
         load_map(tmp_path / "map")
 
 

@@ -73,5 +73,5 @@ def test_a_bad_column_is_one_clear_line(tmp_path: Path, name: str) -> None:
     message = str(caught.value)
     assert expected in message
     assert message.startswith(f"{path}: ")
-    assert message.endswith("move it away to let the daemon build a new map, or restore a backup")
+    assert message.endswith("restore a backup, or go on with an earlier map or a new one")
     assert len(message) < 500

@@ -98,6 +98,17 @@ def test_no_answer_says_what_to_check(sim: SimBase) -> None:
     base.close()
 
 
+def test_a_clock_that_is_set_back_prolongs_no_wait(sim: SimBase, monkeypatch: pytest.MonkeyPatch) -> None:
+    """pymodbus counted its timeout by the time of day: set back by an hour, a silent base was waited for so long."""
+    base = ModbusBase(settings(sim.port, unit_id=9))
+    base.open()
+    looks = iter(range(2000))  # then it raises: each is a millisecond
+    monkeypatch.setattr(time, "time", lambda: -3600.0 * next(looks))
+    with pytest.raises(BaseLinkError, match="gave no answer within"):
+        base.exchange(TELEGRAM)
+    base.close()
+
+
 def test_garbage_is_shown_in_hex(sim: SimBase) -> None:
     base = ModbusBase(settings(sim.port))
     base.open()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +74,12 @@ def test_a_token_file_that_cannot_be_used(tmp_path: Path, content: bytes | None,
     assert str(file) in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_a_pipe_in_the_place_of_a_token_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "token")
+    with pytest.raises(ConfigError, match="not a file, expected one with a token"):
+        CommandGuard.of(Zenoh(command_token_file=str(tmp_path / "token")))
+
+
 def test_none_of_ten_thousand_foreign_commands_is_taken_and_the_owner_is_served(tmp_path: Path) -> None:
     robot, rng = Robot(), random.Random(SEED)
     log = CommandLog(tmp_path)
@@ -102,6 +109,35 @@ def test_what_failed_is_in_the_log_and_the_log_is_bounded(tmp_path: Path) -> Non
         log("reset", "x" * 4000, "owner", "done")
     sizes = [p.stat().st_size for p in tmp_path.iterdir()]
     assert len(sizes) == 2 and max(sizes) < MOST_BYTES + 5000
+
+
+@pytest.mark.parametrize("there", [b'{"format": "ceilvo-map", "content": {}}\n', b"\x89PNG\r\n", b"7\n", None])
+def test_what_is_no_log_of_commands_makes_way(
+    tmp_path: Path, there: bytes | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A map under this name was spoilt by the first command, and the next but a few thousand would have deleted it."""
+    path = tmp_path / NAME
+    if there is None:
+        path.mkdir()
+    else:
+        path.write_bytes(there)
+    log = CommandLog(tmp_path)
+    for _ in range(2):
+        log("reset", "", "owner", "done")
+    assert len(path.read_text().splitlines()) == 2
+    aside = tmp_path / f"{NAME}.rejected"
+    assert aside.is_dir() if there is None else aside.read_bytes() == there
+    assert [r.getMessage() for r in caplog.records] == [f"{path}: no log of commands; set aside as {aside.name}"]
+
+
+def test_a_line_that_was_cut_short_costs_no_other(tmp_path: Path) -> None:
+    CommandLog(tmp_path)("reset", "", "owner", "done")
+    path = tmp_path / NAME
+    path.write_bytes(path.read_bytes() + path.read_bytes()[:20])
+    CommandLog(tmp_path)("save_map", "", "owner", "done")
+    rows = path.read_text().splitlines()
+    assert len(rows) == 3
+    assert [json.loads(rows[n])["command"] for n in (0, 2)] == ["reset", "save_map"]
 
 
 def test_the_token_comes_over_a_real_session(token_file: Path) -> None:
