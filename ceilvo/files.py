@@ -12,7 +12,18 @@ MOST_REJECTED = 9
 
 
 def write_atomic(path: Path, data: bytes | str, mode: int = 0o644) -> None:
-    """Write next to the target, flush to disk, rename over it; on any failure the old file stays as it was."""
+    """Write next to the target, flush to disk, rename over it; on any failure the old file stays as it was.
+
+    Raises:
+        OSError: names the target.
+    """
+    try:
+        _write_atomic(path, data, mode)
+    except OSError as e:
+        raise OSError(e.errno, e.strerror, str(path)) from e
+
+
+def _write_atomic(path: Path, data: bytes | str, mode: int) -> None:
     raw = data.encode() if isinstance(data, str) else data
     fd, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
     tmp = Path(name)

@@ -86,7 +86,7 @@ class Store:
             return None
         self._map.landmarks, self._in_use = len(stored.landmarks), True
         said = "its last pose is a hypothesis until landmarks confirm it"
-        if state is None or _is_vague(state.cov):
+        if state is None or _is_vague(state.cov) or _is_off(state.pose, stored.landmarks):
             state, said = None, "without a pose: the robot is searched for on all of it"
         which = "stored map loaded" if name == MAP_NAME else f"an earlier map loaded, {name}"
         return Kept(_bounded(stored), state, f"{which}, {len(stored.landmarks)} landmarks; {said}")
@@ -197,6 +197,14 @@ def _is_vague(cov: Array) -> bool:
     """Whether a pose with this covariance (3, 3) may as well be anywhere."""
     sigma = np.sqrt(np.diag(cov))
     return not (max(sigma[:2]) < VAGUE_M and sigma[2] < VAGUE_RAD)
+
+
+def _is_off(pose: Array, landmarks: Landmarks) -> bool:
+    """Whether a pose (3,) is so far from all of the map that it is as good as none."""
+    if not len(landmarks):
+        return False
+    low, high = landmarks.xy_map_m.min(axis=0), landmarks.xy_map_m.max(axis=0)
+    return bool(np.any(np.maximum(low - pose[:2], pose[:2] - high) > VAGUE_M))
 
 
 def _bounded(stored: StoredMap) -> StoredMap:

@@ -19,7 +19,7 @@ from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_stat
 from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME, Store
 from ceilvo.errors import FileFormatError
 from ceilvo.files import MOST_REJECTED, REJECTED, write_atomic
-from ceilvo.types import State
+from ceilvo.types import Pose, State
 
 KILLS = int(os.environ.get("KILLS", "20"))
 """`make kill-test` sets 200."""
@@ -242,6 +242,21 @@ def test_a_pose_that_may_be_anywhere_is_stored_as_such(tmp_path: Path, variance:
     assert store.save(landmarks(30), 0.25, vague), store.error
     found = Store(tmp_path).load()
     assert found is not None and found.state is None and "searched for on all of it" in found.said
+
+
+def test_a_pose_far_off_the_map_is_none(tmp_path: Path) -> None:
+    """At the limit of what a file may say the robot drove beyond it, and nothing was saved any more."""
+    store = Store(tmp_path)
+    assert store.save(landmarks(30), 0.25, replace(estimate(1), pose=Pose(np.array([1e6, 0.0, 0.0]))))
+    found = Store(tmp_path).load()
+    assert found is not None and found.state is None and "searched for on all of it" in found.said
+
+
+def test_what_cannot_be_written_is_said_by_its_own_name(tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(IsADirectoryError) as found:
+        write_atomic(tmp_path / "taken", "x")
+    assert found.value.filename == str(tmp_path / "taken")
 
 
 def test_landmarks_that_may_be_anywhere_are_read_as_a_building_wide(tmp_path: Path) -> None:
