@@ -18,17 +18,18 @@ _STILL_SHARE = 0.15
 """Of that, what still counts as none; chosen: above the noise of a standing picture (0.1 mm) and of whole counts."""
 _SIGMAS = 6.0
 """Of the wheels' own error, that a motion must exceed: noise does so once in 10^9 windows, 10^4 h at 30 Hz."""
-_HOLE_S = 0.5
-"""Longest time without a measured motion within one window; chosen: longer ones are gaps, with rules of their own."""
+_HOLE_S, _HOLE_FRAMES = 0.5, 1.5
+"""Longest time without a measured motion within one window, or so many of the usual periods of a slow camera; chosen:
+longer ones are gaps, with rules of their own."""
 _IN_DOUBT_M, _IN_DOUBT_RAD = 0.15, 0.1
 """A pose that may be further off is in doubt; chosen: half of the smallest tile, 0.3 m, and 5.7 deg."""
 _MARGIN = 1.1
 """On a bound that wheels gave; chosen: their scale may be off by so much."""
 CARRY_MPS, CARRY_RADPS = 15.0, 15.0
 """A robot that is carried or thrown is not moved faster; chosen: far above a hand's 4 m/s."""
-_BLIND_S, _SILENT_S = 0.09, 0.5
-"""Shortest time without a motion in which a robot may have been moved: frames that showed none, no frames at all.
-Chosen: a tile in 0.1 s is 6 m/s; a busy computer leaves frames out for some tenths."""
+_BLIND_S = 0.09
+"""Shortest time without a motion in which a robot may have been moved, where frames showed none; chosen: a tile in
+0.1 s is 6 m/s. Where there were no frames at all it is a hole: a busy computer leaves them out for some tenths."""
 _SURE_STEP = 0.5
 """Of the radius in which features are matched: a longer step on a ceiling of tiles may be another; chosen."""
 
@@ -99,7 +100,7 @@ class Standing:
             return None
         before, gap_s, failed = s.sight_wheels, now_s - s.sight_s, s.failed
         s.sight_s, s.sight_wheels, s.failed = now_s, paths.wheels[-1].copy(), 0
-        if before is None or gap_s < (_BLIND_S if failed else _SILENT_S):
+        if before is None or gap_s < (_BLIND_S if failed else _hole_s(paths)):
             return None
         if _size(displacement(before, paths.wheels[-1])) > _STILL_SHARE:
             return None
@@ -150,8 +151,14 @@ def _stood_since(paths: Paths) -> int | None:
         return None
     seen = np.flatnonzero((paths.good > 0.0) & (paths.piece == paths.piece[-1]))
     still = _still(paths.eye[seen] - paths.eye[-1])
-    still[:-1] &= np.diff(paths.time_s[seen]) < _HOLE_S
+    still[:-1] &= np.diff(paths.time_s[seen]) < _hole_s(paths)
     return int(seen[_trailing(still)])
+
+
+def _hole_s(paths: Paths) -> float:
+    """How long a hole is at the rate at which frames came before the last one."""
+    before_s = np.diff(paths.time_s)[:-1]
+    return max(_HOLE_S, _HOLE_FRAMES * float(np.median(before_s))) if len(before_s) else _HOLE_S
 
 
 def _moved(paths: Paths, from_s: float, to_s: float) -> bool:

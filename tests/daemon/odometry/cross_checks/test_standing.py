@@ -41,8 +41,10 @@ class Rig:
         DRIVING,
         DriveSpec(speeds_mps=(0.003, 0.05), rate_hz=10.0),
         DriveSpec(slips_per_m=0.5, slip_share=0.95, slip_radps=0.6, rate_hz=15.0),
+        DriveSpec(speeds_mps=(0.02, 0.2), slips_per_m=0.0, rate_hz=1.9),
+        DriveSpec(speeds_mps=(0.02, 0.2), slips_per_m=0.0, rate_hz=1.0),
     ],
-    ids=["driving", "creeping", "slipping"],
+    ids=["driving", "creeping", "slipping", "slow camera", "camera of 1 Hz"],
 )
 def test_a_drive_without_faults_is_not_suspected(spec: DriveSpec, seed: int) -> None:
     check = Standing(0.15)
@@ -144,6 +146,20 @@ def test_a_frame_left_out_by_a_busy_computer_is_no_lifting_but_half_a_second_wit
     assert rig.frame(rig.seen(), still(), 0.3) == []
     (said,) = rig.frame(rig.seen(), still(), 0.6)
     assert said.kind is Kind.LIFTED
+
+
+def test_the_frames_of_a_slow_camera_are_no_lifting_but_two_periods_without_one_are() -> None:
+    """At 1.9 Hz a robot was in doubt whenever it stood, time and again, until a wrong place seemed sure."""
+    rig = Rig()
+    assert [s for _ in range(30) for s in rig.frame(rig.seen(), still(), 0.53)][1:] == []
+    (said,) = rig.frame(rig.seen(), still(), 1.06)
+    assert said.kind is Kind.LIFTED
+
+
+def test_wheels_that_spin_under_a_slow_camera_are_said() -> None:
+    rig = Rig()
+    said = [s for _ in range(4) for s in rig.frame(rig.seen(), ahead(0.1), 0.6)]
+    assert {s.kind for s in said} == {Kind.STANDS}
 
 
 def test_a_picture_that_is_late_may_move_on_after_the_wheels_have_stopped() -> None:
