@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
-.PHONY: soak bench-faults bench-place bench-latency kill-test damage-matrix fuzz
+.PHONY: soak bench-faults bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib
 .DEFAULT_GOAL := help
 
@@ -27,6 +27,7 @@ help:
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
+	@echo "make bench-starved     one core, hogs on it, cameras of 2 to 90 Hz: states, ages, the rate that is used"
 	@echo "make kill-test         kill -9 while it saves, and of the whole daemon while it drives, KILLS=200 times each"
 	@echo "make damage-matrix     every file that it reads or keeps, damaged in every way, then a run: 1200 cases"
 	@echo "make fuzz              every reader of bytes, MINUTES=10 each; by coverage where atheris can be installed"
@@ -89,6 +90,9 @@ bench-place: $(VENV)/.installed
 
 bench-latency: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.speed.latency --seconds $(or $(SECONDS),60)
+
+bench-starved: $(VENV)/.installed
+	$(BIN)/python -m ceilvo.bench.starved --seconds $(or $(SECONDS),20)
 
 kill-test: $(VENV)/.installed-dev
 	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_files.py tests/faults/test_kill.py -k killed -q -s

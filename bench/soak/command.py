@@ -77,6 +77,7 @@ class Soak:
         self.telegrams: list[ReceivedTelegram] = []
         self.plan: list[Stroke] = strokes(seconds)
         self.world = World(WorldSpec(seed=seed))
+        self.start_s = _START_S
         self.usage: list[Usage] = []
         self.heard = Heard()
         self.floods: list[Stroke] = []
@@ -92,7 +93,7 @@ class Soak:
             base = SimBase(port_link=link, odometry=self._odometry)
             base.start()
             ending.callback(base.stop)
-            self.t0_ns = self.world.start(time.monotonic_ns() + round(1e9 * _START_S))
+            self.t0_ns = self.world.start(time.monotonic_ns() + round(1e9 * self.start_s))
             daemon = self._spawn(port, router_port, link)
             ending.callback(_end, daemon)
             listener = Listener(port)
@@ -119,16 +120,18 @@ class Soak:
             shutil.rmtree(old) if old.is_dir() else old.unlink()
         file = self._out / f"{self._name}.yaml"
         file.write_text(render_config(self._config(port, router_port, link)))
-        args = [str(self._seed), str(self.t0_ns), str(self._seconds), str(file)]
+        args = [str(a) for a in self._command(file)]
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
         environment |= {"MALLOC_MMAP_THRESHOLD_": "33554432", "MALLOC_TRIM_THRESHOLD_": "268435456"}
         with (self._out / f"{self._name}.log").open("wb") as log:
-            daemon = subprocess.Popen(
-                [sys.executable, "-m", "ceilvo.bench.soak.robot", *args], stdout=log, stderr=log, env=environment
-            )
+            daemon = subprocess.Popen([sys.executable, "-m", *args], stdout=log, stderr=log, env=environment)
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, daemon.pid, os.getpriority(os.PRIO_PROCESS, 0) + _NICE)
         return daemon
+
+    def _command(self, file: Path) -> Sequence[object]:
+        """The daemon's module and its arguments."""
+        return ["ceilvo.bench.soak.robot", self._seed, self.t0_ns, self._seconds, file]
 
     def _config(self, port: int, router_port: int, link: Path) -> Config:
         x, y, theta = (float(v) for v in self.world.initial_pose)

@@ -59,6 +59,7 @@ class PoseRow(NamedTuple):
     state: State
     x_m: float
     y_m: float
+    theta_rad: float
     seq: int
 
 
@@ -95,7 +96,7 @@ class Listener:
 
     def _pose(self, sample: zenoh.Sample) -> None:
         recv_ns, p = time.monotonic_ns(), decode_pose(sample.payload.to_bytes())
-        self.heard.poses.append(PoseRow(recv_ns, p.stamp_ns, p.state, p.x_m, p.y_m, p.seq))
+        self.heard.poses.append(PoseRow(recv_ns, p.stamp_ns, p.state, p.x_m, p.y_m, p.theta_rad, p.seq))
         self.got_pose.set()
 
     def _health(self, sample: zenoh.Sample) -> None:

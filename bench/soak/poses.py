@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo import se2
 from ceilvo.bench.soak.fault_plan import AFTER_FAULT_S, LEAD_S, Stroke
 from ceilvo.bench.soak.parts import Heard
 from ceilvo.drivers.base.link import GOOD
@@ -26,9 +27,10 @@ class Poses:
         self.recv_s: Floats = _NS * (np.array([r.recv_ns for r in rows], np.int64) - t0_ns).astype(np.float64)
         self.t_s: Floats = _NS * (np.array([r.stamp_ns for r in rows], np.int64) - t0_ns).astype(np.float64)
         self.state = np.array([r.state for r in rows], np.int64)
-        xy = np.array([(r.x_m, r.y_m) for r in rows], np.float64).reshape(-1, 2)
-        truth = world.truth_at(self.t_s)[:, :2] if len(rows) else xy
-        self.error_m: Floats = np.hypot(*(xy - truth).T)
+        poses = np.array([(r.x_m, r.y_m, r.theta_rad) for r in rows], np.float64).reshape(-1, 3)
+        off = poses - world.truth_at(self.t_s) if len(rows) else poses
+        self.error_m: Floats = np.hypot(off[:, 0], off[:, 1])
+        self.error_rad: Floats = np.abs(se2.wrap_array(off[:, 2]))
         self.latency_s: Floats = self.recv_s - self.t_s
         self.gap_s: Floats = np.diff(self.recv_s, append=self.recv_s[-1:])
 

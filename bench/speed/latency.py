@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -72,8 +73,13 @@ def figures(run: Soak, base: Base) -> dict[str, object]:
 def spread(values: Sequence[float]) -> dict[str, float]:
     v = np.array(values, np.float64)
     if not len(v):
-        return {"count": 0, "median": float("nan"), "p99": float("nan")}
-    return {"count": len(v), "median": float(np.median(v)), "p99": float(np.percentile(v, 99))}
+        return {"count": 0, "median": math.nan, "p99": math.nan, "max": math.nan}
+    return {
+        "count": len(v),
+        "median": float(np.median(v)),
+        "p99": float(np.percentile(v, 99)),
+        "max": float(v.max()),
+    }
 
 
 if __name__ == "__main__":

@@ -12,6 +12,9 @@ from ceilvo.config.serial_budget import wire_budget
 from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer, segment_problem
 from ceilvo.errors import ConfigError
 
+_FRESH_PERIODS = 1.5
+"""Of the camera, that a healthy pose is old at most; chosen: one period until the next, half a one for the step."""
+
 
 @dataclass(frozen=True)
 class Conflict:
@@ -57,6 +60,12 @@ def notes(config: Config) -> tuple[str, ...]:
         out.append(
             f"base.rate_hz: {base.rate_hz:g} is above camera.rate_hz {camera.rate_hz:g}; "
             "poses between frames repeat the last one with a greater age"
+        )
+    period_s = 1.0 / camera.rate_hz
+    if base.enabled and base.stale_s < _FRESH_PERIODS * period_s:
+        out.append(
+            f"base.stale_s: {base.stale_s:g} is too short for camera.rate_hz {camera.rate_hz:g}; before each new frame "
+            f"the base hears DEAD_RECKONING; set it to {math.ceil(10.0 * _FRESH_PERIODS * period_s) / 10.0:g} or more"
         )
     open_ends = [e for e in zenoh.listen if not on_this_computer(e)]
     if zenoh.enabled and open_ends and not zenoh.config_file:

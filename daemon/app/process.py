@@ -56,7 +56,8 @@ log = logging.getLogger("ceilvo")
 _TICK_S = 0.05
 """Period of the main thread; chosen: a change of state is in systemd's status this soon (docs/faults.md)."""
 _SILENT_FRAMES = 3.0
-"""Frame intervals without a frame that make a slow camera silent; chosen: two frames lost in a row are not news."""
+"""Periods of the frames that are used, without one, that make a slow camera silent; chosen: two lost in a row are not
+news."""
 _SILENT_PERIOD_S = 0.1
 """Between estimates of a silent camera; chosen: often enough to be seen."""
 _STOP_S = 1.0
@@ -268,7 +269,7 @@ class Daemon:
             self._camera_reason = event.text
         elif event.kind == "opened":
             self._camera_reason = _SILENT
-        level = logging.WARNING if event.kind == "lost" else logging.INFO
+        level = logging.WARNING if event.kind in ("lost", "slow", "rate") else logging.INFO
         self._outputs.event(f"camera_{event.kind}", f"camera {event.kind}: {event.text}", level)
 
     def _estimate(self) -> None:
@@ -304,11 +305,10 @@ class Daemon:
 
     def _patience_s(self) -> float:
         """How long a frame may be late before that is news; once it is, the news is repeated often."""
-        last, info = self._estimator.last, self._capture.info
+        last = self._estimator.last
         if last is not None and last.motion.failure == self._camera_reason:
             return _SILENT_PERIOD_S
-        rate_hz = info.rate_hz if info is not None and info.rate_hz > 0 else self._config.camera.rate_hz
-        return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES / rate_hz)
+        return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES * self._capture.rate.used_period_s)
 
 
 def plan_real(

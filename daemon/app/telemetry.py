@@ -83,7 +83,7 @@ class Telemetry:
 
     def counters(self) -> dict[str, object]:
         """Every counter of the process, by name, for the health message."""
-        capture, last = self._capture.counters(), self._estimator.last
+        capture, rate, last = self._capture.counters(), self._capture.rate, self._estimator.last
         with self._lock:
             fps, latency, stale = self._stats.fps, self._stats.latency(), self._staleness.last
         out: dict[str, object] = {
@@ -91,6 +91,10 @@ class Telemetry:
             "fps": fps,
             "frames": capture.frames,
             "drops": capture.drops,
+            "skipped_frames": capture.skipped,
+            "camera_rate_hz": rate.camera_hz,
+            "used_rate_hz": rate.camera_hz / rate.every_nth,
+            "every_nth_frame": rate.every_nth,
             "bad_frames": capture.bad_frames,
             "bad_stamps": capture.bad_stamps,
             "repeated_frames": capture.repeats,

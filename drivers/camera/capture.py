@@ -1,4 +1,4 @@
-"""The capture thread: newest frame wins, a lost camera is reopened, everything is counted."""
+"""The capture thread: newest frame wins, every n-th on a busy computer; a lost camera is reopened; all is counted."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from ceilvo.config import Camera as CameraConfig
+from ceilvo.drivers.camera.frame_rate import FrameRate
 from ceilvo.drivers.ports import Camera, CameraInfo, Clock
 from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
@@ -16,16 +17,19 @@ from ceilvo.types import Frame
 _RING = 8
 """Pictures that a new one is compared with; chosen: drivers have 2 to 8 buffers."""
 
+EventKind = Literal["opened", "note", "lost", "bad_frame", "slow", "rate", "finished"]
+
 
 @dataclass(frozen=True, slots=True)
 class CaptureEvent:
     """Something worth a line in the log.
 
     opened: frames come (first time or again); note: the camera is not quite as asked; lost: no frames until further
-    notice; bad_frame: the first unusable frame after good ones; finished: the recording ended.
+    notice; bad_frame: the first unusable frame after good ones; slow: it gives fewer frames than it said; rate: fewer
+    of them are used, since the computer is slow; finished: the recording ended.
     """
 
-    kind: Literal["opened", "note", "lost", "bad_frame", "finished"]
+    kind: EventKind
     text: str
 
 
@@ -36,6 +40,7 @@ class CaptureCounters:
     Attributes:
         frames: good ones read from the camera.
         drops: good ones that a newer one replaced before they were taken.
+        skipped: good ones that were left out because only every n-th is used.
         bad_frames: cut short, of the wrong size, or with an unusable stamp.
         bad_stamps: those of them whose stamp did not increase.
         repeats: those of them whose picture was one of the last ones again.
@@ -47,6 +52,7 @@ class CaptureCounters:
 
     frames: int = 0
     drops: int = 0
+    skipped: int = 0
     bad_frames: int = 0
     bad_stamps: int = 0
     repeats: int = 0
@@ -59,12 +65,13 @@ class CaptureCounters:
 class CaptureLoop:
     """Reads a camera in its own thread into a mailbox of one.
 
-    A live camera's frame that nobody took is replaced by the next one. A recording waits until its frame was taken,
-    so nothing is dropped and a replay is repeatable. seq increases strictly over reopenings, stamps too; the size
-    stays what it was at first. on_event and on_crash are called from the thread.
+    A live camera's frame that nobody took is replaced by the next one; where that happens all the time, every n-th is
+    used (FrameRate). A recording waits until its frame was taken, so nothing is dropped and a replay is repeatable.
+    seq increases strictly over reopenings, stamps too; the size stays what it was at first. on_event and on_crash are
+    called from the thread.
 
     Args:
-        clock: CLOCK_MONOTONIC, for how long no good frame came.
+        clock: CLOCK_MONOTONIC, for how long no good frame came, and how long whoever takes frames is busy with one.
         on_crash: called with whatever is no CameraError (FileFormatError of a damaged recording, programming errors),
             after which the loop ends.
     """
@@ -85,6 +92,8 @@ class CaptureLoop:
         self._ended = False
         self._finished = False
         self._counters = CaptureCounters()
+        self.rate = FrameRate(settings.rate_hz)
+        self._taken_ns: int | None = None
         self._info: CameraInfo | None = None
         self._last: Frame | None = None
         self._pictures: deque[int] = deque(maxlen=_RING)
@@ -109,10 +118,21 @@ class CaptureLoop:
         self._thread.start()
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The newest frame, each at most once; None when none came in time or none will come any more."""
+        """The newest frame, each at most once; None when none came in time or none will come any more.
+
+        Whoever calls it is taken to have been busy with the last frame since.
+        """
         with self._mail:
-            self._mail.wait_for(lambda: self._frame is not None or self._ended, timeout_s)
+            if self._taken_ns is not None:
+                self.rate.stepped(1e-9 * (self._clock() - self._taken_ns))
+                self._taken_ns = None
+            self._mail.wait_for(lambda: self._is_due() or self._ended, timeout_s)
+            if not (self._is_due() or self._ended):
+                return None
             frame, self._frame = self._frame, None
+            if frame is not None:
+                self.rate.used(frame.stamp_ns)
+                self._taken_ns = self._clock()
             self._mail.notify_all()
             return frame
 
@@ -170,6 +190,8 @@ class CaptureLoop:
         self._count(connected=True, reopens=self._counters.reopens + (self._info is not None))
         again = "again " if self._info is not None else ""
         self._info = info
+        with self._mail:
+            self.rate.opened(info.rate_hz if info.rate_hz > 0.0 else self._cfg.rate_hz)
         while len(self._pictures) > 1:  # a camera that starts again may show a test picture; a frozen one its last
             self._pictures.popleft()
         self._report("opened", f"{info.name} {again}gives {info.width_px}x{info.height_px} at {info.rate_hz:g} Hz")
@@ -236,10 +258,20 @@ class CaptureLoop:
                 self._mail.wait_for(lambda: self._frame is None or self._stopping.is_set())
                 if self._frame is not None:
                     return
-            dropped = self._frame is not None
+            replaced, dropped = self._frame is not None, self._is_due()
             self._frame = frame
-            self._count(frames=self._counters.frames + 1, drops=self._counters.drops + dropped)
+            if live:
+                self.rate.arrived(frame.stamp_ns)
+            count = self._counters
+            skipped = count.skipped + (replaced and not dropped)
+            self._count(frames=count.frames + 1, drops=count.drops + dropped, skipped=skipped)
             self._mail.notify_all()
+        while (news := self.rate.news()) is not None:
+            self._report(news.kind, news.text)
+
+    def _is_due(self) -> bool:
+        """Whether there is a frame to take; under the lock."""
+        return self._frame is not None and self.rate.is_due(self._frame.stamp_ns)
 
     def _finish(self, info: CameraInfo) -> None:
         with self._mail:
@@ -262,5 +294,5 @@ class CaptureLoop:
         # Only the capture thread writes, and a reader gets one whole snapshot or the next.
         self._counters = replace(self._counters, **changes)  # type: ignore[arg-type]
 
-    def _report(self, kind: Literal["opened", "note", "lost", "bad_frame", "finished"], text: str) -> None:
+    def _report(self, kind: EventKind, text: str) -> None:
         self._on_event(CaptureEvent(kind, text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,6 +12,7 @@ from ceilvo.bench.soak.fault_plan import Fault, Stroke, floods, strokes
 from ceilvo.bench.soak.flood_verdict import flood_bars, flood_lines, floods_met
 from ceilvo.bench.soak.parts import Heard, PoseRow, Usage
 from ceilvo.bench.soak.poses import Poses
+from ceilvo.bench.starved.command import wrong_s
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import State
 
@@ -30,7 +32,7 @@ def poses(world: World, left_out: Stroke | None = None, every: int = 2) -> Poses
     for k in range(round(1200.0 * RATE_HZ)):
         t_s = k / RATE_HZ
         if left_out is None or not left_out.from_s <= t_s < left_out.to_s or k % every == 0:
-            rows.append(PoseRow(round(1e9 * t_s), round(1e9 * t_s), State.TRACKING, 0.0, 0.0, k))
+            rows.append(PoseRow(round(1e9 * t_s), round(1e9 * t_s), State.TRACKING, 0.0, 0.0, 0.0, k))
     return Poses(Heard(rows), world, 0)
 
 
@@ -73,3 +75,16 @@ def test_what_a_flood_leaves_behind_is_noticed(world: World) -> None:
 def test_the_faults_of_the_plan_do_not_overlap() -> None:
     plan = strokes(3600.0)
     assert all(b.from_s >= a.to_s for a, b in pairwise(plan))
+
+
+def test_a_pose_on_a_starved_computer_is_wrong_by_its_place_or_by_its_heading(world: World) -> None:
+    def row(k: int, state: State, by_m: float, by_rad: float) -> PoseRow:
+        x, y, theta = world.truth_at(0.1 * k)
+        return PoseRow(k * 10**8, k * 10**8, state, x + by_m, y, theta + by_rad + 2.0 * math.pi, k)
+
+    offs = [(0.29, 0.08), (0.31, 0.0), (-0.31, 0.0), (0.0, 0.09), (0.0, -0.09), (0.0, 0.0)]
+    rows = [row(k, State.TRACKING, *off) for k, off in enumerate(offs)]
+    rows += [row(len(rows), State.DEGRADED, 1.0, 0.0), row(len(rows) + 1, State.TRACKING, 0.0, 0.0)]
+    made = Poses(Heard(rows), world, 0)
+    assert abs(wrong_s(made, State.TRACKING) - 0.4) < 1e-6
+    assert abs(wrong_s(made, State.DEGRADED) - 0.1) < 1e-6

@@ -152,6 +152,10 @@ def test_notes_are_no_errors() -> None:
     assert fast == notes(replace(Config(), ["camera.rate_hz=15"]))
     assert len(fast) == 1
     assert fast[0].startswith("base.rate_hz: 20 is above camera.rate_hz 15")
+    slow = ["camera.rate_hz=2", "base.rate_hz=2"]
+    assert [n.split(";")[-1] for n in notes(replace(Config(), slow))] == [" set it to 0.8 or more"]
+    assert notes(replace(Config(), [*slow, "base.stale_s=0.8"])) == ()
+    assert notes(replace(Config(), ["camera.rate_hz=3", "base.rate_hz=3"])) == ()
     for end in ("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/127.example.org:7447", "udp/192.168.0.2:7447"):
         wide = notes(replace(Config(), [f"zenoh.listen=['{end}']"]))
         assert len(wide) == 1

@@ -1,0 +1,1 @@
+"""The daemon on one core that others keep busy, with cameras that are too fast for it or too slow."""
