@@ -26,6 +26,9 @@ SPOT_M, SPOT_RAD = 0.25, 0.25
 """A robot that has moved or turned so far sees other things, or the same ones with other errors; chosen."""
 SPOT_CAP = 25.0
 """What one spot may add to log-odds, either way; chosen: no single view is surer than that."""
+TOLD = 0.5
+"""Log-likelihood ratio of a place below which what was seen there was hardly above ground that the map knows: chosen,
+half of what a joint on such ground counts."""
 LEAD_M = 0.6
 """For so much of the way a place must have been the likeliest to take over; chosen: what people, dirt or a line that is
 called by another type add to it is gone then, and it may be as much as a lamp adds. Turning shows the same ceiling."""
@@ -104,6 +107,16 @@ class PlaceBelief:
         total = float(np.sum(weight) + unknown)
         return weight / total, float(unknown / total)
 
+    def on_map(self) -> float:
+        """Probability that the robot is at a place where the map says something of what was seen."""
+        told = np.any(np.abs(self.seen + self._of_spot) > TOLD, axis=1)
+        return float(np.sum(self.shares()[0][told]))
+
+    @property
+    def left_a_spot(self) -> bool:
+        """Whether views of one spot at least are over: what they err in, they share."""
+        return bool(np.any(self.seen))
+
     def doubt(self) -> float:
         """Probability that the robot is not at the tracked place."""
         share, unknown = self.shares()
@@ -151,7 +164,10 @@ class PlaceBelief:
     def _settle(self) -> None:
         weight, self.unknown = self.weights()
         self.seen = self.seen + self._of_spot if len(self) > 1 else np.zeros((1, 2))
-        self.log_weight = weight - self.seen[:, 0] + _too_much(self.seen[np.argmax(weight)])
+        likeliest = self.seen[np.argmax(weight)]
+        # One that has fallen no further than LEAST was given some of its weight: not for what it has shown itself.
+        self.seen[weight <= LEAST] = likeliest
+        self.log_weight = weight - self.seen[:, 0] + _too_much(likeliest)
         self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self.spot_m = self.spot_rad = 0.0
 
@@ -163,22 +179,27 @@ class PlaceBelief:
     def add(self, places: Array, log_odds: Array) -> None:
         """More places (N, 3) with log-odds (N,) against the tracked one; of one that is there they are added up.
 
-        What this spot has shown before is taken to speak for them as the next view will.
+        What this spot has shown before is taken to speak for them as the next view will. What was seen before it made
+        unknown ground as likely as it is, beside the likeliest place: so beside them, were they the likeliest.
         """
         at = {key: i for i in range(len(self) - 1, -1, -1) for key in _keys(self.places[i])}
         fresh: list[int] = []
         settled = self.settled
         weight = log_odds + settled[0]
+        likeliest = self.seen[np.argmax(settled)].copy()
+        known = likeliest[0] - _too_much(likeliest)
         for n, g in enumerate(places):
             i = at.get(_key(g))
             if i is None:
                 at.update(dict.fromkeys(_keys(g), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
+                if weight[n] > settled[i]:
+                    self.seen[i], self.log_weight[i] = likeliest, settled[i] - known
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
-        self.log_weight = np.concatenate([self.log_weight, self.log_weight[0] + log_odds[fresh]])
-        self.seen = np.concatenate([self.seen, np.repeat(self.seen[:1], len(fresh), axis=0)])
+        self.log_weight = np.concatenate([self.log_weight, weight[fresh] - known])
+        self.seen = np.concatenate([self.seen, np.repeat(likeliest[None], len(fresh), axis=0)])
         self.spot = np.concatenate([self.spot, np.full((len(fresh), 2), np.nan)])
         if len(self) > MOST_PLACES:
             self._leave_out(_best(self.settled, MOST_PLACES))

@@ -154,6 +154,42 @@ def test_a_place_that_is_added_in_the_middle_of_a_spot_is_not_behind() -> None:
     assert weight[1] - weight[0] == pytest.approx(5.0)
 
 
+def beside_one_that_unknown_ground_looks_like(tracked: list[float]) -> PlaceBelief:
+    """The likeliest place explains much, but so would one that is alike: unknown ground is as likely, or more."""
+    belief = PlaceBelief()
+    belief.add(RIVALS[:1], np.zeros(1))
+    belief.doubt_unknown(0.0)
+    for _ in range(2):
+        belief.weigh(np.array([tracked, [16.0, -3.5]]))
+        belief._settle()
+    assert belief.shares()[1] > 0.9
+    return belief
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_a_place_that_is_found_late_is_no_likelier_than_the_ground_it_was_part_of(listed: bool) -> None:
+    """It had the tracked place's past, which no other place had been like: unknown ground was 1e-8 all at once, and a
+    robot in a room that had been renovated said TRACKING, 1.5 m off."""
+    belief = beside_one_that_unknown_ground_looks_like([-20.0, -18.0])
+    if listed:
+        belief.add(RIVALS[1:2], np.array([-5.0]))
+        belief.weigh(np.array([[-5.0, -5.0], [16.0, -3.5], [-20.0, -18.0]]))
+        belief._settle()
+    part = -6.0
+    belief.add(RIVALS[1:2], np.array([belief.unknown + part - belief.settled[0]]))
+    belief.weigh(np.array([[-30.0, -30.0], [-60.0, -60.0], [1.0, 1.0]]))
+    share, unknown = belief.shares()
+    assert np.argmax(share) == 2
+    assert np.log(share[2] / unknown) == pytest.approx(part + 1.0, abs=0.2)
+
+
+def test_a_place_at_the_floor_stays_there_when_the_likeliest_one_falls() -> None:
+    belief = beside_one_that_unknown_ground_looks_like([-20.0, -18.0])
+    belief.weigh(np.array([[0.0, 0.0], [-60.0, -60.0]]))
+    share, unknown = belief.shares()
+    assert np.argmax(share) == 0 and abs(np.log(share[0] / unknown) - LEAST) < 0.2
+
+
 def test_more_places_than_are_kept_are_cut_and_that_is_said() -> None:
     rng = np.random.default_rng(7)
     many = np.column_stack([rng.uniform(-500, 500, (MOST_PLACES + 50, 2)), np.zeros(MOST_PLACES + 50)])
