@@ -26,9 +26,6 @@ SPOT_M, SPOT_RAD = 0.25, 0.25
 """A robot that has moved or turned so far sees other things, or the same ones with other errors; chosen."""
 SPOT_CAP = 25.0
 """What one spot may add to log-odds, either way; chosen: no single view is surer than that."""
-TOLD = 0.5
-"""Log-likelihood ratio of a place below which what was seen there was hardly above ground that the map knows: chosen,
-half of what a joint on such ground counts."""
 LEAD_M = 0.6
 """For so much of the way a place must have been the likeliest to take over; chosen: what people, dirt or a line that is
 called by another type add to it is gone then, and it may be as much as a lamp adds. Turning shows the same ceiling."""
@@ -106,16 +103,6 @@ class PlaceBelief:
         weight, unknown = (np.exp(w) for w in self.weights())
         total = float(np.sum(weight) + unknown)
         return weight / total, float(unknown / total)
-
-    def on_map(self) -> float:
-        """Probability that the robot is at a place where the map says something of what was seen."""
-        told = np.any(np.abs(self.seen + self._of_spot) > TOLD, axis=1)
-        return float(np.sum(self.shares()[0][told]))
-
-    @property
-    def left_a_spot(self) -> bool:
-        """Whether views of one spot at least are over: what they err in, they share."""
-        return bool(np.any(self.seen))
 
     def doubt(self) -> float:
         """Probability that the robot is not at the tracked place."""

@@ -16,7 +16,6 @@ from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
-from ceilvo.daemon.relocalisation.reasons import in_words
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose
 from ceilvo.daemon.slam.association import associate
@@ -28,12 +27,16 @@ from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 VIEW_PERIOD_S = 0.1
 """A standing robot in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
+AMBIGUOUS = "ambiguous"
+"""Begins the reason while several places of the map are likely."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
 YOUNG_M2 = 12.0
 """A map that knows less ground, a view and a half, is all around the robot: after a gap it goes on with it; chosen."""
+ALIKE = 0.05
+"""Share of the belief from which a place is named among those that look alike; chosen."""
 USUAL_WEIGHT = 0.05
 """Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
 FEWEST_VIEWS = 3
@@ -126,7 +129,10 @@ class Relocaliser:
         if self.sure:
             return ""
         why = s.pending.reason if s.pending is not None else s.reason
-        return in_words(s.belief, why, weighed=s.pending is None and s.views > 0)
+        alike = s.belief.alike(ALIKE)
+        if s.pending is None and alike > 1:
+            return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
+        return f"to be confirmed by landmarks: {why}"
 
     @property
     def _view_period_s(self) -> float:
