@@ -109,6 +109,11 @@ class PlaceBelief:
         share, unknown = self.shares()
         return float(np.sum(share[1:]) + unknown)
 
+    @property
+    def led_by_another(self) -> bool:
+        """Whether a place of the map is likelier than the tracked one."""
+        return bool(np.argmax(self.weights()[0]) > 0)
+
     def winner(self, rate: float) -> int | None:
         """The place but for the tracked one beside which all others together are less likely than the rate."""
         share, unknown = self.shares()
@@ -181,8 +186,6 @@ class PlaceBelief:
                 at.update(dict.fromkeys(_keys(g), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
-                if weight[n] > settled[i]:
-                    self.seen[i], self.log_weight[i] = likeliest, settled[i] - known
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
         self.log_weight = np.concatenate([self.log_weight, weight[fresh] - known])

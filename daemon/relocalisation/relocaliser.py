@@ -303,8 +303,7 @@ class Relocaliser:
         poses = s.survey.index.refined(found.pose, view)
         per_place = np.log(max(s.survey.coverage.area_m2, 1.0) * PLACES_PER_M2)
         odds = s.belief.unknown - s.belief.settled[0] - per_place
-        if s.spots > 0:  # else it would have been listed before
-            odds += np.log(ENTERS)
+        odds += np.log(ENTERS) if s.spots > 0 else 0.0  # else it would have been listed before
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
     def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
@@ -344,7 +343,8 @@ class Relocaliser:
 
     def _admitted(self, view: Observations) -> Observations | None:
         """What of a view may teach the filter; None for nothing of it."""
-        pose, coverage = self.filter.estimate()[0], self.state.survey.coverage
-        if self.sure and not self.state.surprised:
-            return of_sure_place(view, pose, coverage)
-        return of_doubtful_place(view, pose, coverage, self.state.submap_from is not None)
+        pose, s = self.filter.estimate()[0], self.state
+        if self.sure and not s.surprised:
+            return of_sure_place(view, pose, s.survey.coverage)
+        near = self.filter.landmarks_near if s.belief.led_by_another else None
+        return of_doubtful_place(view, pose, s.survey.coverage, s.submap_from is not None, near)

@@ -14,7 +14,7 @@ from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_pl
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined, rest_of
 from ceilvo.se2 import compose, inverse, transform
-from ceilvo.types import Array, Landmarks, Observations, State
+from ceilvo.types import Array, Ints, Landmarks, Observations, State
 
 number = st.floats(-20.0, 20.0)
 poses = st.tuples(number, number, st.floats(-3.1, 3.1)).map(np.array)
@@ -107,6 +107,22 @@ def test_in_doubt_only_new_ground_is_learnt_and_what_nearly_all_agrees_corrects(
     assert of_sure_place(strange, here, ground) is None
     assert of_sure_place(agreed, here, ground) is agreed
     assert of_sure_place(strange, far, ground) is strange
+
+
+@pytest.mark.parametrize("off_m, told", [(0.02, True), (0.13, False)])
+def test_a_place_that_is_led_by_another_is_not_put_right_at_the_cost_of_that_one(off_m: float, told: bool) -> None:
+    """It was, by 0.13 m, to where its own joints lie, and the true place, which moved along, was lost."""
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(-1, 1, (20, 2))
+    map_ = landmarks(xy + np.array([0.0, off_m]))
+    seen = view(xy, list(range(20)))
+
+    def near(at: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        assert reach_m >= off_m
+        return np.arange(20), map_
+
+    assert of_doubtful_place(seen, np.zeros(3), known_square(), submap=True) is not None
+    assert (of_doubtful_place(seen, np.zeros(3), known_square(), submap=True, near=near) is not None) == told
 
 
 @pytest.mark.parametrize("seed", [6])
