@@ -12,6 +12,10 @@ from pathlib import Path
 import pytest
 import stranger
 
+from ceilvo.daemon.app.command_log import NAME as COMMANDS
+from ceilvo.daemon.map.map_file import load_map
+from ceilvo.daemon.map.store import MAP_NAME
+
 SECONDS = float(os.environ.get("CEILVO_ATTACK_S", "6"))
 BARE = """
 import json, sys, time, zenoh
@@ -61,7 +65,8 @@ def test_the_attack_works_on_a_session_that_is_not_protected(worlds: stranger.Wo
 
 
 def test_a_default_daemon_comes_to_nobody_and_answers_nobody(worlds: stranger.Worlds, tmp_path: Path) -> None:
-    daemon = started(worlds, tmp_path, "-m", "ceilvo.daemon.cli", "run", "--simulate")
+    kept = f"service.state_dir={tmp_path}"
+    daemon = started(worlds, tmp_path, "-m", "ceilvo.daemon.cli", "run", "--simulate", "--set", kept)
     try:
         read_until(daemon, "TRACKING")
         assert worlds.attack(SECONDS) == (0, 0)
@@ -76,3 +81,6 @@ def test_a_default_daemon_comes_to_nobody_and_answers_nobody(worlds: stranger.Wo
     finally:
         daemon.terminate()
         daemon.communicate()
+    assert not (tmp_path / COMMANDS).exists(), "nobody told it anything"
+    stored = load_map(tmp_path / MAP_NAME)
+    assert stored is not None and len(stored.landmarks), "the map is as it learnt it"
