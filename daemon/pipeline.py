@@ -24,8 +24,8 @@ from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
-from ceilvo.daemon.vision.crossing_finder import CrossingFinder, OnStageDone, ignore
-from ceilvo.daemon.vision.line_finder import LineFinderState
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
+from ceilvo.daemon.vision.finder.line_finder import LineFinderState
 from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, Motion, Observations, Pose, WheelMotion
 
 START_SIGMA = np.array([1e-3, 1e-3, 1e-3])

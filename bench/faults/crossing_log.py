@@ -13,7 +13,7 @@ import numpy as np
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
-from ceilvo.daemon.vision.line_finder import LineFinder
+from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.world import World, WorldSpec

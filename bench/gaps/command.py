@@ -22,7 +22,7 @@ from ceilvo.daemon.odometry.alternatives import Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import LastTwist, coast
 from ceilvo.daemon.odometry.registration import direction_change
 from ceilvo.daemon.vision.crossings import cross
-from ceilvo.daemon.vision.line_finder import LineFinder
+from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.wander import Wander, driven

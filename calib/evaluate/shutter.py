@@ -11,8 +11,8 @@ from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features, Odometry
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
-from ceilvo.daemon.vision.crossing_finder import CrossingFinder
 from ceilvo.daemon.vision.edges import EdgeDetector
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
 from ceilvo.daemon.vision.line_detection import detect
 from ceilvo.daemon.vision.rolling_shutter import RollingShutter, TwistPrior
 from ceilvo.errors import CalibrationError

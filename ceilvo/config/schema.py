@@ -115,6 +115,9 @@ class Features:
     )
     max_view_deg: float = key(70.0, "rays further off the vertical are ignored", low=20.0, high=85.0)
     estimate_tilt: bool = key(True, "estimate the robot's roll and pitch from the convergence of parallel lines")
+    faint_lines: bool = key(
+        True, "where edges give few crossings, look for lines too faint for single pixels; false is the paper's way"
+    )
     tilt_prior_deg: float = key(1.0, "standard deviation of the robot's tilt beforehand", low=0.01, high=10.0)
 
 

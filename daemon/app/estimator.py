@@ -13,7 +13,7 @@ from ceilvo.daemon.integrity.stamp_rate import StampRate
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
-from ceilvo.daemon.vision.crossing_finder import OnStageDone, View, ignore
+from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 Clock = Callable[[], int]

@@ -14,7 +14,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.replay.overlay import draw_overlay
 from ceilvo.daemon.replay.recording import RecordingTap
-from ceilvo.daemon.vision.crossing_finder import View
+from ceilvo.daemon.vision.finder.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.ports import ON_DEMAND, Publisher, Topic

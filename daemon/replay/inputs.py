@@ -18,7 +18,7 @@ import numpy as np
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.plausible import belief_problem, crossings_problem, landmarks_problem, wheels_problem
 from ceilvo.daemon.replay.snapshot import restore
-from ceilvo.daemon.vision.crossing_finder import OnStageDone, ignore
+from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
 from ceilvo.types import (
     MAX_ANGLE_RAD,

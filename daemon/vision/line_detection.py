@@ -129,14 +129,16 @@ def detect(
     prior: TiltPrior | None = None,
     last: LastFit = _NO_LAST_FIT,
     readout: Readout | None = None,
+    psi_rad: float | None = None,
 ) -> tuple[Lines, EdgeSet] | None:
     """As find_lines, with the edges under the lines.
 
     Args:
         last: of the frames before; where to begin for a robot that rocks.
         readout: of a rolling shutter.
+        psi_rad: the direction, where it is known; else it is that of most gradients.
     """
-    psi = dominant_direction(edges.phi_deg)
+    psi = dominant_direction(edges.phi_deg) if psi_rad is None else psi_rad
     if psi is None:
         return None
     x, y, ends = kernel.split(

@@ -103,7 +103,7 @@ def pair_edges(
         fraction=fraction,
         uniform=uniform,
     )
-    return _turn_axes(lines, turned), _edge_set(fit, order, fraction)
+    return turn_axes(lines, turned), _edge_set(fit, order, fraction)
 
 
 def _edge_set(fit: JointFit, order: Ints, fraction: float) -> EdgeSet:
@@ -145,7 +145,7 @@ def _pairs(offset: Array, axis: Ints, rising: Ints, support: Ints, groove_px: fl
     return partner
 
 
-def _turn_axes(lines: Lines, turned: int) -> Lines:
+def turn_axes(lines: Lines, turned: int) -> Lines:
     """Rename the axes after psi was folded by `turned` quarter turns (clockwise)."""
     axis, offset, kind = lines.axis, lines.offset_px, lines.kind
     for _ in range(turned % 4):

@@ -201,6 +201,9 @@ class Ceiling:
             both.append(1.0 - self._profile(axis, at - half - lip, at + half + lip))
         tile = np.outer(both[1], both[0]).astype(np.float32)
         bare = np.outer(dark[1], dark[0]).astype(np.float32)  # all but the joints
+        if self.spec.groove_darker is not None:
+            a *= 1.0 - np.float32(self.spec.groove_darker) * (1.0 - bare)
+            return
         a *= tile
         a += np.float32(self.spec.lip_albedo) * (bare - tile) + np.float32(self.spec.groove_albedo) * (1.0 - bare)
 

@@ -20,6 +20,8 @@ class CeilingSpec:
         groove_m, lip_m: width of the dark joint, and of the bright bevel on either side of it.
         groove_albedo, lip_albedo: how bright they are (a tile is 0.76). A wide bright joint is a T-bar, one of nearly
             the tile's brightness a faint groove.
+        groove_darker: instead of both, how much darker a joint is than the tiles beside it, as a part of theirs; None
+            keeps the albedos.
         joints: False is a bare plaster ceiling; what hangs on it stays where it was.
         texel_m: resolution of the picture.
         tile_spread: standard deviation of the tiles' brightness.
@@ -37,6 +39,7 @@ class CeilingSpec:
     lip_m: float = 0.005
     groove_albedo: float = 0.16
     lip_albedo: float = 0.84
+    groove_darker: float | None = None
     joints: bool = True
     texel_m: float = 0.003
     tile_spread: float = 0.025

@@ -18,7 +18,7 @@ from ceilvo.bench.place.robot.sights import CrossingSight, PictureSight
 from ceilvo.config import Config
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.spatial_index import landmarks_near
-from ceilvo.daemon.vision.crossing_finder import CrossingFinder
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.sim.world import World
 from ceilvo.sim.world import WorldSpec as RoomSpec

@@ -15,7 +15,7 @@ from ceilvo.bench.place.ceiling.truth import PX_M, Features, Origin, features_of
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.crossing_types import quarter_turns, turned_type
-from ceilvo.daemon.vision.crossing_finder import CrossingFinder
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Array, Crossings, Frame, Ints
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.daemon.vision.kernel import reference
-from ceilvo.daemon.vision.line_finder import LineFinder
 from ceilvo.daemon.vision.rolling_shutter import RollingShutter, TwistPrior
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ceilvo.config import Features
-from ceilvo.daemon.vision.line_finder import LineFinder, LineFinderState
+from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.tilt_prior import TiltTracker
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.renderer import RenderSpec

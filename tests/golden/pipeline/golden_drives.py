@@ -24,8 +24,8 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config, Filter
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.vision.crossings import cross
+from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.daemon.vision.kernel import COMPILED
-from ceilvo.daemon.vision.line_finder import LineFinder
 from ceilvo.sim.motion import LapSpec, TiltSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec

@@ -13,7 +13,7 @@ from ceilvo.config import Config
 from ceilvo.daemon.odometry.cross_checks.pictures import Pictures
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
-from ceilvo.daemon.vision.crossing_finder import CrossingFinder
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.world import World, WorldSpec

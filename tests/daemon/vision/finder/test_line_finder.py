@@ -10,7 +10,7 @@ from ceilvo.config import Features, Odometry
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.edge_tracking import predicted
-from ceilvo.daemon.vision.line_finder import LineFinder
+from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.daemon.vision.line_pairing import EdgeSet
 from ceilvo.sim.motion import TiltSpec
 from ceilvo.sim.rig import simulated_calibration

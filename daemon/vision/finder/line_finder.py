@@ -12,6 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
+from ceilvo.daemon.vision.faint.stage import FaintLines, FaintState
 from ceilvo.daemon.vision.line_detection import LastFit, detect
 from ceilvo.daemon.vision.line_pairing import EdgeSet
 from ceilvo.daemon.vision.rolling_shutter import Readout, RollingShutter, TwistPrior
@@ -34,6 +35,7 @@ class LineFinderState:
         detection_noise_px: the same in the last frame that was searched whole.
         since_detection: frames since then.
         detections, tracked: frames that were searched whole, and near the predicted edges only.
+        faint: what the last looks for faint lines showed.
     """
 
     tilt: TiltState = field(default_factory=TiltState)
@@ -44,6 +46,7 @@ class LineFinderState:
     since_detection: int = 0
     detections: int = 0
     tracked: int = 0
+    faint: FaintState = field(default_factory=FaintState)
 
 
 class LineFinder:
@@ -53,6 +56,7 @@ class LineFinder:
         self._calibration, self._config = calibration, config
         self._detector = EdgeDetector(calibration, config)
         self._shutter = RollingShutter(calibration, config.max_view_deg)
+        self._faint = FaintLines(calibration, config) if config.faint_lines else None
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
 
@@ -72,30 +76,55 @@ class LineFinder:
             twist: predicted of the robot while the frame is read, for a rolling shutter; None when nothing is known.
         """
         s, tilt = self.state, TiltTracker(self.state.tilt)
+        s.faint.since_look += 1
         readout = self._shutter.readout(twist)
-        found = self._track(gray, prev_from_curr, tilt.prior(), readout)
-        if found is None:
-            s.since_detection = 0
-            s.detections += 1
-            edges = self._detector(gray, readout)
-            on_stage_done("edges")
-            focal_px = self._calibration.level_view.focal_px
-            last = LastFit(s.tilt_rad, s.best_noise_px)
-            found = detect(edges, self._config, focal_px, tilt.prior(), last, readout)
-        else:
+        prior = tilt.prior()
+        found = self._track(gray, prev_from_curr, prior, readout)
+        lines: Lines | None
+        if found is not None:
             s.since_detection += 1
             s.tracked += 1
+            lines, s.edges = found
+        else:
+            lines = self._searched(gray, prior, readout, on_stage_done)
         on_stage_done("lines")
-        if found is None:
-            s.edges = None
+        if lines is None:
             return None
-        lines, s.edges = found
         s.tilt_rad = lines.tilt_rad
-        s.best_noise_px = min(s.edges.noise_px, s.best_noise_px * _NOISE_GROWTH)
-        if s.since_detection == 0:
-            s.detection_noise_px = s.edges.noise_px
+        if s.edges is not None:
+            s.best_noise_px = min(s.edges.noise_px, s.best_noise_px * _NOISE_GROWTH)
+            if s.since_detection == 0:
+                s.detection_noise_px = s.edges.noise_px
+        if s.faint.helps:
+            s.edges = None
         tilt.update(lines)
         return lines
+
+    def _searched(
+        self,
+        gray: NDArray[np.uint8],
+        prior: TiltPrior | None,
+        readout: Readout | None,
+        on_stage_done: Callable[[str], None],
+    ) -> Lines | None:
+        """Lines of the whole frame; faint ones are not looked for while rows are read one after the other."""
+        s = self.state
+        s.since_detection = 0
+        s.detections += 1
+        edges = self._detector(gray, readout)
+        on_stage_done("edges")
+        focal_px = self._calibration.level_view.focal_px
+        last = LastFit(s.tilt_rad, s.best_noise_px)
+
+        def along(psi_rad: float | None) -> Lines | None:
+            found = detect(edges, self._config, focal_px, prior, last, readout, psi_rad)
+            lines, s.edges = (None, None) if found is None else found
+            return lines
+
+        lines = along(None)
+        if self._faint is None or readout is not None:
+            return lines
+        return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior)
 
     def _track(
         self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None, readout: Readout | None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
-from ceilvo.daemon.vision.line_finder import LineFinder, LineFinderState
+from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Frame, Lines
 

@@ -1,0 +1,105 @@
+"""The picture as the level view shows it, turned so that the ceiling's lines run along its rows and columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX
+from ceilvo.types import Array
+
+Gray = NDArray[np.uint8]
+
+_STEEPEST_DEG = 55.0
+"""Off the vertical; chosen: a groove of 8 mm is a third as wide there as overhead, and the picture stays small."""
+_INVERTIBLE_PX = 0.5
+"""A lens is invertible where a level pixel comes back to within this; chosen: folds are off by far more."""
+_BRIGHT = 240
+"""Grey level from which a pixel is of a lamp; chosen: below what saturates, for lenses and compression soften it."""
+_GLARE_DEG = 0.7
+"""Around lamps where nothing is looked for, 5 px of a camera with a focal length of 410 px; chosen: a lens' blur."""
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """A picture whose columns lie along the normal of axis 0 and whose rows lie along that of axis 1.
+
+    Attributes:
+        gray: (H, W).
+        usable: (H, W) 255 where the ceiling is seen, else 0.
+        origin_px: (2,) column and row of the level view's principal point.
+        psi_rad, tilt_rad: what it was turned by, and (2,) the tilt that was taken off.
+    """
+
+    gray: Gray
+    usable: Gray
+    origin_px: Array
+    psi_rad: float
+    tilt_rad: Array
+
+
+class LevelPicture:
+    """Level views of the frames of one camera; the look-up is made once."""
+
+    def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
+        self._view = view = calibration.level_view
+        self.focal_px = view.focal_px
+        seen = view.lookup(min(max_view_deg, _STEEPEST_DEG), LOOKUP_STEP_PX)
+        low, high = (np.rint(f(seen, axis=(0, 1))).astype(np.int64) for f in (np.nanmin, np.nanmax))
+        self._low, self._high = low.astype(np.float64), high.astype(np.float64)
+        x, y = (np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True))
+        grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+        centre = np.array([view.camera.cx_px, view.camera.cy_px])
+        raw = view.to_raw(grid + centre)
+        back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre
+        known = np.hypot(*(back - grid).T) < _INVERTIBLE_PX
+        known &= np.hypot(*grid.T) < self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
+        at = view.reduced_px(raw)
+        height, width = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
+        known &= np.all((at > 1.0) & (at < [width - 2.0, height - 2.0]), axis=1)
+        at[~known] = -1.0
+        shape = len(y), len(x)
+        self._known = known.reshape(shape).astype(np.uint8) * 255
+        table = at.reshape(*shape, 2).astype(np.float32)
+        self._maps = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
+        side = 2 * round(np.radians(_GLARE_DEG) * self.focal_px) + 1
+        self._glare = np.ones((side, side), np.uint8)
+
+    def __call__(self, gray: Gray) -> tuple[Gray, Gray]:
+        """The level view of a frame (H, W) of the calibrated size, and where it shows the ceiling and no lamp."""
+        level = cv2.remap(self._view.reduced(gray), self._maps[0], self._maps[1], cv2.INTER_LINEAR)
+        lamps = cv2.dilate(np.uint8(255) * (np.asarray(level) >= _BRIGHT), self._glare)
+        return np.asarray(level, np.uint8), np.asarray(cv2.subtract(self._known, lamps), np.uint8)
+
+    def aligned(self, level: Gray, usable: Gray, psi_rad: float, tilt_rad: Array) -> Aligned:
+        """Both turned back by a direction, and by a tilt (2,)."""
+        turn = np.linalg.inv(rays_from_aligned(psi_rad, tilt_rad))
+        scale = np.diag([self.focal_px, self.focal_px, 1.0])
+        x, y = np.meshgrid([self._low[0], self._high[0]], [self._low[1], self._high[1]])
+        corners = turn @ np.stack([x.ravel() / self.focal_px, y.ravel() / self.focal_px, np.ones(4)])
+        at = corners[:2] / corners[2] * self.focal_px
+        low = np.floor(at.min(axis=1))
+        width, height = (np.ceil(at.max(axis=1)) - low + 1.0).astype(int).tolist()
+        into = np.array([[1.0, 0.0, -low[0]], [0.0, 1.0, -low[1]], [0.0, 0.0, 1.0]])
+        out_of = np.array([[1.0, 0.0, self._low[0]], [0.0, 1.0, self._low[1]], [0.0, 0.0, 1.0]])
+        h = into @ scale @ turn @ np.linalg.inv(scale) @ out_of
+        size = width, height
+        return Aligned(
+            np.asarray(cv2.warpPerspective(level, h, size, flags=cv2.INTER_LINEAR), np.uint8),
+            np.asarray(cv2.warpPerspective(usable, h, size, flags=cv2.INTER_NEAREST), np.uint8),
+            -low,
+            psi_rad,
+            tilt_rad,
+        )
+
+
+def rays_from_aligned(psi_rad: float, tilt_rad: Array) -> Array:
+    """(3, 3): rays that a robot tilted by tilt_rad (2,) saw, from (across axis 0, across axis 1, 1) of a level one."""
+    a, b = tilt_rad.tolist()
+    c, s = np.cos(psi_rad), np.sin(psi_rad)
+    level = np.array([[1.0, 0.0, b], [0.0, 1.0, -a], [-b, a, 1.0]])
+    return np.asarray(np.linalg.inv(level) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))

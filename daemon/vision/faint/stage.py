@@ -1,0 +1,130 @@
+"""When faint lines are looked for, and what becomes of a frame's lines then.
+
+A look at faint lines costs twice as much as one at the whole frame, so it is taken where edge points give few
+crossings, and now and then where they give enough. It goes on frame after frame while it finds clearly more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.config import Features
+from ceilvo.daemon.vision.angles import pixels
+from ceilvo.daemon.vision.crossings import cross
+from ceilvo.daemon.vision.faint.direction import common_direction
+from ceilvo.daemon.vision.faint.level_picture import LevelPicture
+from ceilvo.daemon.vision.faint.line_search import find_faint
+from ceilvo.daemon.vision.faint.merging import folded, merged
+from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.types import Array, Lines
+
+_SQUARE_DEG = 4.0
+"""Side of the squares in which crossings are counted once, 29 px at a focal length of 410 px; chosen: a vent is 100."""
+_FEW = 10
+"""Places with crossings of edge points below which faint lines are looked for soon; chosen: tiles show 30."""
+_WEAK = 5
+"""Below so many the direction of the edge points is not trusted either; chosen."""
+_PROBE_FRAMES, _RETRY_FRAMES = 300, 6
+"""Between looks that did not help: 10 s at 30 Hz where edge points do, a fifth of a second where they do not; chosen: a
+look costs some three frames, so 1 % of the time where it is not needed."""
+_FEWER = 0.6
+"""Places over those at the last look, below which it is not waited for so long; chosen: other ground."""
+_MORE, _STILL_MORE = 1.25, 1.1
+"""Places with faint lines over those without, for looks to begin and to go on; chosen apart, so that they do not
+begin and end from frame to frame."""
+_MORE_AT_LEAST = 2
+"""Places; chosen: few frames have exactly as many as the one before."""
+
+
+@dataclass(slots=True)
+class FaintState:
+    """What the last looks showed.
+
+    Attributes:
+        helps: the last look found clearly more than edge points did; all frames are looked at so.
+        since_look: frames since the last look.
+        places: with crossings of edge points, in the frame of the last look.
+    """
+
+    helps: bool = False
+    places: int = 0
+    since_look: int = 1_000_000
+
+
+class FaintLines:
+    """Faint lines of the frames of one camera; its look-up is made at the first look."""
+
+    def __init__(self, calibration: Calibration, config: Features) -> None:
+        self._calibration, self._config = calibration, config
+        self._picture: LevelPicture | None = None
+
+    def __call__(
+        self,
+        gray: NDArray[np.uint8],
+        found: Lines | None,
+        again: Callable[[float | None], Lines | None],
+        state: FaintState,
+        tilt_rad: Array,
+        prior: TiltPrior | None,
+    ) -> Lines | None:
+        """Lines of a frame that was searched whole, with faint ones where they help; state says whether they did.
+
+        Args:
+            gray: (H, W) of the calibrated size.
+            found: its lines by edge points.
+            again: gives those along a direction, rad.
+            tilt_rad: (2,) of the last frame.
+            prior: of the tilt.
+        """
+        edge_places = self._places(found)
+        few = edge_places < max(_FEW, _FEWER * state.places)
+        wait = 1 if state.helps else _RETRY_FRAMES if few else _PROBE_FRAMES
+        if state.since_look < wait:
+            return found
+        state.since_look, state.places = 0, edge_places
+        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior)
+        factor = _STILL_MORE if state.helps else _MORE
+        need = max(factor * edge_places, edge_places + _MORE_AT_LEAST)
+        state.helps = self._places(both) >= need
+        return both if state.helps else found
+
+    def _places(self, lines: Lines | None) -> int:
+        """Squares of the picture that hold a crossing: a vent's dozen of them are worth few."""
+        if lines is None:
+            return 0
+        side_px = pixels(_SQUARE_DEG, self._calibration.level_view.focal_px)
+        cell = np.floor(cross(lines, self._calibration, self._config).uv_px / side_px).astype(np.int64)
+        return len(np.unique(cell, axis=0))
+
+    def _look(
+        self,
+        gray: NDArray[np.uint8],
+        found: Lines | None,
+        weak: bool,
+        again: Callable[[float | None], Lines | None],
+        tilt_rad: Array,
+        prior: TiltPrior | None,
+    ) -> Lines | None:
+        if self._picture is None:
+            self._picture = LevelPicture(self._calibration, self._config.max_view_deg)
+        level, usable = self._picture(gray)
+        psi = None if found is None else found.psi_rad
+        if weak:
+            common = common_direction(level, usable)
+            psi = psi if common is None else common
+        if psi is None:
+            return found
+        start_rad = tilt_rad if weak or found is None else found.tilt_rad
+        faint = find_faint(self._picture, level, usable, psi, start_rad, self._config, prior, not weak)
+        if faint is None:
+            return found
+        if weak:
+            found = again(faint.psi_rad)
+        if found is None:
+            return folded(faint)
+        return merged(found, faint, self._picture.focal_px)
