@@ -68,6 +68,6 @@ def test_a_frame_goes_forward_with_at_most_four_returns() -> None:
     floors = [house.floor_of(room) or 0 for room in rooms]
     returns = [rooms[k] for k in range(1, len(rooms)) if floors[k] < floors[k - 1]]
     print(*(f"{room:24} {name}" for room, name in steps), f"{len(rooms)} stays, returns: {returns}", sep="\n")
-    stages = ("vision", "odometry", "slam", "relocalisation", "integrity")
+    stages = ("vision/finder", "odometry", "slam", "relocalisation", "integrity")
     assert {f"daemon/{name}" for name in stages} <= set(rooms)
     assert len(returns) <= MOST_RETURNS
