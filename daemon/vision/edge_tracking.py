@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.edges import gradient
+from ceilvo.daemon.vision.edges import gradient, noise_samples
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
 from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
 from ceilvo.daemon.vision.line_fit import JointFit, Points
@@ -88,6 +88,7 @@ class EdgeTracker:
         self._config = config
         self._view, self._focal = calibration.level_view, calibration.level_view.focal_px
         self._grids = look_ups(calibration, config.max_view_deg)
+        self._samples = noise_samples(self._view, config.max_view_deg)
         self._gate = float(np.cos(np.radians(config.direction_gate_deg)))
         self._tilt_sigma_rad = _TURN_SIGMA_RAD if config.estimate_tilt else _HELD_RAD
 
@@ -106,7 +107,7 @@ class EdgeTracker:
             prior: for the final estimate of the tilt.
             readout: of a rolling shutter.
         """
-        dx, dy, floor, _ = gradient(self._view.reduced(gray), self._config)
+        dx, dy, floor, _ = gradient(self._view.reduced(gray), self._config, self._samples)
         rows = None if readout is None else readout.rows
         edges = _by_group(expected)
 
