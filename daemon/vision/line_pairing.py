@@ -19,7 +19,7 @@ _SUPPORT_RATIO = 0.5
 """Fewest edge points of an edge, over the votes it took to find it; chosen: the last, narrower gate drops some."""
 _MIN_SUPPORT = 4.0
 """Fewest edge points of an edge, however few of a frame were kept; chosen: offset and spread need more than 2."""
-_BLURRED_PX = 3.0
+BLURRED_PX = 3.0
 """Sides closer than this may be one groove, whatever the angle; chosen: lens and smoothing part the sides by 2."""
 _NARROW_PX = 1.0
 """Gaps below this count alike when sides of grooves are chosen; chosen: edge points scatter by up to this."""
@@ -70,7 +70,7 @@ def pair_edges(
     offset, group = fit.offset[order], fit.line_group[order]
     axis, own = group // 2, np.arange(len(order))
     support = fit.support[order]
-    partner = _pairs(offset, axis, group % 2, support, pixels(config.groove_deg, fit.focal_px, _BLURRED_PX))
+    partner = _pairs(offset, axis, group % 2, support, pixels(config.groove_deg, fit.focal_px, BLURRED_PX))
     paired = partner >= 0
     other = np.where(paired, partner, own)
     first = other >= own  # one entry a pair

@@ -13,6 +13,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.faint.stage import FaintLines, FaintState
+from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.line_detection import LastFit, detect
 from ceilvo.daemon.vision.line_pairing import EdgeSet
 from ceilvo.daemon.vision.rolling_shutter import Readout, RollingShutter, TwistPrior
@@ -53,6 +54,7 @@ class LineFinder:
     """Lines of every frame of one camera, with the memory of the last one."""
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
+        config = for_lens(config, calibration.level_view)
         self._calibration, self._config = calibration, config
         self._detector = EdgeDetector(calibration, config)
         self._shutter = RollingShutter(calibration, config.max_view_deg)
