@@ -46,9 +46,12 @@ def _inside(view: LevelView, uv_px: Array) -> Array:
 
 
 def for_lens(config: Features, view: LevelView) -> Features:
-    """Settings for a camera: blur parts the sides of a groove in the picture, and a level view stretches that."""
+    """Settings for a camera: blur parts the sides of a groove in the picture, and takes edge points where lines cross;
+    a level view stretches that. Settings that are for it already stay."""
     most = stretch(view, config.max_view_deg)
     if most * BLURRED_PX <= np.radians(config.groove_deg) * view.focal_px:
         return config
     seen_px = min(most * BLURRED_PX, _MOST_BLURRED_PX)
-    return replace(config, groove_deg=max(config.groove_deg, float(np.degrees(seen_px / view.focal_px))))
+    groove_deg = max(config.groove_deg, float(np.degrees(seen_px / view.focal_px)))
+    reach_deg = config.crossing_reach_deg * groove_deg / config.groove_deg
+    return replace(config, groove_deg=groove_deg, crossing_reach_deg=reach_deg)

@@ -12,6 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
+from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Frame, Lines
 
@@ -39,8 +40,8 @@ class CrossingFinder:
     """Canny -> Hough -> least squares -> crossings."""
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
-        self._calibration, self._config = calibration, config
-        self._lines = LineFinder(calibration, config)
+        self._calibration, self._config = calibration, for_lens(config, calibration.level_view)
+        self._lines = LineFinder(calibration, self._config)
         self.view: View | None = None
 
     @property
