@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.camera import LevelView
 from ceilvo.config import Features
@@ -39,10 +40,10 @@ def stretch(view: LevelView, max_view_deg: float) -> float:
     return most
 
 
-def _inside(view: LevelView, uv_px: Array) -> Array:
+def _inside(view: LevelView, uv_px: Array) -> NDArray[np.bool_]:
     """(N,) whether pixels (N, 2) are in the picture as it is looked at."""
     size = np.array([view.camera.width_px, view.camera.height_px]) / view.reduction
-    return np.all((uv_px > 0.0) & (uv_px < size - 1.0), axis=1)
+    return np.asarray(np.all((uv_px > 0.0) & (uv_px < size - 1.0), axis=1))
 
 
 def for_lens(config: Features, view: LevelView) -> Features:
