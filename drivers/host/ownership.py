@@ -34,7 +34,7 @@ def owner_of_folder(folder: Path) -> Iterator[None]:
     """
     path = folder / LOCK_NAME
     try:
-        fd = _opened(path)
+        fd = _opened(path, folder)
     except FileNotFoundError:
         yield  # there is no such folder, as the first saving says
         return
@@ -45,7 +45,6 @@ def owner_of_folder(folder: Path) -> Iterator[None]:
         yield
         return
     try:
-        _lock(fd, folder)
         with contextlib.suppress(OSError):  # a full disk; the lock holds all the same
             os.ftruncate(fd, 0)
             os.pwrite(fd, f"{os.getpid()}\n".encode(), 0)
@@ -54,10 +53,11 @@ def owner_of_folder(folder: Path) -> Iterator[None]:
         os.close(fd)
 
 
-def _opened(path: Path) -> int:
-    """The lock file. What is no lock file has somebody's data in it and makes way.
+def _opened(path: Path, folder: Path) -> int:
+    """The lock file. What is no lock file has somebody's data in it and makes way, unless a daemon holds it.
 
     Raises:
+        CeilvoError: another process holds what lies there.
         OSError: it cannot be opened.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -68,9 +68,15 @@ def _opened(path: Path) -> int:
             if e.errno not in (errno.EISDIR, errno.ELOOP):
                 raise
         else:
-            seen = os.fstat(fd)
-            if stat.S_ISREG(seen.st_mode) and seen.st_size <= _MOST_BYTES:
-                return fd
+            try:
+                seen = os.fstat(fd)
+                if stat.S_ISREG(seen.st_mode):
+                    _lock(fd, folder)
+                    if seen.st_size <= _MOST_BYTES:
+                        return fd
+            except CeilvoError:
+                os.close(fd)
+                raise
             os.close(fd)
         _log.warning(
             "%s: found something else, expected the daemon's lock; set aside as %s", path, set_aside(path).name

@@ -95,3 +95,12 @@ def test_a_lock_that_may_not_be_opened_is_said(tmp_path: Path, caplog: pytest.Lo
 def test_a_folder_that_is_not_there_is_no_reason_to_end(tmp_path: Path) -> None:
     with owner_of_folder(tmp_path / "none"):
         pass
+
+
+def test_a_held_lock_is_held_whatever_somebody_wrote_into_it(tmp_path: Path) -> None:
+    """It was set aside as something else, and a second daemon began."""
+    with owner_of_folder(tmp_path):
+        (tmp_path / LOCK_NAME).write_bytes(b"x" * 5000)
+        with pytest.raises(CeilvoError, match="in use by another process"), owner_of_folder(tmp_path):
+            pass
+    assert [p.name for p in tmp_path.iterdir()] == [LOCK_NAME], "nothing was set aside"
