@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from daemon_thread import start
 from patience import PATIENCE_S, until
 
 from ceilvo.config import Config
@@ -34,15 +34,7 @@ STEP_S = 0.045
 @contextmanager
 def running(plan: Plan) -> Iterator[Daemon]:
     daemon, result = Daemon(plan, Notifier({})), list[object]()
-
-    def body() -> None:
-        try:
-            result.append(daemon.run())
-        except Exception as e:
-            result.append(e)
-
-    thread = threading.Thread(target=body)
-    thread.start()
+    thread = start(daemon, result)
     try:
         yield daemon
     finally:

@@ -5,7 +5,6 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zenoh
+from daemon_thread import start
 from patience import PATIENCE_S, until
 
 from ceilvo.calibration import Calibration
@@ -97,18 +97,6 @@ def in_both(subscriber: Subscriber, base: SimBase) -> list[tuple[PoseTelegram, P
     published = {p.seq: p for p in subscriber.poses}
     telegrams = [r.telegram for r in base.telegrams]
     return [(t, published[t.sequence]) for t in telegrams if t.sequence in published and t.state is State.TRACKING]
-
-
-def start(daemon: Daemon, result: list[object]) -> threading.Thread:
-    def body() -> None:
-        try:
-            result.append(daemon.run())
-        except Exception as e:
-            result.append(e)
-
-    thread = threading.Thread(target=body)
-    thread.start()
-    return thread
 
 
 def test_poses_reach_zenoh_and_base_and_the_end_is_orderly(world: World, base: SimBase, tmp_path: Path) -> None:
