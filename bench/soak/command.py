@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +66,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if result["ok"] else 1
 
 
+@dataclass(frozen=True, slots=True)
+class Running:
+    """What is struck, or strikes, while the robot drives."""
+
+    daemon: subprocess.Popen[bytes]
+    base: SimBase
+    flooder: Flooder
+    watcher: Watcher
+
+
 class Soak:
     """One run; afterwards the attributes have what was measured."""
 
@@ -103,7 +113,7 @@ class Soak:
             ending.callback(watcher.close)
             flooder = Flooder({"": f"tcp/127.0.0.1:{port}", "router": f"tcp/127.0.0.1:{router_port}"})
             ending.callback(flooder.close)
-            self._supervise(daemon, base, flooder, watcher)
+            self._supervise(Running(daemon, base, flooder, watcher))
             flooder.close()
             self.struck = flooder.struck
             self.telegrams = list(base.telegrams)
@@ -153,46 +163,37 @@ class Soak:
             service=replace(c.service, state_dir=str(self._state), state_period_s=1.0),
         )
 
-    def _supervise(self, daemon: subprocess.Popen[bytes], base: SimBase, flooder: Flooder, watcher: Watcher) -> None:
+    def _supervise(self, running: Running) -> None:
         plan = [*self.plan, *self.floods]
         reported = {"base": "", "zenoh": "", "process": "", "flood": ""}
         next_usage_s = 0.0
-        while daemon.poll() is None and self._now_s() < self._seconds:
+        while running.daemon.poll() is None and self._now_s() < self._seconds:
             t_s = self._now_s()
             for part in reported:
                 name = current(plan, t_s, part)
                 if name != reported[part]:
-                    self._change(part, reported[part], name, daemon, base, flooder, watcher)
+                    self._change(part, reported[part], name, running)
                     reported[part] = name
             if t_s >= next_usage_s and reported["process"] != "stopped":
                 next_usage_s = max(t_s, 0.0) + _USAGE_PERIOD_S
-                self.usage.append(usage(daemon.pid, t_s))
+                self.usage.append(usage(running.daemon.pid, t_s))
             time.sleep(_TICK_S)
 
     def _now_s(self) -> float:
         return 1e-9 * (time.monotonic_ns() - self.t0_ns)
 
-    def _change(
-        self,
-        part: str,
-        old: str,
-        new: str,
-        daemon: subprocess.Popen[bytes],
-        base: SimBase,
-        flooder: Flooder,
-        watcher: Watcher,
-    ) -> None:
+    def _change(self, part: str, old: str, new: str, running: Running) -> None:
         aside = self._state.with_name(f"{self._state.name}-aside")
         if part == "base":
-            set_base_fault(base, new)
+            set_base_fault(running.base, new)
         elif part == "flood":
-            flooder.change(new)
+            running.flooder.change(new)
         elif "subscriber hangs" in (old, new):
-            watcher.hang(new != "")
+            running.watcher.hang(new != "")
         elif "state directory gone" in (old, new):
             (self._state.replace(aside) if new else aside.replace(self._state))
         elif "stopped" in (old, new):
-            daemon.send_signal(signal.SIGSTOP if new else signal.SIGCONT)
+            running.daemon.send_signal(signal.SIGSTOP if new else signal.SIGCONT)
 
 
 def _end(daemon: subprocess.Popen[bytes]) -> None:

@@ -25,10 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ceilvo.bench.place.robot.tally import WRONG_M, WRONG_RAD
-from ceilvo.bench.soak.command import Soak
+from ceilvo.bench.soak.command import Running, Soak
 from ceilvo.bench.soak.fault_plan import Fault, Stroke
-from ceilvo.bench.soak.floods import Flooder
-from ceilvo.bench.soak.parts import Watcher
 from ceilvo.bench.soak.poses import Poses
 from ceilvo.bench.speed.latency import spread
 from ceilvo.bench.starved.drawn_lap import DrawnLap
@@ -36,7 +34,6 @@ from ceilvo.config import Config
 from ceilvo.drivers.base.link import GOOD
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
-from ceilvo.sim.base import SimBase
 from ceilvo.types import State
 
 _SEED = 7
@@ -100,21 +97,12 @@ class Starved(Soak):
         told_hz = case.told_hz or case.rate_hz
         return ["ceilvo.bench.starved.robot", _SEED, self.t0_ns, self._core, case.rate_hz, told_hz, self._out, file]
 
-    def _change(
-        self,
-        part: str,
-        old: str,
-        new: str,
-        daemon: subprocess.Popen[bytes],
-        base: SimBase,
-        flooder: Flooder,
-        watcher: Watcher,
-    ) -> None:
+    def _change(self, part: str, old: str, new: str, running: Running) -> None:
         self.end_hogs()
         command = [sys.executable, "-c", _HOG, str(self._core)]
         self._hogs = [subprocess.Popen(command) for _ in range(_HOGS.get(new, 0))]
         for hog in self._hogs:
-            os.setpriority(os.PRIO_PROCESS, hog.pid, os.getpriority(os.PRIO_PROCESS, daemon.pid))
+            os.setpriority(os.PRIO_PROCESS, hog.pid, os.getpriority(os.PRIO_PROCESS, running.daemon.pid))
 
     def end_hogs(self) -> None:
         for hog in self._hogs:
