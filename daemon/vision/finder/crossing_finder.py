@@ -12,7 +12,6 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
-from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Frame, Lines
 
@@ -40,8 +39,8 @@ class CrossingFinder:
     """Canny -> Hough -> least squares -> crossings."""
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
-        self._calibration, self._config = calibration, for_lens(config, calibration.level_view)
-        self._lines = LineFinder(calibration, self._config)
+        self._calibration = calibration
+        self._lines = LineFinder(calibration, config)
         self.view: View | None = None
 
     @property
@@ -66,7 +65,7 @@ class CrossingFinder:
             twist: predicted while the frame is read, for a rolling shutter.
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist)
-        crossings = None if lines is None else cross(lines, self._calibration, self._config)
+        crossings = None if lines is None else cross(lines, self._calibration, self._lines.config)
         if crossings is not None:
             crossings = replace(crossings, sample_gray=_sample(frame.gray))
         on_stage_done("crossings")

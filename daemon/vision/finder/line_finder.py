@@ -51,11 +51,15 @@ class LineFinderState:
 
 
 class LineFinder:
-    """Lines of every frame of one camera, with the memory of the last one."""
+    """Lines of every frame of one camera, with the memory of the last one.
+
+    Attributes:
+        config: the settings for this camera's lens.
+    """
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
-        config = for_lens(config, calibration.level_view)
-        self._calibration, self._config = calibration, config
+        self.config = config = for_lens(config, calibration.level_view)
+        self._calibration = calibration
         self._detector = EdgeDetector(calibration, config)
         self._shutter = RollingShutter(calibration, config.max_view_deg)
         self._faint = FaintLines(calibration, config) if config.faint_lines else None
@@ -119,7 +123,7 @@ class LineFinder:
         last = LastFit(s.tilt_rad, s.best_noise_px)
 
         def along(psi_rad: float | None) -> Lines | None:
-            found = detect(edges, self._config, focal_px, prior, last, readout, psi_rad)
+            found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad)
             lines, s.edges = (None, None) if found is None else found
             return lines
 
@@ -134,7 +138,7 @@ class LineFinder:
         s = self.state
         if self._tracker is None or s.edges is None or prev_from_curr is None or prior is None:
             return None
-        if s.since_detection + 1 >= self._config.full_every:
+        if s.since_detection + 1 >= self.config.full_every:
             return None
         expected = predicted(s.edges, prev_from_curr, self._calibration)
         # what a full look could not fit better, a close one need not

@@ -62,11 +62,11 @@ def test_a_fisheye_sees_grooves_where_they_are() -> None:
     print(f"seed {seed}")
     calibration = simulated_calibration(simulated_camera("fisheye"))
     world = World(WorldSpec(seed=seed), calibration)
-    features = for_lens(replace(Features(), faint_lines=False), calibration.level_view)
-    finder, score = LineFinder(calibration, features), CrossingScore(world, calibration)
+    finder = LineFinder(calibration, replace(Features(), faint_lines=False))
+    score = CrossingScore(world, calibration)
     for k in range(5):
         lines = finder(world.frame_at(0.1 * k), None)
-        crossings = None if lines is None else cross(lines, calibration, features)
+        crossings = None if lines is None else cross(lines, calibration, finder.config)
         score.add(crossings, world.truth_at(0.1 * k), np.zeros(2))
     found = score.figures()
     assert found["recall_grid_pct"] > 85.0 and found["precision_pct"] > 90.0, found
