@@ -93,7 +93,7 @@ class Telemetry:
             "drops": capture.drops,
             "skipped_frames": capture.skipped,
             "camera_rate_hz": rate.camera_hz,
-            "used_rate_hz": rate.camera_hz / rate.every_nth,
+            "used_rate_hz": 1.0 / rate.used_period_s,
             "every_nth_frame": rate.every_nth,
             "bad_frames": capture.bad_frames,
             "bad_stamps": capture.bad_stamps,

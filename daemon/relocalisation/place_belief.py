@@ -178,8 +178,7 @@ class PlaceBelief:
         fresh: list[int] = []
         settled = self.settled
         weight = log_odds + settled[0]
-        likeliest = self.seen[np.argmax(settled)].copy()
-        known = likeliest[0] - _too_much(likeliest)
+        likeliest = self.seen[np.argmax(settled)]
         for n, g in enumerate(places):
             i = at.get(_key(g))
             if i is None:
@@ -188,7 +187,7 @@ class PlaceBelief:
             elif 0 < i < len(self):
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
-        self.log_weight = np.concatenate([self.log_weight, weight[fresh] - known])
+        self.log_weight = np.concatenate([self.log_weight, weight[fresh] - combined(likeliest)])
         self.seen = np.concatenate([self.seen, np.repeat(likeliest[None], len(fresh), axis=0)])
         self.spot = np.concatenate([self.spot, np.full((len(fresh), 2), np.nan)])
         if len(self) > MOST_PLACES:

@@ -68,15 +68,11 @@ def _opened(path: Path, folder: Path) -> int:
             if e.errno not in (errno.EISDIR, errno.ELOOP):
                 raise
         else:
-            try:
-                seen = os.fstat(fd)
-                if stat.S_ISREG(seen.st_mode):
-                    _lock(fd, folder)
-                    if seen.st_size <= _MOST_BYTES:
-                        return fd
-            except CeilvoError:
-                os.close(fd)
-                raise
+            seen = os.fstat(fd)
+            if stat.S_ISREG(seen.st_mode):
+                _lock(fd, folder)
+                if seen.st_size <= _MOST_BYTES:
+                    return fd
             os.close(fd)
         _log.warning(
             "%s: found something else, expected the daemon's lock; set aside as %s", path, set_aside(path).name
@@ -85,10 +81,12 @@ def _opened(path: Path, folder: Path) -> int:
 
 
 def _lock(fd: int, folder: Path) -> None:
+    """Lock a file, or close it and raise."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         pid = os.pread(fd, _MOST_BYTES, 0).decode(errors="replace").strip()
+        os.close(fd)
         raise CeilvoError(
             f"service.state_dir: {folder} is in use by {_named(pid)}, expected no other daemon there; "
             "stop that one, or give this one a folder of its own"
