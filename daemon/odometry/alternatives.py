@@ -87,6 +87,7 @@ class Candidates:
         ref_from_curr: (K, 3).
         log_ratio: (K,) logarithm of how much likelier the views are there than at a wrong place.
         log_weight: (K,) the same times the prior's share: of the probability, up to a common factor.
+        unpredicted: (K,) probability that somebody moved the robot, if it is there; the prediction says no such thing.
         log_elsewhere: the weight of all displacements at which the views share too little, by the prediction.
         log_carried: the weight of those to which somebody may have moved the robot.
     """
@@ -94,6 +95,7 @@ class Candidates:
     ref_from_curr: Array
     log_ratio: Array
     log_weight: Array
+    unpredicted: Array
     log_elsewhere: float
     log_carried: float
 
@@ -136,7 +138,7 @@ def find_candidates(
         quarters = quarter_turns(curr.psi_rad + turn, ref.psi_rad)
         at, votes = shifts_by_votes(before, now, turn, quarters, far_m)
         at = np.column_stack([at, np.full(len(at), turn)])
-        promising = np.log(_prior_share(at, prior, far_m)) + _VOTES_WORTH * np.log(votes)
+        promising = np.log(_prior_share(at, prior, far_m)[0]) + _VOTES_WORTH * np.log(votes)
         at = at[np.argsort(-promising, kind="stable")[:_MOST_CANDIDATES]]
         if known is not None and quarter == 0:
             at = np.concatenate([[[known[0], known[1], turn]], at])
@@ -152,13 +154,14 @@ def find_candidates(
 def _weighed(found: list[Matched], far_m: float, prior: Prior) -> Candidates:
     beyond = math.log(_far_share(prior, far_m) + _TINY), math.log(prior.carried + _TINY)
     if not found:
-        return Candidates(np.zeros((0, 3)), np.zeros(0), np.zeros(0), *beyond)
+        return Candidates(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0), *beyond)
     at = np.concatenate([m.at for m in found])
     ratio = _log_ratio(at, np.concatenate([m.counts for m in found]))
-    weight = ratio + np.log(_prior_share(at, prior, far_m))
+    share, unpredicted = _prior_share(at, prior, far_m)
+    weight = ratio + np.log(share)
     order = np.argsort(-weight, kind="stable")
     order = _apart(at, order[weight[order] > weight[order[0]] - _HOPELESS])
-    return Candidates(at[order], ratio[order], weight[order], *beyond)
+    return Candidates(at[order], ratio[order], weight[order], unpredicted[order], *beyond)
 
 
 def _apart(at: Array, order: Ints) -> Ints:
@@ -209,8 +212,8 @@ def _at_others(at: Array, others: Array, counts: Array) -> Array:
     return np.asarray(np.tensordot((~here).astype(np.float64), counts, axes=1))
 
 
-def _prior_share(at: Array, prior: Prior, far_m: float) -> Array:
-    """(K,) of the prior's probability that each candidate (K, 3) stands for."""
+def _prior_share(at: Array, prior: Prior, far_m: float) -> tuple[Array, Array]:
+    """(K,) of the prior's probability that each candidate (K, 3) stands for; (K,) part of it that no prediction has."""
     cov = prior.cov[:2, :2] + CELL_M**2 * np.eye(2)
     off = at[:, :2] - prior.mean[:2]
     distance2 = np.einsum("ki,ij,kj->k", off, np.linalg.inv(cov), off)
@@ -219,8 +222,9 @@ def _prior_share(at: Array, prior: Prior, far_m: float) -> Array:
     log_turn = -0.5 * wrap_array(quarters) ** 2 / (float(prior.cov[2, 2]) + _SAME_RAD**2)
     of_turn = np.exp(log_turn[:, 0] - np.logaddexp.reduce(log_turn, axis=1))
     own = np.minimum(_TILE_M2 * density, 1.0) * of_turn
-    anywhere = min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0
-    return np.asarray((1.0 - prior.carried) * own + prior.carried * anywhere + _TINY)
+    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0
+    share = np.asarray((1.0 - prior.carried) * own + anywhere + _TINY)
+    return share, anywhere / share
 
 
 def _far_share(prior: Prior, far_m: float) -> float:

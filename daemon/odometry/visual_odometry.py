@@ -105,6 +105,7 @@ class _Found:
     """A registration to the reference, or why there is none; what else fits, as in Motion but from the reference.
 
     Attributes:
+        unpredicted: probability that somebody moved the robot, or that what predicts its motion is wrong.
         jump: the displacement that no robot makes, where that is why.
         out_of_view: the robot is likelier to have left the reference's view than to be anywhere in it.
     """
@@ -114,6 +115,7 @@ class _Found:
     others: Array = field(default_factory=lambda: _NONE)
     log_ratio: Array = field(default_factory=lambda: np.empty(0))
     doubt: float = 0.0
+    unpredicted: float = 0.0
     jump: Array | None = None
     out_of_view: bool = False
 
@@ -248,7 +250,7 @@ class VisualOdometry:
             return _Found(None, "several displacements fit the last good view alike")
         others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
         ratio = found.log_ratio[others] - found.log_ratio[0]
-        return _Found(place, "", found.ref_from_curr[others], ratio, doubt)
+        return _Found(place, "", found.ref_from_curr[others], ratio, doubt, float(found.unpredicted[0]))
 
     def _judged(self, found: _Found, course: Course) -> _Found:
         """The same, refused where the view contradicts it or no robot makes it."""
@@ -287,7 +289,7 @@ class VisualOdometry:
             failure=None,
             alternatives=alternatives,
             log_ratio=found.log_ratio,
-            doubt=found.doubt,
+            doubt=max(found.doubt, _JUMPED * found.unpredicted),
         )
 
     def _fused(self, ref: Crossings, crossings: Crossings, place: Registration) -> RigidFit:

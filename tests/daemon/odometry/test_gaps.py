@@ -177,6 +177,25 @@ def test_the_twist_after_a_gap_is_that_of_the_gap_not_its_correction() -> None:
     assert track.final is not None and abs(robot.path.state.twist[0]) < 0.02
 
 
+def test_a_way_through_the_dark_that_the_wheels_deny_is_in_doubt_however_well_it_fits() -> None:
+    """The view fits best where lamps in a pattern repeat, or the robot was carried: both are said."""
+    taken, slow = [], []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 41])
+        start = np.array([*rng.uniform(12.0, 28.0, 2), rng.uniform(-np.pi, np.pi)])
+        for moved_m, doubts in ((rng.uniform(0.3, 0.9), taken), (0.0, slow)):
+            robot = Robot(camera("lamps", seed % 3), start)
+            robot.drive([start] * 10, wheels=True)
+            for _ in range(15):
+                robot.step(start, dark=True, wheels=np.zeros(3))
+            motion, _ = robot.step(se2.compose(start, np.array([moved_m, 0.0, 0.0])), wheels=np.zeros(3))
+            if motion.ok:
+                doubts.append(motion.doubt)
+    print(f"carried: taken {len(taken)} of 12, doubt {np.round(taken, 3)}; standing: {np.round(slow, 6)}")
+    assert len(taken) >= 6 and min(taken) > 0.4
+    assert len(slow) == 12 and max(slow) < SURE
+
+
 @pytest.mark.parametrize("tiles", [1, 2])
 @pytest.mark.parametrize("takes_frames", [1, 2, 5])
 def test_a_robot_that_jumps_whole_tiles_in_the_light_is_not_taken_for_one_that_stands(
