@@ -1,6 +1,9 @@
 """Hours of a running daemon with faults on a schedule: does it grow, slow down, lose its way or fail to come back?
 
 python -m ceilvo.bench.soak --hours 2
+
+Beside the verdict (soak.json, soak.png) stay all poses and looks at /proc (soak.npz, columns as in parts.py), the
+daemon's log, and the recorder's folder, from which `ceilvod replay` does again what led to a wrong pose.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = soak.run()
     result = judge(soak.heard, soak.usage, [*soak.plan, *soak.floods], soak.world, soak.t0_ns, code, soak.struck)
     write_atomic(a.out / "soak.json", json.dumps(result, indent=2) + "\n")
+    np.savez_compressed(
+        a.out / "soak.npz",
+        t0_ns=soak.t0_ns,
+        poses=np.array(soak.heard.poses, np.float64),
+        usage=np.array([astuple(u) for u in soak.usage], np.float64),
+    )
     for line in result["lines"]:
         print(line)
     try:
