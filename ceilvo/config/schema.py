@@ -36,12 +36,20 @@ class Robot:
     name: str = key("robot1", "one Zenoh key segment; distinguishes robots of a fleet")
 
 
+PIXEL_FORMATS = (
+    *("GREY", "YUYV", "UYVY", "NV12", "MJPG", "Y10", "Y12", "Y16", "Y10P", "Y12P"),
+    *("RGGB", "GRBG", "GBRG", "BA81", "RG10", "BA10", "GB10", "BG10", "RG12", "BA12", "GB12", "BG12"),
+    *("RG16", "GR16", "GB16", "BYR2", "pRAA", "pgAA", "pGAA", "pBAA", "pRCC", "pgCC", "pGCC", "pBCC"),
+)
+"""That a camera may be asked for, V4L2's four characters without trailing blanks, the one to prefer first."""
+
+
 @dataclass(frozen=True)
 class Camera:
     source: str = key("v4l2", "where frames come from", choices=("v4l2", "folder", "video"))
     device: str = key("/dev/video0", "device node; prefer the stable name under /dev/v4l/by-id/")
     path: str = key("", "image folder or video file, for source folder or video")
-    pixel_format: str = key("YUYV", "what to ask of the device; GREY is cheapest", choices=("GREY", "YUYV", "MJPG"))
+    pixel_format: str = key("YUYV", "what to ask of the device; GREY is cheapest", choices=PIXEL_FORMATS)
     width_px: int = key(640, "must equal the calibration's", low=64, high=7680)
     height_px: int = key(480, "must equal the calibration's", low=64, high=4320)
     rate_hz: float = key(30.0, "frames per second to ask for", low=1.0, high=240.0)

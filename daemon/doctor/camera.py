@@ -12,6 +12,7 @@ from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import calibration_path
+from ceilvo.config.schema import PIXEL_FORMATS
 from ceilvo.daemon.doctor.findings import Finding, Patient, fine, note, wrong
 from ceilvo.drivers.camera.selection import make_camera
 from ceilvo.drivers.camera.v4l2_query import Offer
@@ -81,7 +82,7 @@ def _format(config: Config, offer: Offer) -> Iterator[Finding]:
         f for f, sizes in offer.sizes.items() if not sizes or any(s.has(cfg.width_px, cfg.height_px) for s in sizes)
     ]
     if asked not in offer.sizes:
-        known = [f for f in ("GREY", "YUYV", "MJPG") if f in able]
+        known = [f for f in PIXEL_FORMATS if f in able]
         hint = f"set it to {known[0]}" if known else "take another camera"
         offered = ", ".join(offer.sizes) or "nothing"
         yield wrong("format", f"camera.pixel_format: {asked} is not offered, found {offered}; {hint}")

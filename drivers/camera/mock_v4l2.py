@@ -7,7 +7,7 @@ OpenCV 4.11 gives one row of bytes for all of them; a vanished device makes wait
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,10 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.drivers.camera.mock_camera import moving_square
+from ceilvo.drivers.camera.pixel_formats import fourcc
 from ceilvo.errors import CameraError
 
 _WITHOUT_SUPPORT = -1.0
 """OpenCV's answer for a property that a device lacks."""
+
+
+def _packed(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, 1.5 W): twelve bits a pixel, of which the low four, together in every third byte, are of no account."""
+    pairs = gray.reshape(len(gray), -1, 2)
+    return np.concatenate([pairs, np.full_like(pairs[:, :, :1], 0xA5)], axis=2).reshape(len(gray), -1)
+
+
+_PICTURE: Mapping[str, Callable[[NDArray[np.uint8]], NDArray[Any]]] = {
+    "GREY": lambda gray: gray,
+    "YUYV": lambda gray: np.stack([gray, np.full_like(gray, 128)], axis=-1),
+    "UYVY": lambda gray: np.stack([np.full_like(gray, 128), gray], axis=-1),
+    "Y10": lambda gray: np.asarray(gray.astype("<u2") << 2 | 3),
+    "Y12P": _packed,
+}
 
 
 @dataclass
@@ -30,14 +46,14 @@ class MockV4l2Device:
         sizes: it snaps to the first one when asked for another.
         controls: property to value; what is not in it does not exist. limits clamp some of them.
         flat: raw frames as OpenCV 4.11 gives them.
-        padding: bytes at the end of each line (GREY, YUYV).
+        padding: bytes at the end of each line, but of MJPG.
         stamp_msec: CAP_PROP_POS_MSEC from the time of capture in ns.
         cut: bytes missing at the end of each frame.
         wakes: waits that a signal ends early, before frames come.
         clock_ns: its own time, which only waiting for frames moves on.
     """
 
-    formats: tuple[str, ...] = ("BGR3", "YUYV", "GREY", "MJPG")
+    formats: tuple[str, ...] = ("BGR3", "YUYV", "GREY", "MJPG", "UYVY", "Y10", "Y12P")
     sizes: tuple[tuple[int, int], ...] = ((64, 48),)
     rate_hz: float = 30.0
     tells_rate: bool = True
@@ -104,7 +120,7 @@ class MockCapture:
         d = self._device
         self.sets.append((prop, value))
         if prop == cv2.CAP_PROP_FOURCC:
-            asked = int(value).to_bytes(4, "little").decode()
+            asked = int(value).to_bytes(4, "little").decode().strip()
             self._format = asked if asked in d.formats else d.formats[0]
         elif prop in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT):
             self._asked_size[prop] = int(value)
@@ -123,7 +139,7 @@ class MockCapture:
     def get(self, prop: int, /) -> float:
         d = self._device
         known = {
-            cv2.CAP_PROP_FOURCC: float(int.from_bytes(self._format.encode(), "little")),
+            cv2.CAP_PROP_FOURCC: float(fourcc(self._format)),
             cv2.CAP_PROP_FRAME_WIDTH: float(self._size[0]),
             cv2.CAP_PROP_FRAME_HEIGHT: float(self._size[1]),
             cv2.CAP_PROP_FPS: d.rate_hz if d.tells_rate else _WITHOUT_SUPPORT,
@@ -142,15 +158,15 @@ class MockCapture:
     def release(self) -> None:
         self.released = True
 
-    def _layout(self, gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _layout(self, gray: NDArray[np.uint8]) -> NDArray[Any]:
         d = self._device
         if self._format == "MJPG":
             return np.asarray(cv2.imencode(".jpg", gray)[1], np.uint8).reshape(1, -1)
-        image = gray if self._format == "GREY" else np.stack([gray, np.full_like(gray, 128)], axis=-1)
+        image = _PICTURE[self._format](gray)
         if d.padding:
-            lines = image.reshape(len(gray), -1)
+            lines = np.ascontiguousarray(image).reshape(len(gray), -1).view(np.uint8)
             return np.asarray(np.pad(lines, ((0, 0), (0, d.padding)), constant_values=9).reshape(1, -1), np.uint8)
-        return np.asarray(image.reshape(1, -1) if d.flat else image, np.uint8)
+        return image.view(np.uint8).reshape(1, -1) if d.flat else image
 
-    def _cut(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _cut(self, raw: NDArray[Any]) -> NDArray[Any]:
         return raw.reshape(1, -1)[:, : raw.size - self._device.cut] if self._device.cut else raw

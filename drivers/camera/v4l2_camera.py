@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Camera as CameraConfig
+from ceilvo.drivers.camera.pixel_formats import fourcc, luma
 from ceilvo.drivers.camera.v4l2_device import Capture, Device, LinuxDevice
-from ceilvo.drivers.pictures import decoded
 from ceilvo.drivers.ports import CameraInfo
 from ceilvo.errors import BadFrameError, CameraError
 from ceilvo.types import Frame
@@ -26,7 +26,6 @@ PROBE_FRAMES = 5
 """Frames that open() looks at before it gives up on the driver's stamps."""
 
 _BUFFERS = 4  # OpenCV's own default, so no extra stream reset; the capture loop keeps the queue empty
-_BYTES_PER_PIXEL = {"GREY": 1, "YUYV": 2}  # linux/videodev2.h; two pixels of YUYV share four bytes
 _AUTO_EXPOSURE_MANUAL = 1  # V4L2_EXPOSURE_MANUAL
 _AUTO_EXPOSURE_AUTO = (3, 0)  # V4L2_EXPOSURE_APERTURE_PRIORITY (USB cameras), V4L2_EXPOSURE_AUTO
 _EXPOSURE_UNIT_US = 100.0  # V4L2_CID_EXPOSURE_ABSOLUTE
@@ -35,43 +34,6 @@ _EXPOSURE_TOLERANCE = 0.1
 
 _RATE_TOLERANCE = 0.01
 """Of the rate asked for, within which a device's answer is the same: 29.97 Hz is 30."""
-
-
-def luma(raw: NDArray[np.uint8], pixel_format: str, width_px: int, height_px: int) -> NDArray[np.uint8]:
-    """Brightness of one frame as cv2.VideoCapture gives it with CAP_PROP_CONVERT_RGB = 0.
-
-    Args:
-        raw: uint8 of any shape; OpenCV 4.11 gives one row of bytes, other versions (H, W) for GREY and (H, W, 2) for
-            YUYV. Lines may be padded at their end. MJPG is the JPEG file, possibly padded with zeros.
-        pixel_format: "GREY", "YUYV" or "MJPG".
-
-    Returns:
-        (height_px, width_px) uint8, contiguous, not sharing memory with raw.
-
-    Raises:
-        BadFrameError: too few bytes, or no JPEG of that size.
-    """
-    data = np.asarray(raw, np.uint8).reshape(-1)
-    if pixel_format == "MJPG":
-        return _jpeg_luma(data, width_px, height_px)
-    step = _BYTES_PER_PIXEL[pixel_format]
-    stride, rest = divmod(data.size, height_px)
-    if rest or stride < width_px * step:
-        raise BadFrameError(
-            f"frame of {data.size} bytes, expected {width_px * step * height_px} "
-            f"({pixel_format} {width_px}x{height_px}); the transfer was cut short"
-        )
-    return np.array(data.reshape(height_px, stride)[:, : width_px * step : step], order="C")
-
-
-def _jpeg_luma(data: NDArray[np.uint8], width_px: int, height_px: int) -> NDArray[np.uint8]:
-    whole = data.size > 0 and data.tobytes().rfind(b"\xff\xd9") >= 0  # some versions decode half a file without a word
-    image = decoded(data) if whole else None
-    if image is None:
-        raise BadFrameError(f"frame of {data.size} bytes is no whole JPEG; the transfer was cut short")
-    if image.shape != (height_px, width_px):
-        raise BadFrameError(f"JPEG of {image.shape[1]}x{image.shape[0]}, expected {width_px}x{height_px}")
-    return image
 
 
 def stamp_ns_from_msec(pos_msec: float, now_ns: int, last_ns: int) -> int:
@@ -164,7 +126,7 @@ class V4l2Camera:
         """Format, size and rate; a driver may silently give something else, so look at what it gave."""
         cfg = self._cfg
         asked = (cfg.pixel_format, cfg.width_px, cfg.height_px)
-        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*cfg.pixel_format))
+        capture.set(cv2.CAP_PROP_FOURCC, fourcc(cfg.pixel_format))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, cfg.width_px)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, cfg.height_px)
         capture.set(cv2.CAP_PROP_FPS, round(cfg.rate_hz))

@@ -112,7 +112,7 @@ def _query(fd: int, pixel_format: str, width_px: int, height_px: int, ioctl: Ioc
         _text(driver),
         bool(caps & (_CAPTURE | _CAPTURE_MPLANE)),
         {_text(f): tuple(_sizes(fd, ioctl, f)) for f in formats},
-        max(_rates(fd, ioctl, pixel_format.encode(), width_px, height_px), default=None),
+        max(_rates(fd, ioctl, pixel_format.ljust(4).encode(), width_px, height_px), default=None),
         {name: c for name, number in CONTROLS.items() if (c := _control(fd, ioctl, number)) is not None},
     )
 

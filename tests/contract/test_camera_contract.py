@@ -166,7 +166,7 @@ class TestMockRecording(CameraContract):
         return MockCamera([Good(FRAMES)], live=False, wait=no_wait)
 
 
-@pytest.mark.parametrize("pixel_format", ["GREY", "YUYV", "MJPG"])
+@pytest.mark.parametrize("pixel_format", ["GREY", "YUYV", "MJPG", "UYVY", "Y10", "Y12P"])
 @pytest.mark.parametrize("flat", [False, True], ids=["shaped", "flat"])
 class TestV4l2OnMock(CameraContract):
     @pytest.fixture

@@ -21,15 +21,17 @@ from ceilvo.calib.targets.sources import FolderSource
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.drivers.camera import v4l2_query
 from ceilvo.drivers.camera.mock_v4l2 import MockV4l2Device
+from ceilvo.drivers.camera.pixel_formats import LAYOUTS, luma
 from ceilvo.drivers.camera.recorded import FolderCamera, VideoCamera
-from ceilvo.drivers.camera.v4l2_camera import V4l2Camera, luma
+from ceilvo.drivers.camera.v4l2_camera import V4l2Camera
 from ceilvo.drivers.ports import Camera
 from ceilvo.errors import BadFrameError
 from ceilvo.sim.rig import simulated_camera
 
 _MOST_FRAMES = 20
 """Read of one recording."""
-_FORMATS = ("GREY", "YUYV", "MJPG")
+_FORMATS = ("GREY", "YUYV", "MJPG", *sorted(set(LAYOUTS) - {"GREY", "YUYV"}))
+"""By the first byte of an input; the order of the first three is the corpus's."""
 
 
 def _read_all(camera: Camera) -> None:
@@ -94,7 +96,7 @@ def _driver(data: bytes) -> None:
 def _buffer(data: bytes) -> None:
     """First byte: the format, and how OpenCV shapes the buffer."""
     first, raw = (data[0], np.frombuffer(data[1:], np.uint8)) if data else (0, np.zeros(0, np.uint8))
-    luma(raw.reshape(1, -1) if first & 8 else raw, _FORMATS[first % 3], 16, 12)
+    luma(raw.reshape(1, -1) if first & 128 else raw, _FORMATS[first % 128 % len(_FORMATS)], 16, 12)
 
 
 def _stamps(data: bytes) -> None:
@@ -156,7 +158,9 @@ def _answers() -> tuple[bytes, ...]:
 def _buffers() -> tuple[bytes, ...]:
     grey = np.ascontiguousarray(frame(0).gray[:12, :16])
     yuyv = np.stack([grey, np.full_like(grey, 128)], axis=-1)
-    return (b"\0" + grey.tobytes(), b"\1" + yuyv.tobytes(), b"\2" + _encoded(".jpg", small=True))
+    plain = (b"\0" + grey.tobytes(), b"\1" + yuyv.tobytes(), b"\2" + _encoded(".jpg", small=True))
+    sizes = ((name, round(12 * layout.planes) * layout.line_bytes(16)) for name, layout in LAYOUTS.items())
+    return plain + tuple(bytes([_FORMATS.index(name)]) + bytes(size) for name, size in sizes)
 
 
 def _size_lies(data: bytes, rng: Random) -> bytes:

@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.drivers.camera.v4l2_camera import luma, stamp_ns_from_msec
+from ceilvo.config.schema import PIXEL_FORMATS
+from ceilvo.drivers.camera.pixel_formats import LAYOUTS, fourcc, luma
+from ceilvo.drivers.camera.v4l2_camera import stamp_ns_from_msec
 from ceilvo.errors import BadFrameError
 
 W, H = 64, 48
@@ -31,6 +33,52 @@ def test_yuyv_bytes_written_out_by_hand() -> None:
 
 def test_grey_bytes_written_out_by_hand() -> None:
     assert luma(np.array([[1, 2, 3, 4, 5, 6]], np.uint8), "GREY", 3, 2).tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_deep_and_packed_bytes_written_out_by_hand() -> None:
+    """The kernel's tables: Y10 and Y12 in the low bits of two bytes, least first; packed: high bytes, then the rest."""
+    two = np.array([0x03, 0x02, 0xFF, 0x03], np.uint8)  # 0x203 and 0x3FF of 0x3FF
+    assert luma(two, "Y10", 2, 1).tolist() == [[0x80, 0xFF]]
+    assert luma(np.array([0x34, 0x02, 0xFF, 0x0F], np.uint8), "Y12", 2, 1).tolist() == [[0x23, 0xFF]]
+    assert luma(np.array([0x34, 0x12, 0xFF, 0xFF], np.uint8), "Y16", 2, 1).tolist() == [[0x12, 0xFF]]
+    assert luma(np.array([1, 2, 3, 4, 0xE4, 5, 6, 7, 8, 0xE4], np.uint8), "Y10P", 8, 1).tolist() == [[*range(1, 9)]]
+    assert luma(np.array([1, 2, 0xE4, 3, 4, 0xE4], np.uint8), "Y12P", 4, 1).tolist() == [[1, 2, 3, 4]]
+    assert luma(np.array([200, 10, 201, 20, 202, 30, 203, 40], np.uint8), "UYVY", 2, 2).tolist() == [[10, 20], [30, 40]]
+    nv12 = np.array([1, 2, 99, 3, 4, 99, 128, 128, 99], np.uint8)  # lines of two pixels and a byte of padding
+    assert luma(nv12, "NV12", 2, 2).tolist() == [[1, 2], [3, 4]]
+
+
+def test_samples_of_two_bytes_are_taken_as_opencv_gives_them() -> None:
+    deep = (ramp(W, H).astype(np.uint16) << 2) | 3
+    assert np.array_equal(luma(deep, "Y10", W, H), ramp(W, H))
+
+
+@pytest.mark.parametrize("depth", [8, 10, 12, 16, "10 packed", "12 packed"])
+@pytest.mark.parametrize("pattern", ["BGGR", "GBRG", "GRBG", "RGGB"])
+def test_a_bayer_pattern_of_a_coloured_light_is_even(pattern: str, depth: int | str) -> None:
+    """Red 200, green 120, blue 40 everywhere, laid out by the pattern's name: brightness is the same in every pixel."""
+    names = {"BGGR": "BA81 BG10 BG12 BYR2 pBAA pBCC", "GBRG": "GBRG GB10 GB12 GB16 pGAA pGCC"}
+    names |= {"GRBG": "GRBG BA10 BA12 GR16 pgAA pgCC", "RGGB": "RGGB RG10 RG12 RG16 pRAA pRCC"}
+    name = dict(zip([8, 10, 12, 16, "10 packed", "12 packed"], names[pattern].split(), strict=True))[depth]
+    colour = {"R": 200, "G": 120, "B": 40}
+    cell = np.array([[colour[c] for c in pattern[:2]], [colour[c] for c in pattern[2:]]], np.uint8)
+    mosaic = np.tile(cell, (H // 2, W // 2))
+    raw: np.ndarray = mosaic
+    if isinstance(depth, int) and depth > 8:
+        raw = mosaic.astype("<u2") << (depth - 8)
+    elif isinstance(depth, str):
+        shared = 4 if depth.startswith("10") else 2
+        groups = mosaic.reshape(H, -1, shared)
+        raw = np.concatenate([groups, np.full_like(groups[:, :, :1], 0x5A)], axis=2)
+    gray = luma(raw.reshape(1, -1), name, W, H)
+    assert gray.shape == (H, W)
+    assert np.abs(gray.astype(int) - round(0.299 * 200 + 0.587 * 120 + 0.114 * 40)).max() <= 1
+
+
+def test_every_format_of_the_configuration_is_one_that_can_be_read() -> None:
+    assert set(PIXEL_FORMATS) == {*LAYOUTS, "MJPG"}
+    assert fourcc("Y10") == cv2.VideoWriter.fourcc(*"Y10 ")
+    assert fourcc("pBAA") == cv2.VideoWriter.fourcc(*"pBAA")
 
 
 def test_padded_lines_are_cut() -> None:

@@ -24,7 +24,7 @@ def settings(**changes: object) -> config.Camera:
 # --- opening
 
 
-@pytest.mark.parametrize("fmt", ["GREY", "YUYV", "MJPG"])
+@pytest.mark.parametrize("fmt", ["GREY", "YUYV", "MJPG", "UYVY", "Y10", "Y12P"])
 @pytest.mark.parametrize("padding", [0, 16])
 def test_frames_are_the_scene_stamped_at_capture(fmt: str, padding: int) -> None:
     device = MockV4l2Device(padding=padding)
