@@ -99,12 +99,11 @@ def _is_right(found: Array, true: Array) -> bool:
 
 
 def _views(world: World) -> tuple[Array, list[Crossings | None]]:
-    features = Config().features
-    finder, out = LineFinder(world.calibration, features), []
+    finder, out = LineFinder(world.calibration, Config().features), []
     times = 1.0 + np.arange(round(_SECONDS * RATE_HZ)) / RATE_HZ
     for t in times:
         lines = finder(world.frame_at(float(t)), None)
-        out.append(None if lines is None else cross(lines, world.calibration, features))
+        out.append(None if lines is None else cross(lines, world.calibration, finder.config))
     return world.truth_at(times + 0.5 * world.spec.render.exposure_s), out
 
 

@@ -39,6 +39,7 @@ from ceilvo.daemon.replay.trajectory import (
 )
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.edges import EdgeDetector
+from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.line_detection import find_lines
 from ceilvo.drivers.camera.selection import source_camera
 from ceilvo.errors import CeilvoError, FileFormatError
@@ -275,7 +276,7 @@ def still(folder: Path, out: Path) -> dict[str, float]:
 
 def see(gray: np.typing.NDArray[np.uint8], calibration: Calibration) -> tuple[Lines | None, Crossings | None]:
     """Lines and crossings of one picture with the default settings."""
-    features: Features = Config().features
+    features: Features = for_lens(Config().features, calibration.level_view)
     lines = find_lines(EdgeDetector(calibration, features)(gray), features, calibration.level_view.focal_px)
     return lines, None if lines is None else cross(lines, calibration, features)
 

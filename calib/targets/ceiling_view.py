@@ -14,6 +14,7 @@ from ceilvo.camera import CameraModel
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.edges import EdgeDetector
+from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.line_detection import find_lines
 from ceilvo.types import Lines
 
@@ -75,6 +76,7 @@ class CeilingReader:
     def _prepare(self) -> None:
         m = projection_matrix(self._camera, self._camera_from_level, (0.0, 0.0), 1.0)
         self._provisional = Calibration(self._camera, m, _ANY_NOISE)
+        self._features = for_lens(self._features, self._provisional.level_view)
         self._edges = EdgeDetector(self._provisional, self._features)
 
     @property
