@@ -51,7 +51,7 @@ git -C "$PROJECT" archive HEAD | tar -x -C "$ROOT/opt/src"
 cp /etc/resolv.conf "$ROOT/etc/resolv.conf"
 [ ! -f /etc/ssl/certs/ca-certificates.crt ] || install -D /etc/ssl/certs/ca-certificates.crt "$ROOT/opt/host/ca.crt"
 pip config list | sed -n "s/^\(global\|install\)\.\([a-z-]*\)='\(.*\)'$/\2=\3/p" |
-  grep -E '^(index-url|extra-index-url|trusted-host|proxy|timeout)=' >"$ROOT/opt/host/settings" || true
+  grep -E '^(index-url|extra-index-url|trusted-host|proxy|timeout)=' | grep -v '=file:' >"$ROOT/opt/host/settings" || true
 { echo '[global]'; cat "$ROOT/opt/host/settings"; } >"$ROOT/etc/pip.conf"
 inside() {
   chroot "$ROOT" /usr/bin/env -i PATH=/usr/bin:/bin HOME=/root LANG=C.UTF-8 OPENBLAS_NUM_THREADS=1 \
@@ -66,5 +66,5 @@ trap 'umount "$ROOT/proc" "$ROOT/dev" 2>/dev/null || true' EXIT
 inside /opt/venv/bin/pip install -q /opt/src -c /opt/src/constraints.txt
 inside /opt/venv/bin/pip list --format=freeze
 log "poses"
-OPENBLAS_NUM_THREADS=1 "$PYTHON" "$PROJECT/bench/arm/same_estimates.py" make "$ROOT/opt/drive"
-inside /opt/venv/bin/python /opt/src/bench/arm/same_estimates.py compare /opt/src/tests/golden/pipeline /opt/drive
+OPENBLAS_NUM_THREADS=1 "$PYTHON" -m ceilvo.bench.arm.same_estimates make "$ROOT/opt/drive"
+inside /opt/venv/bin/python -m ceilvo.bench.arm.same_estimates compare /opt/src/tests/golden/pipeline /opt/drive

@@ -1,6 +1,6 @@
 """Instructions that a frame takes, counted by valgrind, and what computers would need for them: computed, not measured.
 
-python bench/arm/instructions.py FOLDER      FOLDER is of `same_estimates.py make`; some minutes
+python -m ceilvo.bench.arm.instructions FOLDER      FOLDER is of same_estimates' make; some minutes
 
 The same drive is run twice, with so many frames more, and the difference divided by them: start and imports fall out.
 """
@@ -19,14 +19,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ceilvo.bench.arm.same_estimates import RATE_HZ
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.types import Frame
 
-_FEW, _MANY = 20, 80
+_FEW, _MANY = 30, 120
 """Frames of the two runs; the first has all that is done once."""
-_RATE_HZ = 10.0
 _WIDER = 2.0
 """At most so many instructions more on ARM: its vectors have 128 bits where those counted here have up to 256."""
 
@@ -61,13 +61,20 @@ def drive(folder: Path, frames: int) -> float:
     pipeline = Pipeline(read_calibration(folder / "calibration.yaml"), Config(), np.random.default_rng(1))
     begin_s = time.perf_counter()
     for k in range(frames):
-        pipeline.step(Frame(k, round(1e9 * (1.0 + k / _RATE_HZ)), pictures[k]))
+        pipeline.step(Frame(k, round(1e9 * (1.0 + k / RATE_HZ)), pictures[k]))
     return time.perf_counter() - begin_s
 
 
 def counted(folder: Path, frames: int) -> int:
     """Instructions of a whole process that drives so many frames."""
-    command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", sys.executable, __file__]
+    command = [
+        "valgrind",
+        "--tool=callgrind",
+        "--callgrind-out-file=/dev/null",
+        sys.executable,
+        "-m",
+        "ceilvo.bench.arm.instructions",
+    ]
     command += [str(folder), "--frames", str(frames)]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)

@@ -1,7 +1,7 @@
 """Are estimates on another computer those of this one? From pixels on, and of the golden drives from crossings on.
 
-python bench/arm/same_estimates.py make FOLDER              on x86-64: a drive's frames and estimates
-python bench/arm/same_estimates.py compare GOLDEN FOLDER    on the other one; GOLDEN is tests/golden/pipeline
+python -m ceilvo.bench.arm.same_estimates make FOLDER              on x86-64: a drive's frames and estimates
+python -m ceilvo.bench.arm.same_estimates compare GOLDEN FOLDER    on the other one; GOLDEN is tests/golden/pipeline
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from ceilvo.types import Frame
 
 BAR = 1e-6
 """m and rad, of poses; chosen: a thousandth of what the eye errs by."""
-_SEED, _RATE_HZ, _FRAMES = 4400, 10.0, 80
+RATE_HZ = 30.0
+"""Of the drive; the default camera's."""
+_SEED, _FRAMES = 4400, 120
 _POSE = slice(0, 3)
 """Columns of the golden drives' figures; the others are covariances, motions and counts."""
 
@@ -34,7 +36,7 @@ def make(folder: Path) -> None:
     """Frames of a rocking robot (N, H, W), the calibration, and the poses (N, 3) that come of them here."""
     folder.mkdir(parents=True, exist_ok=True)
     world = World(WorldSpec(seed=_SEED, lap=LapSpec(room_m=4.0), tilt=TiltSpec(amplitude_rad=0.02)))
-    frames = np.stack([world.frame_at(k / _RATE_HZ) for k in range(_FRAMES)])
+    frames = np.stack([world.frame_at(k / RATE_HZ) for k in range(_FRAMES)])
     write_calibration(folder / "calibration.yaml", world.calibration, force=True)
     np.savez_compressed(folder / "drive.npz", frames=frames, poses=_poses(folder, frames))
     print(f"{folder}: {_FRAMES} frames on {platform.machine()}")
@@ -42,7 +44,7 @@ def make(folder: Path) -> None:
 
 def _poses(folder: Path, frames: NDArray[np.uint8]) -> NDArray[np.float64]:
     pipeline = Pipeline(read_calibration(folder / "calibration.yaml"), Config(), np.random.default_rng(_SEED))
-    stamps = (round(1e9 * (1.0 + k / _RATE_HZ)) for k in range(len(frames)))
+    stamps = (round(1e9 * (1.0 + k / RATE_HZ)) for k in range(len(frames)))
     return np.array([pipeline.step(Frame(k, t, f)).pose for k, (t, f) in enumerate(zip(stamps, frames, strict=True))])
 
 

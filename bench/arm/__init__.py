@@ -1,0 +1,1 @@
+"""The method on 64-bit ARM: emulated, and computed."""
