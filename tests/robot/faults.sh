@@ -27,7 +27,7 @@ unplug() {
 }
 feed_start() {
   rm -f "$feed/feed.csv"
-  /opt/ceilvo/bin/python feeder.py "$node" "${3:-frames.gray}" "${1:-$WIDTH}" "${2:-$HEIGHT}" "$RATE" YUYV "$feed" &
+  /opt/ceilvo/bin/python feeder.py "$node" "${3:-frames.gray}" "${1:-$WIDTH}" "${2:-$HEIGHT}" "$RATE" "${4:-YUYV}" "$feed" &
   feeder=$!
 }
 feeds() { [ -s "$feed/feed.csv" ]; }
@@ -96,6 +96,21 @@ wrong_format() {
   unplug && plug 3 && feed_start && wait_for 20 feeds || return 1
   end format
   wait_for 15 in_state TRACKING
+}
+# Every layout of pixels that the loopback device carries, one after the other, on the installed service.
+formats() {
+  local format n
+  for format in GREY UYVY NV12 Y10 Y12 RGGB MJPG YUYV; do
+    systemctl stop ceilvod
+    unplug
+    sed -i "s/pixel_format: .*/pixel_format: $format/" /etc/ceilvo/config.yaml
+    plug 3 && feed_start "" "" "" "$format" && wait_for 20 feeds || return 1
+    n=$(poses)
+    systemctl start ceilvod
+    wait_for 20 has_more_poses_than $((n + 45)) || return 1 # what in_state looks at is all of this process
+    wait_for 20 in_state TRACKING || return 1
+    note "pixels_$format" TRACKING
+  done
 }
 silent_base() {
   begin base
@@ -202,7 +217,7 @@ corrupt_calibration() {
 
 rc=0
 rm -f "$out/facts.txt" "$out/samples.jsonl"
-for phase in ${PHASES:-setup stalled frozen black white replugged wrong_format silent_base clock_steps disk_full read_only \
+for phase in ${PHASES:-setup stalled frozen black white replugged wrong_format formats silent_base clock_steps disk_full read_only \
   starved kills memory corrupt_state corrupt_calibration}; do
   step "$phase"
   if $phase; then note "phase_$phase" ok; else

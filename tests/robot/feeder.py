@@ -28,8 +28,12 @@ LATEST_OF_PERIOD = 0.2
 """A frame that is later than this share of a period would bear a stamp too far from the moment that it shows."""
 
 
+COLOURS = np.array([[220, 256], [256, 160]], np.uint16)
+"""Of 256, what red, green, green and blue pixels of a sensor show of a light: a lamp that is none too blue."""
+
+
 def set_format(fd: int, fourcc: str, width: int, height: int, line_bytes: int) -> None:
-    code = struct.unpack("<I", fourcc.encode())[0]
+    code = struct.unpack("<I", fourcc.ljust(4).encode())[0]
     pix = (width, height, code, V4L2_FIELD_NONE, line_bytes, line_bytes * height, V4L2_COLORSPACE_SRGB)
     request = bytearray(208)
     struct.pack_into("<I4x7I", request, 0, V4L2_BUF_TYPE_VIDEO_OUTPUT, *pix)
@@ -46,14 +50,50 @@ def read_mode(folder: Path) -> str:
         return ""
 
 
+class Sensor:
+    """One picture in a format of V4L2.
+
+    Attributes:
+        gray: (height, width) to be written.
+        line_bytes: of a line of brightness.
+    """
+
+    def __init__(self, fourcc: str, width: int, height: int) -> None:
+        self._fourcc = fourcc
+        if fourcc in ("YUYV", "UYVY"):
+            self._buffer = np.full((height, width, 2), 128, np.uint8)
+            self.gray = self._buffer[..., fourcc.index("Y")]
+        elif fourcc == "NV12":
+            self._buffer = np.full((height * 3 // 2, width), 128, np.uint8)
+            self.gray = self._buffer[:height]
+        else:
+            self._buffer = self.gray = np.zeros((height, width), np.uint8)
+        self._deep = np.zeros((height, width), "<u2")
+        self._colours = np.tile(COLOURS, (height // 2, width // 2)) if fourcc == "RGGB" else None
+        self.line_bytes = width * (2 if fourcc in ("YUYV", "UYVY", "Y10", "Y12") else 1)
+
+    def data(self) -> memoryview:
+        if self._fourcc in ("Y10", "Y12"):
+            np.left_shift(self.gray, int(self._fourcc[1:]) - 8, out=self._deep, dtype=np.uint16)
+            return self._deep.data
+        if self._colours is not None:
+            np.multiply(self.gray, self._colours, out=self._deep, dtype=np.uint16)
+            return np.ascontiguousarray(self._deep.view(np.uint8)[:, 1::2]).data
+        if self._fourcc == "MJPG":
+            import cv2
+
+            return memoryview(cv2.imencode(".jpg", self.gray)[1].tobytes())
+        return self._buffer.data
+
+
 def main() -> None:
     device, frames_path, width, height, rate, fourcc, folder_name = sys.argv[1:]
     w, h, folder = int(width), int(height), Path(folder_name)
     frames = np.memmap(frames_path, np.uint8, "r").reshape(-1, h, w)
-    buffer = np.full((h, w) if fourcc == "GREY" else (h, w, 2), 128, np.uint8)
-    luma = buffer if fourcc == "GREY" else buffer[..., 0]
+    sensor = Sensor(fourcc, w, h)
+    luma = sensor.gray
     fd = os.open(device, os.O_RDWR)
-    set_format(fd, fourcc, w, h, w if fourcc == "GREY" else 2 * w)
+    set_format(fd, fourcc, w, h, sensor.line_bytes)
     period_ns = round(1e9 / float(rate))
     origin_ns = time.monotonic_ns()
     tick, index, first = 0, 0, None
@@ -77,7 +117,7 @@ def main() -> None:
                 continue
             if mode == "stall":
                 continue
-            os.write(fd, buffer.data)
+            os.write(fd, sensor.data())
             log.write(f"{index},{before_ns},{time.monotonic_ns()}\n")
             if index == len(frames) - 1:
                 (folder / "played").touch()

@@ -100,6 +100,9 @@ def checks(life: Life) -> Iterator[Check]:
         yield Check(f"{name}: STATUS=", status, "no good state", not status.startswith(GOOD))
     if "format_end_ns" in f:
         yield from _recovered(life, "format")
+    if f.get("phase_formats"):
+        pixels = [name.removeprefix("pixels_") for name, state in f.items() if name.startswith("pixels_")]
+        yield Check("formats of pixels: TRACKING", ", ".join(pixels), "all", f["phase_formats"] == "ok")
     for name in ("base", "disk", "readonly", "clock", "starved", "memory"):
         if f"{name}_begin_ns" in f:
             span = life.ns(f"{name}_begin_ns"), life.ns(f"{name}_end_ns")
