@@ -70,11 +70,11 @@ class Sensor:
             self._buffer = self.gray = np.zeros((height, width), np.uint8)
         self._deep = np.zeros((height, width), "<u2")
         self._colours = np.tile(COLOURS, (height // 2, width // 2)) if fourcc == "RGGB" else None
-        self.line_bytes = width * (2 if fourcc in ("YUYV", "UYVY", "Y10", "Y12") else 1)
+        self.line_bytes = width * (2 if fourcc in ("YUYV", "UYVY", "Y16") else 1)
 
     def data(self) -> memoryview:
-        if self._fourcc in ("Y10", "Y12"):
-            np.left_shift(self.gray, int(self._fourcc[1:]) - 8, out=self._deep, dtype=np.uint16)
+        if self._fourcc == "Y16":
+            np.left_shift(self.gray, 8, out=self._deep, dtype=np.uint16)
             return self._deep.data
         if self._colours is not None:
             np.multiply(self.gray, self._colours, out=self._deep, dtype=np.uint16)
