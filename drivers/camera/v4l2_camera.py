@@ -104,7 +104,7 @@ class V4l2Camera:
         if not capture.isOpened():
             raise CameraError(
                 f"camera {self._name}: cannot be opened for capture; in use by another program ('fuser -v {node}'), "
-                f"or not a capture device ('v4l2-ctl -d {node} --all')"
+                f"or not a capture device ('v4l2-ctl -d {node} --all'), or one with rare formats only (docs/cameras.md)"
             )
         self._capture = capture
         self._ask(capture, node)

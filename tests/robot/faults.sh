@@ -101,7 +101,7 @@ wrong_format() {
 # buffers for 10 and 12 bits a pixel, where V4L2 has 16, and OpenCV reads beyond them.
 formats() {
   local format n
-  for format in GREY UYVY NV12 Y16 RGGB MJPG YUYV; do
+  for format in GREY UYVY NV12 Y16 BA81 MJPG YUYV; do
     systemctl stop ceilvod
     unplug
     sed -i "s/pixel_format: .*/pixel_format: $format/" /etc/ceilvo/config.yaml

@@ -28,8 +28,8 @@ LATEST_OF_PERIOD = 0.2
 """A frame that is later than this share of a period would bear a stamp too far from the moment that it shows."""
 
 
-COLOURS = np.array([[220, 256], [256, 160]], np.uint16)
-"""Of 256, what red, green, green and blue pixels of a sensor show of a light: a lamp that is none too blue."""
+COLOURS = np.array([[160, 256], [256, 220]], np.uint16)
+"""Of 256, what blue, green, green and red pixels of a sensor show of a light: a lamp that is none too blue."""
 
 
 def set_format(fd: int, fourcc: str, width: int, height: int, line_bytes: int) -> None:
@@ -69,7 +69,7 @@ class Sensor:
         else:
             self._buffer = self.gray = np.zeros((height, width), np.uint8)
         self._deep = np.zeros((height, width), "<u2")
-        self._colours = np.tile(COLOURS, (height // 2, width // 2)) if fourcc == "RGGB" else None
+        self._colours = np.tile(COLOURS, (height // 2, width // 2)) if fourcc == "BA81" else None
         self.line_bytes = width * (2 if fourcc in ("YUYV", "UYVY", "Y16") else 1)
 
     def data(self) -> memoryview:
