@@ -7,7 +7,7 @@ FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
 .PHONY: soak bench-faults bench-place bench-latency bench-starved kill-test damage-matrix fuzz
-.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib
+.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
 help:
@@ -26,6 +26,7 @@ help:
 	@echo "make soak              the daemon with faults and floods for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
+	@echo "make bench-arm         installs ceilvo on an emulated 64-bit ARM and compares every pose (root)"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
 	@echo "make bench-starved     one core, hogs on it, cameras of 2 to 90 Hz: states, ages, the rate that is used"
 	@echo "make kill-test         kill -9 while it saves, and of the whole daemon while it drives, KILLS=200 times each"
@@ -87,6 +88,9 @@ bench-place: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.place restart --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place renovated --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place start --seed $(or $(SEED),1000) --resume
+
+bench-arm: $(VENV)/.installed
+	bash bench/arm/emulated.sh
 
 bench-latency: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.speed.latency --seconds $(or $(SECONDS),60)
