@@ -22,6 +22,9 @@ array has exceptions."""
 _SURFACE_LAMP = (0.95, 0.25)
 """Half length and half width of a surface-mounted lamp, in tiles; chosen."""
 
+_DOWNLIGHT_M = 0.11
+"""Radius of a round lamp with its rim; chosen, as common ones have."""
+
 
 def make_layout(spec: CeilingSpec, rng: np.random.Generator) -> Layout:
     """Hang lamps in a regular array with exceptions, and the rest at random into free tiles."""
@@ -81,6 +84,14 @@ def _lamps(
             if chance < _NO_LAMP or not free[i : i + 2, j].all():
                 continue
             free[i : i + 2, j] = False
+            if spec.round_lamps:
+                x, y = float(grooves[0][i]) + spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
+                out.append(
+                    Panel(
+                        "lamp", (x - _DOWNLIGHT_M, y - _DOWNLIGHT_M, x + _DOWNLIGHT_M, y + _DOWNLIGHT_M), 0, round=True
+                    )
+                )
+                continue
             if chance < _RECESSED_TO:
                 out.append(Panel("lamp", _tiles(spec, grooves, i, j, 2, 1), 0))
                 continue

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.sim.ceiling.arrangement import make_layout
 from ceilvo.sim.ceiling.layout import Layout, TrueLines
-from ceilvo.sim.ceiling.panels import Panel, Rect, Spot, SpotKind
+from ceilvo.sim.ceiling.panels import Panel, Rect, Spot, SpotKind, grown
 from ceilvo.sim.ceiling.spec import CeilingSpec
 
 Array = NDArray[np.float64]
@@ -50,6 +50,9 @@ _SPOT_RINGS: dict[SpotKind, tuple[tuple[float, float], ...]] = {
 """Discs from the outermost: radius over the spot's, albedo."""
 _PROLONGED_M = 0.07
 """By which true lines are prolonged to meet: detection ends segments at panels' gaps and bridges them."""
+
+_HEXAGON = tuple((float(np.cos(k * np.pi / 3.0)), float(np.sin(k * np.pi / 3.0))) for k in range(3))
+"""Normals of a hexagon's sides."""
 
 
 class Ceiling:
@@ -117,6 +120,10 @@ class Ceiling:
         return self.albedo * np.float32(daylight), self.albedo * light + glow
 
     def _emit(self, glow: Array32, lamp: Panel) -> None:
+        if lamp.round:
+            win, cover = self._disc(lamp.inner)
+            glow[win] += np.float32(LAMP_RADIANCE) * cover
+            return
         win, cover = self._cover(lamp.inner)
         _, y0, _, y1 = lamp.inner
         _, y = self._centres()
@@ -135,7 +142,7 @@ class Ceiling:
         self._stain(a, rng)
         a *= self._mineral(rng)
         if self.spec.joints:
-            self._grooves(a)
+            (self._hexagons if self.spec.pattern == "hexagons" else self._grooves)(a)
         for p in self.layout.panels:
             self._panel(a, p)
         for s in self.layout.spots:
@@ -155,7 +162,8 @@ class Ceiling:
         x, y = self._centres()
         i, j = np.searchsorted(self.layout.grooves[0], x), np.searchsorted(self.layout.grooves[1], y)
         shape = (len(self.layout.grooves[1]) + 1, len(self.layout.grooves[0]) + 1)
-        own = np.clip(rng.normal(TILE, TILE * self.spec.tile_spread, shape), _TILES_FROM, _TILES_TO)
+        spread = self.spec.tile_spread if self.spec.pattern == "tiles" else 0.0
+        own = np.clip(rng.normal(TILE, TILE * spread, shape), _TILES_FROM, _TILES_TO)
         a = own.astype(np.float32)[j[:, None], i[None, :]]
         (along_x, wave_x, phase), (along_y, wave_y) = _FALL
         a *= (1.0 + along_x * np.sin(wave_x * x + phase)).astype(np.float32)
@@ -196,7 +204,7 @@ class Ceiling:
         half, lip = 0.5 * self.spec.groove_m, self.spec.lip_m
         dark, both = [], []
         for axis in (0, 1):
-            at = self.layout.grooves[axis]
+            at = self.layout.joints()[axis]
             dark.append(1.0 - self._profile(axis, at - half, at + half))
             both.append(1.0 - self._profile(axis, at - half - lip, at + half + lip))
         tile = np.outer(both[1], both[0]).astype(np.float32)
@@ -208,6 +216,11 @@ class Ceiling:
         a += np.float32(self.spec.lip_albedo) * (bare - tile) + np.float32(self.spec.groove_albedo) * (1.0 - bare)
 
     def _panel(self, a: Array32, p: Panel) -> None:
+        if p.round:
+            for rect, value in ((p.rect, RIM), (p.inner, PANEL)):
+                win, cover = self._disc(rect)
+                a[win] += cover * (np.float32(value) - a[win])
+            return
         if not p.recessed:
             x0, y0, x1, y1 = p.rect
             g = p.GAP_M
@@ -218,6 +231,34 @@ class Ceiling:
             self._fill(a, slot, SLOT)
         for i, ring in enumerate(p.rings()):
             self._fill(a, ring, SLOT if i % 2 == 0 else RIM)
+
+    def _disc(self, rect: Rect) -> tuple[tuple[slice, slice], Array32]:
+        """Window of texels of a rectangle, and how much of each the disc in its middle covers."""
+        x0, y0, x1, y1 = rect
+        win, (x, y) = self._window(grown(rect, 3 * self.spec.texel_m))
+        d = np.hypot(x - 0.5 * (x0 + x1), y - 0.5 * (y0 + y1))
+        radius = 0.5 * min(x1 - x0, y1 - y0)
+        return win, np.clip((radius - d) / self.spec.texel_m + 0.5, 0.0, 1.0).astype(np.float32)
+
+    def _hexagons(self, a: Array32) -> None:
+        """Joints between hexagons: a point's distance from the nearest one's sides."""
+        s, (x, y) = self.spec, self._centres()
+        size = np.array([s.tile_m, s.tile_m * np.sqrt(3.0)])
+        nearest = np.full(a.shape, np.inf, np.float32)
+        inside = np.zeros(a.shape, np.float32)
+        for shift in (0.0, 0.5):  # two interleaved rectangular lattices of centres
+            dx, dy = (_from_nearest(p - s.grid_offset_m[i], size[i], shift) for i, p in enumerate((x, y)))
+            off = np.hypot(dx[None, :], dy[:, None]).astype(np.float32)
+            sides = [np.abs(c * dx[None, :] + d * dy[:, None]).astype(np.float32) for c, d in _HEXAGON]
+            np.copyto(inside, 0.5 * s.tile_m - np.maximum.reduce(sides), where=off < nearest)
+            np.minimum(nearest, off, out=nearest)
+        half = 0.5 * s.groove_m
+        joint, lip = (np.clip((w - inside) / s.texel_m + 0.5, 0.0, 1.0) for w in (half, half + s.lip_m))
+        if s.groove_darker is not None:
+            a *= 1.0 - np.float32(s.groove_darker) * joint
+            return
+        a += lip * (np.float32(s.lip_albedo) - a)
+        a += joint * (np.float32(s.groove_albedo) - a)
 
     def _spot(self, a: Array32, s: Spot) -> None:
         x, y = s.xy
@@ -262,6 +303,11 @@ class Ceiling:
         sy, _ = self._interval(1, rect[1], rect[3])
         x, y = self._centres()
         return (sy, sx), (x[sx][None, :], y[sy][:, None])
+
+
+def _from_nearest(at: Array, pitch: float, shift: float) -> Array:
+    """Signed distances from the nearest of places a pitch apart, moved by a share of it."""
+    return at - pitch * (np.round(at / pitch - shift) + shift)
 
 
 def _tent_integral(t: NDArray[np.floating[Any]]) -> Array:

@@ -73,6 +73,8 @@ class Layout:
                     xy.append((x, y))
                     types.append(CrossingType.TEE if any(self._hidden(*a) for a in arms) else CrossingType.CROSS)
         for p in self.panels:
+            if p.round:
+                continue
             x0, y0, x1, y1 = p.inner
             xy += [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
             types += [CrossingType.LAMP if p.kind == "lamp" else CrossingType.VENT] * 4
@@ -86,6 +88,8 @@ class Layout:
                 for lo, hi in self._visible(axis, at):
                     found += [(axis, at + d, lo, hi, kind) for d, kind in self._profile()]
         for p in self.panels:
+            if p.round:
+                continue
             if p.kind == "lamp":
                 found += _outline(p.inner, LineKind.RISING)
             if p.recessed and not self.spec.joints:  # otherwise the joint around it is the line
@@ -115,7 +119,18 @@ class Layout:
         return np.column_stack([x[i], y[j]])
 
     def _joints(self, axis: int) -> Array:
-        return self.grooves[axis] if self.spec.joints else np.zeros(0)
+        return self.joints()[axis] if self.spec.joints else np.zeros(0)
+
+    def joints(self) -> tuple[Array, Array]:
+        """Where straight joints are, per axis: those of tiles or slats; hexagons have none as long as a line."""
+        if self.spec.pattern == "tiles":
+            return self.grooves
+        if self.spec.pattern == "hexagons":
+            return np.zeros(0), np.zeros(0)
+        lo, hi, pitch = self.extent[0], self.extent[2], self.spec.slat_m
+        first = np.ceil((lo - self.spec.grid_offset_m[0]) / pitch)
+        n = int((hi - self.spec.grid_offset_m[0]) / pitch - first) + 1
+        return self.spec.grid_offset_m[0] + pitch * (first + np.arange(n)), np.zeros(0)
 
     def _profile(self) -> list[tuple[float, int]]:
         """Lines that a joint shows, with their distance from its middle: a wide one has two edges of its own."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,12 +28,14 @@ class Panel:
         rect: outer rectangle x0, y0, x1, y1 in metres.
         axis: a vent's slats run along x (0) or y (1).
         recessed: in the grid's place, not screwed on with a gap around it.
+        round: a disc in the middle of the rectangle, as wide as its shorter side.
     """
 
     kind: PanelKind
     rect: Rect
     axis: int
     recessed: bool = True
+    round: bool = False
 
     RIM_M = 0.030
     """Width of the frame around a lamp's field or a vent's opening; chosen, as the two below."""
@@ -89,6 +92,8 @@ class Panel:
     def hides(self, x: float, y: float) -> bool:
         """Whether a groove at this point lies behind the panel."""
         x0, y0, x1, y1 = self.rect
+        if self.round:
+            return math.hypot(x - 0.5 * (x0 + x1), y - 0.5 * (y0 + y1)) < 0.5 * min(x1 - x0, y1 - y0)
         return x0 < x < x1 and y0 < y < y1
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from ceilvo.errors import ConfigError
+
+Pattern = Literal["tiles", "hexagons", "slats"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,9 @@ class CeilingSpec:
         groove_darker: instead of both, how much darker a joint is than the tiles beside it, as a part of theirs; None
             keeps the albedos.
         joints: False is a bare plaster ceiling; what hangs on it stays where it was.
+        pattern: what the joints make: squares, hexagons of tile_m from side to side, or slats slat_m wide along y.
+        slat_m: pitch of the slats.
+        round_lamps: discs instead of troffers; they have no straight edges and no corners.
         texel_m: resolution of the picture.
         tile_spread: standard deviation of the tiles' brightness.
         texture: strength of the tiles' speckle and mottling; 0 is plain.
@@ -41,6 +47,9 @@ class CeilingSpec:
     lip_albedo: float = 0.84
     groove_darker: float | None = None
     joints: bool = True
+    pattern: Pattern = "tiles"
+    slat_m: float = 0.1
+    round_lamps: bool = False
     texel_m: float = 0.003
     tile_spread: float = 0.025
     texture: float = 1.0
@@ -50,9 +59,11 @@ class CeilingSpec:
     stains: int = 7
 
     def __post_init__(self) -> None:
-        for name in ("room_m", "tile_m", "groove_m", "texel_m"):
+        for name in ("room_m", "tile_m", "groove_m", "slat_m", "texel_m"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"ceiling: {name} is {getattr(self, name)}, expected more than 0")
+        if self.pattern not in get_args(Pattern):
+            raise ConfigError(f"ceiling: pattern is {self.pattern!r}, expected one of {', '.join(get_args(Pattern))}")
         if self.groove_m + 2 * self.lip_m > 0.5 * self.tile_m:
             raise ConfigError(
                 f"ceiling: groove_m {self.groove_m} with lip_m {self.lip_m} does not fit tiles of tile_m {self.tile_m}"
