@@ -1,8 +1,8 @@
-"""Kinds of crossings: which two kinds of lines meet, coded so that they can be turned with their axes.
+"""Kinds of features: which two kinds of lines meet, coded so that they can be turned with their axes; and points.
 
 A crossing's kind is 3 * (kind of the axis-0 line + 1) + (kind of the axis-1 line + 1), with LineKind -1, 0, 1 along
 the axis' normal. Axes are only known modulo 90 deg; naming them a quarter turn further (axis 0' = axis 1,
-axis 1' = -axis 0) exchanges the two kinds and reverses one.
+axis 1' = -axis 0) exchanges the two kinds and reverses one. Points have no axes: turning leaves them what they are.
 """
 
 from __future__ import annotations
@@ -12,15 +12,23 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int64]
 
-CROSSING_TYPES = 9
+LINE_CROSSINGS = 9
 """Three line kinds on each of two axes."""
+
+LAMP, SPOT, CORNER = 10, 11, 12
+"""Points: a bright blob's weighted centre, the middle of what is darker or brighter around it, a corner. 9 is no type:
+its bit means mapped ground in the index of places, also in recordings that are older than points."""
+
+CROSSING_TYPES = 13
+"""Crossings of lines, and points."""
 
 JOINTS = 4
 """Where two joints between tiles meet."""
 
-TYPE_MISTAKEN = np.array([0.04, 0.38, 0.04, 0.38, 0.01, 0.38, 0.04, 0.38, 0.04])
+TYPE_MISTAKEN = np.array([0.04, 0.38, 0.04, 0.38, 0.01, 0.38, 0.04, 0.38, 0.04, 0.04, 0.04, 0.04, 0.04])
 """Chance that a crossing is seen as one of another type, by its type: an edge that crosses a joint often is, for the
-joint's nearer edge may be all that is found of it; counted on 7000 crossings in pairs of views up to 0.8 s apart."""
+joint's nearer edge may be all that is found of it; counted on 7000 crossings in pairs of views up to 0.8 s apart. Of
+points chosen, as of corners of lamps."""
 
 
 def crossing_type_of(kind_axis0: Ints, kind_axis1: Ints) -> Ints:
@@ -35,7 +43,7 @@ def turned_type(kind: Ints, quarter_turns: int) -> Ints:
     k0, k1 = kind // 3 - 1, kind % 3 - 1
     for _ in range(quarter_turns % 4):
         k0, k1 = k1, -k0
-    return crossing_type_of(k0, k1)
+    return np.where(kind < LINE_CROSSINGS, crossing_type_of(k0, k1), kind)
 
 
 def quarter_turns(psi_rad: float, reference_rad: float) -> int:

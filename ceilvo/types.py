@@ -29,6 +29,8 @@ MAX_COORDINATE_M = 1e6
 """Coordinates beyond it are damage: no building is so large."""
 MAX_ANGLE_RAD = 10.0
 """Directions beyond it are damage: a direction, with room for a turn too many."""
+NO_DIRECTION_RAD = float(np.pi / np.sqrt(48.0))
+"""Standard deviation of a direction that nothing tells: any within a quarter turn is as likely."""
 MAX_ID = 2**62
 """Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 
@@ -104,15 +106,16 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Crossings:
-    """Point features: crossings of perpendicular lines.
+    """Point features: crossings of perpendicular lines, and where these do not suffice lamps, spots and corners.
 
     Attributes:
         uv_px: (M, 2) in the level view.
         xy_base_m: (M, 2) on the ceiling, in base.
         cov_base_m2: (M, 2, 2).
-        crossing_type: (M,) in 0..8, 3 * (kind of axis-0 line + 1) + (kind of axis-1 line + 1); see
-            ceilvo.crossing_types.
-        psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines.
+        crossing_type: (M,) in 0..8, 3 * (kind of axis-0 line + 1) + (kind of axis-1 line + 1), and above for points;
+            see ceilvo.crossing_types.
+        psi_rad, psi_sigma_rad, tilt_rad, tilt_sigma_rad: as in Lines; psi_sigma_rad is NO_DIRECTION_RAD where
+            there are no lines, and psi_rad then says nothing.
         common_cov_m2: (2, 2) the part of cov_base_m2 that all crossings of a frame share: an error of the tilt
             shifts them together.
         sample_gray: (S,) grey levels at fixed places of the picture, to tell whether it is an old one; (0,) = none.
@@ -131,6 +134,11 @@ class Crossings:
 
     def __len__(self) -> int:
         return len(self.crossing_type)
+
+    @property
+    def directed(self) -> bool:
+        """Whether lines tell a direction."""
+        return self.psi_sigma_rad < NO_DIRECTION_RAD
 
 
 @dataclass(frozen=True, slots=True)

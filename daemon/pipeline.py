@@ -84,7 +84,7 @@ class Pipeline:
         usable = self.checks.admit(crossings, wheels, elapsed_s)
         motion = self.odometry.step(usable.crossings, elapsed_s, usable.wheels, usable.missing or missing)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s)
-        crossings = usable.crossings
+        crossings = None if usable.crossings is None else self.odometry.directed(usable.crossings)
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.travelled(track, 0 if crossings is None else len(crossings))

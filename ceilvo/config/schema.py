@@ -126,6 +126,9 @@ class Features:
     faint_lines: bool = key(
         True, "where edges give few crossings, look for lines too faint for single pixels; false is the paper's way"
     )
+    points: bool = key(
+        True, "where lines cross at few places, look for lamps, corners and spots; false is the paper's way"
+    )
     tilt_prior_deg: float = key(1.0, "standard deviation of the robot's tilt beforehand", low=0.01, high=10.0)
 
 

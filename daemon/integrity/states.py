@@ -21,6 +21,9 @@ _ESS_WEIGHT = 0.2
 """By this at most; chosen: sigma and NIS matter more."""
 _NIS_CAP = 2.0
 """Times nis_lost, what one update counts in the mean NIS at most; chosen: the mean comes back from a wild one."""
+_FEW_TIMES = 2
+"""Times tracking_frames, frames with few inliers after which a start is DEGRADED: two lamps in view are never more;
+chosen: few prove as much in twice the time."""
 BOUND_SIGMAS = 3.0
 """What DEGRADED promises of a pose holds for so many standard deviations: 99.7 % of one axis."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
@@ -96,6 +99,7 @@ class StateMachineState:
         vision_score: in [0, 1], fading without vision.
         stamp_ns, vision_ns: the last frame's, and of the last one with a motion.
         good_frames, vision_frames: in a row, without anything bad and with a motion.
+        steady_frames: in a row, with nothing worse than few inliers.
         confirmed: landmarks have matched since the pose was last given up.
     """
 
@@ -112,6 +116,7 @@ class StateMachineState:
     vision_ns: int | None = None
     good_frames: int = 0
     vision_frames: int = 0
+    steady_frames: int = 0
     confirmed: bool = False
 
 
@@ -148,7 +153,7 @@ class StateMachine:
         s.nis_high, s.nis_lost = Votes(), Votes()
         s.nis_mean = 1.0
         s.conditions.clear()
-        s.good_frames = 0
+        s.good_frames = s.steady_frames = 0
         s.confirmed = False
 
     def _update(self, e: Evidence) -> None:
@@ -174,6 +179,8 @@ class StateMachine:
         self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
+        steady = e.motion_ok and set(s.conditions) <= {"inliers"} and not spike
+        s.steady_frames = s.steady_frames + 1 if steady else 0
         s.confirmed |= not e.in_doubt and e.landmarks_matched > 0
         hold = math.exp(-elapsed_s / cfg.dead_reckoning_s) if cfg.dead_reckoning_s > 0 else 0.0
         now = _score(cfg.degraded_inliers, e.inliers) if e.motion_ok else 0.0
@@ -211,8 +218,10 @@ class StateMachine:
             return State.LOST, lost, s.conditions[lost]
         enough = s.good_frames >= cfg.tracking_frames
         if state in (State.INIT, State.RELOCALISING):
-            enough &= state is State.INIT or s.confirmed
-            return (State.TRACKING, "good", self._good_reason()) if enough else (state, "", "")
+            sure = state is State.INIT or s.confirmed
+            if sure and not enough and s.steady_frames >= _FEW_TIMES * cfg.tracking_frames and s.conditions:
+                return State.DEGRADED, "inliers", s.conditions["inliers"]
+            return (State.TRACKING, "good", self._good_reason()) if enough and sure else (state, "", "")
         far = self._first_cause("far", "turned")
         if not e.motion_ok:
             return self._without_vision(e, bool(far))

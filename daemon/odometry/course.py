@@ -15,6 +15,8 @@ from ceilvo.types import Array
 
 _COURSE_SIGMAS = 5.0
 """Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
+DIRECTION_SIGMAS = 5.0
+"""Of a direction that is predicted or carried on, by which that of the lines may be off; chosen, as above."""
 _WHEELS_CHI2 = 21.1
 """Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
 
@@ -30,6 +32,8 @@ class Course:
         twist: (3,) [m/s, m/s, rad/s] at the last good view, the mean over span_s; None where it is not known.
         by_wheels: the prediction is the wheels' all the way.
         refused: (3,) ref_from_prev, when the view before this one was refused as a motion that no robot makes.
+        carried_rad: standard deviation of the last good view's direction where that was carried on without lines, else
+            0.
     """
 
     guess: Array
@@ -40,16 +44,18 @@ class Course:
     span_s: float
     by_wheels: bool
     refused: Array | None
+    carried_rad: float = 0.0
 
     def reach_m(self, sigmas: float) -> float:
         """How far off its prediction the robot can be."""
         return sigmas * math.sqrt(max(float(np.linalg.eigvalsh(self.cov[:2, :2])[-1]), 0.0))
 
 
-def contradicted(found: Registration, config: Odometry) -> str:
+def contradicted(found: Registration, config: Odometry, course: Course) -> str:
     """Why the view itself does not bear out the motion, "" when it does."""
     off = abs(se2.wrap(float(found.fit.b_from_a[2]) - found.turn_rad))
-    if off > config.heading_gate_rad:
+    vague_rad = course.carried_rad if found.by_lines else math.sqrt(course.cov[2, 2])
+    if off > config.heading_gate_rad + DIRECTION_SIGMAS * vague_rad:
         return f"rotation of points and of lines differ by {off:.3f} rad"
     if found.agreeing < MIN_AGREEING * found.expected:
         return f"{found.agreeing} of {found.shown} crossings moved alike"

@@ -1,12 +1,24 @@
-"""Keeps the sum of a drive's rotations at the direction of the ceiling's lines, which does not drift."""
+"""Keeps the sum of a drive's rotations at the direction of the ceiling's lines, which does not drift.
+
+Where a view has no lines their direction is carried on by the rotation of the points, so it is there when lines are in
+view again.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from ceilvo.daemon.odometry.course import DIRECTION_SIGMAS, Course
+from ceilvo.daemon.odometry.registration import Registration, has_points
+from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
+from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap
+from ceilvo.types import NO_DIRECTION_RAD, Crossings
 
+NEW_ERROR = 0.6
+"""Part of a direction's or tilt's error that is new in a frame; the rest is the same lines' in the next and cancels.
+Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
 _AGREE_SIGMAS = 3.0
 """Lines and points agree within this, in standard deviations of their difference: 99.7 %."""
 
@@ -22,10 +34,15 @@ class Turn:
 
 @dataclass(slots=True)
 class HeadingState:
-    """By how much the lines' heading is ahead of the sum of reported rotations, and the variance of that sum."""
+    """By how much the lines' heading is ahead of the sum of reported rotations, and the variance of that sum.
+
+    Attributes:
+        carried: the direction of the last good view was carried on, not seen.
+    """
 
     deferred_rad: float = 0.0
     deferred_var_rad2: float = 0.0
+    carried: bool = False
 
 
 class HeadingFusion:
@@ -51,3 +68,48 @@ class HeadingFusion:
         turn = Turn(full, math.sqrt(lines_sigma_rad**2 + s.deferred_var_rad2), s.deferred_rad != 0.0)
         s.deferred_rad, s.deferred_var_rad2 = 0.0, 0.0
         return turn
+
+    def fused(self, ref: Crossings, crossings: Crossings, place: Registration, course: Course) -> RigidFit:
+        """The fit with the rotation to report: by lines or points, and by the prediction where there are no lines."""
+        fit = place.fit
+        points_rad, points_var_rad2 = float(fit.b_from_a[2]), float(fit.cov[2, 2])
+        if not place.by_lines:
+            share = points_var_rad2 / (points_var_rad2 + float(course.cov[2, 2]))
+            theta = points_rad + share * wrap(float(course.guess[2]) - points_rad)
+            sigma = math.sqrt(points_var_rad2 * (1.0 - share))
+            return with_known_rotation(fit, place.seen, place.before, theta, sigma)
+        sigma = NEW_ERROR * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
+        best = self.fuse(place.turn_rad, sigma, points_rad, math.sqrt(points_var_rad2))
+        if best.of_points or self.state.carried:  # what lines make good was not turned in this step
+            return fit.with_rotation(best.theta_rad, best.sigma_rad)
+        return with_known_rotation(fit, place.seen, place.before, best.theta_rad, best.sigma_rad)
+
+
+def oriented(crossings: Crossings, psi_rad: float) -> Crossings:
+    """The crossings with that direction, unless lines tell them one."""
+    return crossings if crossings.directed else with_direction(crossings, psi_rad)
+
+
+def with_direction(crossings: Crossings, psi_rad: float) -> Crossings:
+    """The crossings with a direction that none of their lines tells."""
+    return replace(crossings, psi_rad=fold_direction(psi_rad)[0], psi_sigma_rad=NO_DIRECTION_RAD)
+
+
+def as_expected(crossings: Crossings, ref: Crossings, course: Course, gate_rad: float) -> Crossings:
+    """The crossings with the direction that is predicted where lines tell none, or one that is not the ceiling's.
+
+    Where few lines cross, their direction may be that of other lines than before: hexagons have three.
+    """
+    predicted = ref.psi_rad - float(course.guess[2])
+    vague = math.hypot(course.carried_rad, math.sqrt(course.cov[2, 2]))
+    off = abs(fold_direction(crossings.psi_rad - predicted)[0])
+    few = has_points(crossings) and ref.directed and off > gate_rad + DIRECTION_SIGMAS * vague
+    return with_direction(crossings, predicted) if few else oriented(crossings, predicted)
+
+
+def with_carried(crossings: Crossings, ref: Crossings, fit: RigidFit) -> Crossings:
+    """The crossings with the direction of the view that they were registered to, unless lines tell them one."""
+    if crossings.directed:
+        return crossings
+    sigma = min(math.hypot(ref.psi_sigma_rad, math.sqrt(float(fit.cov[2, 2]))), NO_DIRECTION_RAD)
+    return replace(with_direction(crossings, ref.psi_rad - float(fit.b_from_a[2])), psi_sigma_rad=sigma)

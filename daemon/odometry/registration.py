@@ -9,7 +9,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import quarter_turns, turned_type
+from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
 from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion
@@ -18,6 +18,14 @@ from ceilvo.types import Array, Crossings, Ints
 
 MIN_AGREEING = 1.0 / 3.0
 """Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
+_UNUSUAL_SIGMAS = 3.0
+"""Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
+are looked at; chosen: half a per cent of a lap's frames cost the look."""
+_SPECIAL_SIGMAS, _HALF = 2.0, 0.5
+"""The same of crossings that are no joints of tiles, and their part at least: whole tiles off none of them agrees, but
+there are few; chosen."""
+_FEWEST_POINTS = 2
+"""They determine a motion, and their distance tells whether they are the same two."""
 _MIN_VIEW_M = 1e-9
 """Crossings all in one place: not divided by 0."""
 
@@ -29,7 +37,8 @@ class Registration:
     Attributes:
         fit: ref_from_curr by the points.
         seen, before: (N, 2) m, the matched points in both views; fit.used says which of them count.
-        turn_rad: ref_from_curr rotation by the lines.
+        turn_rad: ref_from_curr rotation by the lines; by the prediction where not both views have a direction.
+        by_lines: it is by the lines.
         shown: crossings of the view that has fewer.
         expected: how many of them both views must show, by their overlap.
         special, special_expected: those that move alike, and those that both must show, of all types but the commonest:
@@ -44,11 +53,24 @@ class Registration:
     expected: float
     special: int
     special_expected: float
+    by_lines: bool = True
 
     @property
     def agreeing(self) -> int:
         """Crossings that move alike."""
         return int(np.count_nonzero(self.fit.used))
+
+    def is_usual(self, disagreeing: tuple[float, float]) -> bool:
+        """Whether no more crossings disagree than chance and passing things explain.
+
+        Args:
+            disagreeing: usual fraction of those that both views must show, and of those of all types but the commonest.
+        """
+        usual, special = disagreeing[0] * self.expected, disagreeing[1] * self.special_expected
+        if self.expected - self.agreeing > usual + _UNUSUAL_SIGMAS * math.sqrt(usual + 1.0):
+            return False
+        missing = self.special_expected - self.special
+        return missing <= max(special + _SPECIAL_SIGMAS * math.sqrt(special + 1.0), _HALF * self.special_expected)
 
 
 def register(
@@ -58,10 +80,13 @@ def register(
     turn = float(guess[2])
     kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
     i, j = mutual_nearest(se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, radius_m)
-    if len(i) < config.min_inliers:
-        return None, f"{len(i)} of {len(crossings)} crossings matched, {config.min_inliers} needed"
-    good = consistent(crossings.uv_px[i], ref.uv_px[j], config.ransac_px)
-    i, j = i[good], j[good]
+    need = fewest(crossings, config)
+    if len(i) < need:
+        return None, f"{len(i)} of {len(crossings)} crossings matched, {need} needed"
+    by_points = has_points(crossings)
+    if not by_points:  # of points their own sigma decides, of which the level view's pixels know nothing
+        good = consistent(crossings.uv_px[i], ref.uv_px[j], config.ransac_px)
+        i, j = i[good], j[good]
     seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
     fit = None
     if len(i):
@@ -70,9 +95,10 @@ def register(
             before,
             config.residual_sigmas,
             config.residual_max_m,
-            config.min_inliers,
+            need,
             [median_translation(seen, before, turn, ref.psi_rad)],
             _independent_sigma_m(crossings, i) + _independent_sigma_m(ref, j),
+            np.hypot(_own_sigma_m(crossings, i), _own_sigma_m(ref, j)) if by_points else None,
         )
     if fit is None:
         return None, "too few consistent correspondences"
@@ -81,7 +107,28 @@ def register(
     here, then = kinds != common, ref.crossing_type != common
     special = int(np.count_nonzero(here[i[fit.used]]))
     special_shown = min(np.count_nonzero(here), np.count_nonzero(then))
-    return Registration(fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap), ""
+    by_lines = crossings.directed and ref.directed
+    return (
+        Registration(fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap, by_lines),
+        "",
+    )
+
+
+def has_points(crossings: Crossings) -> bool:
+    """Whether there are other features than crossings of lines."""
+    return bool(np.any(crossings.crossing_type >= LINE_CROSSINGS))
+
+
+def fewest(crossings: Crossings, config: Odometry) -> int:
+    """Correspondences that make a motion: two points do, each of which was seen as a whole."""
+    return min(_FEWEST_POINTS, config.min_inliers) if has_points(crossings) else config.min_inliers
+
+
+def expected_turn(ref: Crossings, crossings: Crossings, predicted_rad: float) -> float:
+    """ref_from_curr rotation by the lines of both views, where both have some, else as predicted."""
+    if not (ref.directed and crossings.directed):
+        return predicted_rad
+    return direction_change(ref.psi_rad, crossings.psi_rad, predicted_rad)
 
 
 def direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
@@ -104,6 +151,14 @@ def _overlap(fit: RigidFit, ref: Crossings) -> float:
 
 def _independent_sigma_m(crossings: Crossings, which: Ints) -> float:
     """Median standard deviation of the crossings `which`, m, without the part that all of a frame share."""
+    return math.sqrt(max(0.5 * median(_own_trace_m2(crossings, which)), 0.0))
+
+
+def _own_sigma_m(crossings: Crossings, which: Ints) -> Array:
+    """(N,) the same of each."""
+    return np.sqrt(np.maximum(0.5 * _own_trace_m2(crossings, which), 0.0))
+
+
+def _own_trace_m2(crossings: Crossings, which: Ints) -> Array:
     cov, common = crossings.cov_base_m2, crossings.common_cov_m2
-    own = cov[which, 0, 0] + cov[which, 1, 1] - (common[0, 0] + common[1, 1])
-    return math.sqrt(max(0.5 * median(own), 0.0))
+    return np.asarray(cov[which, 0, 0] + cov[which, 1, 1] - (common[0, 0] + common[1, 1]))

@@ -28,13 +28,24 @@ _DEGREES_OF_FREEDOM = 3
 
 @dataclass(frozen=True, slots=True)
 class RigidFit:
-    """b_from_a (3,), points used (N,), their rms residual, (3, 3) covariance and the variance of one coordinate."""
+    """b_from_a (3,), points used (N,), their rms residual, (3, 3) covariance and the variance of one coordinate.
+
+    Attributes:
+        weight: (N,) of the points, 1 / m^2; None where all weigh the same.
+    """
 
     b_from_a: Array
     used: Bools
     rms_m: float
     cov: Array
     variance_m2: float
+    weight: Array | None = None
+
+    def middle(self, points: Array) -> Array:
+        """(2,) centroid of the points (N, 2) that are used."""
+        if self.weight is None:
+            return np.asarray(points[self.used].mean(axis=0))
+        return np.asarray(np.average(points[self.used], axis=0, weights=self.weight[self.used]))
 
     def with_rotation(self, theta_rad: float, theta_sigma_rad: float) -> RigidFit:
         """This fit with the rotation to report, when the translation was found for its own."""
@@ -43,10 +54,18 @@ class RigidFit:
         return replace(self, b_from_a=np.array([*self.b_from_a[:2], theta_rad]), cov=cov)
 
 
-def rigid_motion(a: Array, b: Array) -> Array:
-    """(3,) b_from_a with b_i = R a_i + T in the least-squares sense, R a rotation; a, b (N >= 2, 2) metres."""
-    a_mean, b_mean = a.mean(axis=0), b.mean(axis=0)  # eq. 9
-    da, db = a - a_mean, b - b_mean  # eq. 11
+def rigid_motion(a: Array, b: Array, weight: Array | None = None) -> Array:
+    """(3,) b_from_a with b_i = R a_i + T in the least-squares sense, R a rotation; a, b (N >= 2, 2) metres.
+
+    Args:
+        weight: (N,); None: all alike.
+    """
+    if weight is None:
+        a_mean, b_mean = a.mean(axis=0), b.mean(axis=0)  # eq. 9
+        da, db = a - a_mean, b - b_mean  # eq. 11
+    else:
+        a_mean, b_mean = (np.average(p, axis=0, weights=weight) for p in (a, b))
+        da, db = (a - a_mean) * weight[:, None], b - b_mean
     sine = float(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]))
     cosine = float(np.sum(da * db))
     theta = float(np.arctan2(sine, cosine))  # eq. 15: the minimum of eq. 14, in the right quadrant
@@ -62,20 +81,26 @@ def robust_rigid_motion(
     min_points: int,
     starts: Sequence[Array] = (),
     sigma_m: float = 0.0,
+    own_sigma_m: Array | None = None,
 ) -> RigidFit | None:
     """rigid_motion with the residual rejection and re-estimation of eq. 16; None when too few points remain.
 
     Args:
         starts: (3,) b_from_a each, other motions to judge the first residuals by than the fit to all points, which
-            gross outliers pull; the result that explains the points best is returned, or the first that explains most.
+            gross outliers pull; the result that explains the points best is returned, or the first that explains
+            most.
         sigma_m: standard deviation of the points by their own covariances; no residual below a few of it is rejected.
+        own_sigma_m: (N,) of points that are not alike: they weigh as much as that says, none is rejected within a few
+            of its own, and the fit is no surer than they are, however well a few fit; None: they are alike.
     """
     if len(a) < max(min_points, 2):
         return None
     scale = max(sigma_m, _CORNER_SIGMA_M)
+    gate = _Gate(sigmas, max_m, scale, own_sigma_m)
+    weight = None if own_sigma_m is None else 1.0 / np.maximum(own_sigma_m, _CORNER_SIGMA_M) ** 2
     found: list[RigidFit] = []
     for start in (*starts, None):
-        fit = _refined(a, b, rigid_motion(a, b) if start is None else start, sigmas, max_m, min_points, scale)
+        fit = _refined(a, b, rigid_motion(a, b, weight) if start is None else start, gate, min_points, weight)
         if fit is not None:
             found.append(fit)
             if np.count_nonzero(fit.used) >= _CLEAR_FRACTION * len(a):
@@ -88,26 +113,54 @@ def _robust_cost(a: Array, b: Array, b_from_a: Array, scale_m: float) -> float:
     return float(np.sum(np.log1p(np.sum((b - transform(b_from_a, a)) ** 2, axis=1) / scale_m**2)))
 
 
-def _refined(
-    a: Array, b: Array, start: Array, sigmas: float, max_m: float, min_points: int, scale_m: float
-) -> RigidFit | None:
+@dataclass(frozen=True, slots=True)
+class _Gate:
+    """Residuals kept, see robust_rigid_motion."""
+
+    sigmas: float
+    max_m: float
+    sigma_m: float
+    own_sigma_m: Array | None
+
+    def keeps(self, eta: Array) -> Bools:
+        """(N,) which residuals are kept: a few sigma of the better half, and never so tight that that would go.
+
+        While many outliers still pull the fit, the second rule lets the half that agrees best take it over.
+        """
+        middle = median(eta)
+        usual = self.sigmas * max(MAD_TO_SIGMA * middle, self.sigma_m)
+        gate = max(min(self.max_m, usual), _GATE_MEDIANS * middle)
+        return eta < (gate if self.own_sigma_m is None else np.maximum(gate, self.sigmas * self.own_sigma_m))
+
+    def fits(self, eta: Array, used: Bools) -> bool:
+        """Whether the better half of the residuals that were kept are small."""
+        if self.own_sigma_m is None:
+            return median(eta) <= self.max_m
+        return median(eta / self.own_sigma_m[used]) <= max(self.sigmas, self.max_m / median(self.own_sigma_m[used]))
+
+
+def _refined(a: Array, b: Array, start: Array, gate: _Gate, min_points: int, weight: Array | None) -> RigidFit | None:
     fit, used = start, np.zeros(len(a), bool)
     for _ in range(_MAX_ROUNDS):
         eta = np.hypot(*(b - transform(fit, a)).T)  # eq. 16
-        keep = eta < _gate(eta, sigmas, max_m, scale_m)
+        keep = gate.keeps(eta)
         if np.count_nonzero(keep) < max(min_points, 2):
             return None
         if np.array_equal(keep, used):
             break
         used = keep
-        fit = rigid_motion(a[used], b[used])
+        fit = rigid_motion(a[used], b[used], None if weight is None else weight[used])
     residual = b[used] - transform(fit, a[used])
-    if median(np.hypot(residual[:, 0], residual[:, 1])) > max_m:
+    if not gate.fits(np.hypot(residual[:, 0], residual[:, 1]), used):
         return None
     dof = max(2 * len(residual) - _DEGREES_OF_FREEDOM, 1)
-    variance = float(np.sum(residual**2)) / dof
     rms = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-    return RigidFit(fit, used, rms, _covariance(a[used], fit, variance), variance)
+    if weight is None:
+        variance = float(np.sum(residual**2)) / dof
+        return RigidFit(fit, used, rms, _covariance(a[used], fit, variance), variance)
+    w = weight[used]
+    worse = max(float(w @ np.sum(residual**2, axis=1)) / dof, 1.0)
+    return RigidFit(fit, used, rms, _covariance(a[used], fit, worse, w), worse * len(w) / float(np.sum(w)), weight)
 
 
 def with_known_rotation(fit: RigidFit, a: Array, b: Array, theta_rad: float, theta_sigma_rad: float) -> RigidFit:
@@ -116,8 +169,8 @@ def with_known_rotation(fit: RigidFit, a: Array, b: Array, theta_rad: float, the
     Crossings of lines hold no more of the rotation than the lines' common direction does. What their residuals seem to
     add is noise, or points of another height, and adds up over a drive; errors of the direction do not.
     """
-    centre = rotation(theta_rad) @ a[fit.used].mean(axis=0)
-    t = b[fit.used].mean(axis=0) - centre  # eq. 12
+    centre = rotation(theta_rad) @ fit.middle(a)
+    t = fit.middle(b) - centre  # eq. 12
     n = max(int(np.count_nonzero(fit.used)), 1)
     lever = np.array([centre[1], -centre[0], 1.0])
     cov = theta_sigma_rad**2 * np.outer(lever, lever)
@@ -137,20 +190,16 @@ def median_translation(a: Array, b: Array, theta_rad: float, axis_rad: float) ->
     return np.array([t[0], t[1], theta_rad])
 
 
-def _gate(eta: Array, sigmas: float, max_m: float, sigma_m: float) -> float:
-    """Largest residual kept: a few sigma of the better half, and never so tight that the better half would go.
+def _covariance(a: Array, fit: Array, variance_m2: float, weight: Array | None = None) -> Array:
+    """(3, 3) of the fit, from the variance of one coordinate: inverse of the normal matrix of eq. 8.
 
-    While many outliers still pull the fit, the second rule lets the half that agrees best take it over.
+    Args:
+        weight: (N,) of the points; variance_m2 is then of a point of weight 1.
     """
-    middle = median(eta)
-    return max(min(max_m, sigmas * max(MAD_TO_SIGMA * middle, sigma_m)), _GATE_MEDIANS * middle)
-
-
-def _covariance(a: Array, fit: Array, variance_m2: float) -> Array:
-    """(3, 3) of the fit, from the variance of one coordinate: inverse of the normal matrix of eq. 8."""
     turned = a @ rotation(float(fit[2])).T
-    n, (sx, sy) = float(len(a)), turned.sum(axis=0).tolist()
-    info = np.array([[n, 0.0, -sy], [0.0, n, sx], [-sy, sx, float(np.vdot(turned, turned))]])
+    weighted, n = (turned, float(len(a))) if weight is None else (turned * weight[:, None], float(np.sum(weight)))
+    sx, sy = weighted.sum(axis=0).tolist()
+    info = np.array([[n, 0.0, -sy], [0.0, n, sx], [-sy, sx, float(np.vdot(turned, weighted))]])
     try:
         return np.asarray(variance_m2 * np.linalg.inv(info))
     except np.linalg.LinAlgError:  # all points in one place: any rotation fits

@@ -18,9 +18,15 @@ from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import LastTwist, coast
 from ceilvo.daemon.odometry.course import Course, contradicted, off_course
-from ceilvo.daemon.odometry.heading_fusion import HeadingFusion, HeadingState
-from ceilvo.daemon.odometry.registration import Registration, direction_change, register, view_size_m
-from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
+from ceilvo.daemon.odometry.heading_fusion import (
+    NEW_ERROR,
+    HeadingFusion,
+    HeadingState,
+    as_expected,
+    with_carried,
+    with_direction,
+)
+from ceilvo.daemon.odometry.registration import Registration, expected_turn, fewest, has_points, register, view_size_m
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
@@ -37,21 +43,14 @@ _CARRIED_PS = 1e-4
 eight-hour shift. Alternatives beyond all prediction are weighed with it."""
 _JUMPED = 0.5
 """The same after views that did not fit the reference as a robot moves: as likely as that they were damaged; chosen."""
-_UNUSUAL_SIGMAS = 3.0
-"""Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
-are looked at; chosen: half a per cent of a lap's frames cost the look."""
-_SPECIAL_SIGMAS, _HALF = 2.0, 0.5
-"""The same of crossings that are no joints of tiles, and their part at least: whole tiles off none of them agrees, but
-there are few; chosen."""
+_AS_LIKELY = 0.5
+"""Doubt from which a displacement is as likely wrong as right."""
 _USUAL_FRAMES = 45.0
 """Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
 _MOST_USUAL = 0.4
 """Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 _MOVED_RAD = np.pi / math.sqrt(3.0)
 """Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
-_NEW_ERROR = 0.6
-"""Part of a direction's or tilt's error that is new in a frame; the rest is the same lines' in the next and cancels.
-Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
 _TWIST_SIGMA = np.array([0.005, 0.005, 0.006])
 """[m/s, m/s, rad/s] of the next frame's twist when it did not change lately; chosen: a steady drive differs
 by less, and what lamps and lens do to lines looks like 0.007 rad/s (docs/method.md)."""
@@ -165,7 +164,7 @@ class VisualOdometry:
             good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
         predicted = self._predicted(dt_s, wheels)
-        if crossings is None or len(crossings) < self._config.min_inliers:
+        if crossings is None or len(crossings) < fewest(crossings, self._config):
             self.state.refused = None
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
         if self.state.reference is None:
@@ -173,11 +172,21 @@ class VisualOdometry:
             still = Displacement(np.zeros(3))
             return Motion(still, self._noise_floor(), len(crossings), 0.0, "first frame", restarted=True)
         course = self._course(predicted, dt_s)
+        crossings = as_expected(crossings, self.state.reference, course, self._config.heading_gate_rad)
         found = self._find(self.state.reference, crossings, course)
+        if found.place is None and has_points(crossings) and crossings.directed:  # few lines have a wrong one at times
+            pointwise = with_direction(crossings, self.state.reference.psi_rad - float(course.guess[2]))
+            again = self._find(self.state.reference, pointwise, course)
+            found, crossings = (found, crossings) if again.place is None else (again, pointwise)
         if found.place is None:
             self.state.refused = found.jump
             return self._after_failure(crossings, self._coast(predicted, dt_s, found.failure), found.out_of_view)
         return self._accept(self.state.reference, crossings, course, found, predicted)
+
+    def directed(self, crossings: Crossings) -> Crossings:
+        """Crossings that step() took, with the direction carried on to them where lines tell none."""
+        ref, carried = self.state.reference, self.state.heading.carried
+        return with_direction(crossings, ref.psi_rad) if ref is not None and carried else crossings
 
     # -- before the view
 
@@ -193,6 +202,7 @@ class VisualOdometry:
 
     def _course(self, predicted: Motion, dt_s: float) -> Course:
         s = self.state
+        carried = s.heading.carried and s.reference is not None
         return Course(
             guess=se2.compose(s.ref_from_prev, predicted.prev_from_curr),
             cov=se2.compose_cov(s.ref_from_prev, s.ref_cov, predicted.prev_from_curr, predicted.cov),
@@ -202,6 +212,7 @@ class VisualOdometry:
             span_s=s.twist_span_s,
             by_wheels=s.by_wheels and predicted.by_wheels,
             refused=s.refused,
+            carried_rad=s.reference.psi_sigma_rad if carried and s.reference is not None else 0.0,
         )
 
     def _noise_floor(self) -> Array:
@@ -213,40 +224,43 @@ class VisualOdometry:
 
     def _find(self, ref: Crossings, crossings: Crossings, course: Course) -> _Found:
         """The view on the reference: near the prediction where that suffices, else wherever it fits."""
-        turn = direction_change(ref.psi_rad, crossings.psi_rad, float(course.guess[2]))
+        turn = expected_turn(ref, crossings, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config)
         carried = _JUMPED if self.state.failed_frames else min(_CARRIED_PS * course.elapsed_s, _JUMPED)
         prior = Prior(course.guess, course.cov, carried)
+        usual = (self.state.disagreeing, self.state.special_disagreeing)
         narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
-        if narrow and carried < _JUMPED and near is not None and self._is_usual(near):
+        if narrow and carried < _JUMPED and near is not None and near.is_usual(usual):
             return self._judged(_Found(near), course)
         known = None if near is None else near.fit.b_from_a
         found = find_candidates(ref, crossings, turn, prior, known)
-        return self._judged(self._chosen(ref, crossings, found, near, why), course)
-
-    def _is_usual(self, near: Registration) -> bool:
-        """Whether no more crossings disagree than chance and passing things explain."""
-        usual, special = self.state.disagreeing * near.expected, self.state.special_disagreeing * near.special_expected
-        if near.expected - near.agreeing > usual + _UNUSUAL_SIGMAS * math.sqrt(usual + 1.0):
-            return False
-        missing = near.special_expected - near.special
-        return missing <= max(special + _SPECIAL_SIGMAS * math.sqrt(special + 1.0), _HALF * near.special_expected)
+        return self._judged(self._chosen(ref, crossings, found, near, why, course), course)
 
     def _chosen(
-        self, ref: Crossings, crossings: Crossings, found: Candidates, near: Registration | None, why: str
+        self,
+        ref: Crossings,
+        crossings: Crossings,
+        found: Candidates,
+        near: Registration | None,
+        why: str,
+        course: Course,
     ) -> _Found:
         """The likeliest of all displacements that fit, with the others that may be right."""
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
         if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
-            why = why or (near is not None and contradicted(near, self._config)) or "nothing fits the last good view"
+            why = (
+                why
+                or (near is not None and contradicted(near, self._config, course))
+                or "nothing fits the last good view"
+            )
             return _Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
         if place is None:
             place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config)
         if place is None:
             return _Found(None, why)
         doubt = found.doubt()
-        if self.state.failed_frames and doubt > _HALF:
+        if self.state.failed_frames and doubt > _AS_LIKELY:
             return _Found(None, "several displacements fit the last good view alike")
         others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
         ratio = found.log_ratio[others] - found.log_ratio[0]
@@ -256,7 +270,7 @@ class VisualOdometry:
         """The same, refused where the view contradicts it or no robot makes it."""
         if found.place is None:
             return found
-        failure = contradicted(found.place, self._config)
+        failure = contradicted(found.place, self._config, course)
         if failure:
             return _Found(None, failure)
         failure = off_course(found.place.fit, found.doubt < _FALSE_RATE, course, self._config)
@@ -265,10 +279,10 @@ class VisualOdometry:
     def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: _Found, predicted: Motion) -> Motion:
         s, place = self.state, found.place
         assert place is not None
-        fit = self._fused(ref, crossings, place)
+        fit = HeadingFusion(s.heading).fused(ref, crossings, place, course)
         motion = se2.between(s.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
         cov = fit.cov + self._noise_floor()
-        cov[:2, :2] += _NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
+        cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else _NONE
         before = s.twist
         s.twist, s.twist_span_s = fit.b_from_a / course.elapsed_s, course.elapsed_s
@@ -279,7 +293,8 @@ class VisualOdometry:
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
         special = _missing(place.special, place.special_expected)
         s.special_disagreeing += (special - s.special_disagreeing) / _USUAL_FRAMES
-        self._set_reference(crossings)
+        self._set_reference(with_carried(crossings, ref, fit))
+        s.heading.carried = not crossings.directed
         return replace(
             predicted,
             prev_from_curr=Displacement(motion),
@@ -291,16 +306,6 @@ class VisualOdometry:
             log_ratio=found.log_ratio,
             doubt=max(found.doubt, _JUMPED * found.unpredicted),
         )
-
-    def _fused(self, ref: Crossings, crossings: Crossings, place: Registration) -> RigidFit:
-        """The fit with the rotation to report, by lines or points."""
-        fit = place.fit
-        sigma_rad = _NEW_ERROR * math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad)
-        fusion = HeadingFusion(self.state.heading)
-        best = fusion.fuse(place.turn_rad, sigma_rad, float(fit.b_from_a[2]), math.sqrt(fit.cov[2, 2]))
-        if best.of_points:
-            return fit.with_rotation(best.theta_rad, best.sigma_rad)
-        return with_known_rotation(fit, place.seen, place.before, best.theta_rad, best.sigma_rad)
 
     def _set_reference(self, crossings: Crossings) -> None:
         s = self.state

@@ -223,10 +223,10 @@ class Relocaliser:
     def _observed(self, crossings: Crossings) -> Observations:
         s = self.state
         pose = self.filter.estimate()[0]
-        if s.map_axis_rad is None:
-            s.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
-        noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
-        near, axis = self.filter.landmarks_near, s.map_axis_rad
+        axis = float(wrap(crossings.psi_rad + float(pose[2]))) if s.map_axis_rad is None else s.map_axis_rad
+        if crossings.directed:
+            s.map_axis_rad = axis
+        noise, mount_xy_m, near = self._calibration.noise, self._calibration.mount_xy_m, self.filter.landmarks_near
         return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, self._visible_m)
 
     def _weigh(self, view: Observations) -> bool:

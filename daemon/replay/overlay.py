@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.camera import LevelView
+from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.types import Crossings, LineKind, Lines, Motion
 
 Array = NDArray[np.float64]
@@ -204,9 +205,9 @@ class _Canvas:
 
 
 def _draw_crossing(canvas: _Canvas, uv: Array, kind: int) -> None:
-    """Disc: groove with groove. Triangle: groove with edge. Square: two edges, such as the corner of a lamp."""
-    edges = int(kind // 3 != 1) + int(kind % 3 != 1)
-    colour = (GREEN, YELLOW, VERMILION)[edges]
+    """Disc: groove with groove. Triangle: groove with edge. Square: two edges, as a lamp's corner. Purple: a point."""
+    edges = int(kind // 3 != 1) + int(kind % 3 != 1) if kind < LINE_CROSSINGS else 0
+    colour = (GREEN, YELLOW, VERMILION)[edges] if kind < LINE_CROSSINGS else PURPLE
     if edges == 0:
         canvas.disc(uv, _DISC_PX, colour)
     else:

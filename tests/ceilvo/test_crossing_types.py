@@ -6,15 +6,24 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.crossing_types import CROSSING_TYPES, crossing_type_of, quarter_turns, turned_type
+from ceilvo.crossing_types import CORNER, LAMP, LINE_CROSSINGS, SPOT, crossing_type_of, quarter_turns, turned_type
 from ceilvo.types import LineKind
 
-ALL = np.arange(CROSSING_TYPES)
+ALL = np.arange(LINE_CROSSINGS)
 
 
 def test_codes_are_the_nine_pairs() -> None:
     first, second = (k.ravel() for k in np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"))
     np.testing.assert_array_equal(crossing_type_of(first, second), ALL)
+
+
+def test_points_stay_what_they_are_however_axes_are_named() -> None:
+    points = np.array([LAMP, SPOT, CORNER])
+    for turns in range(4):
+        np.testing.assert_array_equal(turned_type(points, turns), points)
+        np.testing.assert_array_equal(
+            turned_type(np.append(ALL, points), turns)[:LINE_CROSSINGS], turned_type(ALL, turns)
+        )
 
 
 def test_four_quarter_turns_change_nothing() -> None:

@@ -166,3 +166,37 @@ def test_bare_intersections_are_the_crossings() -> None:
     c = Ceiling(BARE)
     order = lambda a: a[np.lexsort(a.T.round(6))]  # noqa: E731
     np.testing.assert_allclose(order(c.true_intersections(0.05)), order(c.true_crossings()[0]), atol=1e-9)
+
+
+def test_hexagons_have_joints_half_a_tile_from_their_middle_and_nowhere_nearer() -> None:
+    spec = CeilingSpec(pattern="hexagons", vents=0, spots=0, stains=0, lamp_every=(0, 0), texture=0.0, room_m=3.0)
+    ceiling = Ceiling(spec, seed=4)
+    middle = np.array(spec.grid_offset_m) + spec.tile_m * np.array([2.0, np.sqrt(3.0)])
+    angle = np.pi / 3.0 * np.arange(6)
+    out = np.column_stack([np.cos(angle), np.sin(angle)])
+    joint, inside = (sample(ceiling, ceiling.albedo, middle + k * spec.tile_m * out) for k in (0.5, 0.45))
+    assert np.max(joint) < 0.5 * TILE < np.min(inside)
+
+
+def test_slats_run_one_way() -> None:
+    spec = CeilingSpec(pattern="slats", vents=0, spots=0, stains=0, lamp_every=(0, 0), texture=0.0, room_m=3.0)
+    ceiling = Ceiling(spec, seed=4)
+    lines = ceiling.true_lines()
+    at = np.unique(np.round(lines.segments[:, 0, 0], 6))
+    assert set(lines.axis.tolist()) == {0} and len(ceiling.true_crossings()[0]) == 0
+    assert np.allclose(np.diff(at), spec.slat_m)
+    inside = at[(at > 0.5) & (at < 2.5)]
+    groove = sample(ceiling, ceiling.albedo, np.column_stack([inside, np.full(len(inside), 1.5)]))
+    assert np.max(groove) < 0.5 * TILE
+
+
+def test_round_lamps_shine_round_their_middles_and_have_no_corners() -> None:
+    ceiling = Ceiling(CeilingSpec(joints=False, vents=0, spots=0, stains=0, round_lamps=True, room_m=3.0), seed=4)
+    x0, y0, x1, y1 = ceiling.layout.lamps[0].inner
+    middle, radius = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)]), 0.5 * (x1 - x0)
+    angle = 2.0 * np.pi * np.arange(12) / 12
+    out = np.column_stack([np.cos(angle), np.sin(angle)])
+    light = sum(ceiling.radiance())
+    assert np.min(sample(ceiling, light, middle + 0.9 * radius * out)) > 3.0
+    assert np.max(sample(ceiling, light, middle + 1.1 * radius * out)) < 2.0
+    assert len(ceiling.true_crossings()[0]) == 0

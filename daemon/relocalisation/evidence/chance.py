@@ -30,22 +30,31 @@ _NAMES = 3
 class Chance:
     """How often a landmark, moved by whole tiles, finds another: on average, and by the most alike of the shifts.
 
+    T is CROSSING_TYPES.
+
     Attributes:
-        same: (2, 9) one of its type.
-        rare_one: (2, 9) one of any rare type; never less than `same`.
+        same: (2, T) one of its type.
+        rare_one: (2, T) one of any rare type; never less than `same`.
     """
 
     same: Array
     rare_one: Array
 
+    def __post_init__(self) -> None:
+        """Recordings that are older than points have fewer types."""
+        more = CROSSING_TYPES - self.same.shape[1]
+        for name in ("same", "rare_one") if more > 0 else ():
+            wider = np.concatenate([getattr(self, name), np.full((2, more), UNMEASURED)], axis=1)
+            object.__setattr__(self, name, wider)
+
     @property
     def rare(self) -> NDArray[np.bool_]:
-        """(9,) types that tell places apart."""
+        """(T,) types that tell places apart."""
         return np.asarray(self.same[0] < COMMON)
 
     @property
     def seen_at_wrong_places(self) -> Array:
-        """(2, 3, 9) how often a feature is where a landmark of its type is, where one of another type is, and neither.
+        """(2, 3, T) how often a feature is where a landmark of its type is, where one of another type is, and neither.
 
         Names are mistaken at wrong places as often as at the right one.
         """
@@ -81,7 +90,7 @@ class Chance:
 
 
 def _rates(landmarks: Landmarks, tried: Array, hits: Array) -> Array:
-    """(2, 9) shares of hits (S, 9) in those that were tried (S, 9): on average, and by the most alike shift."""
+    """(2, T) shares of hits (S, T) in those that were tried (S, T): on average, and by the most alike shift."""
     kinds = np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES)
     common = int(np.argmax(kinds))
     rare = np.arange(CROSSING_TYPES) != common

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, turned_type
 from ceilvo.daemon.odometry.sight import crowd, is_in
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
@@ -104,7 +104,8 @@ class ViewEvidence:
         rare = around.chance.rare
         self._which = _telling(around.chance.same[0, view.crossing_type], rare[view.crossing_type])
         self._view, self._around = view.of(self._which), around
-        self._expected = around.landmarks.of(rare[around.landmarks.crossing_type])  # the others are seen anywhere
+        kind = around.landmarks.crossing_type  # common ones are seen anywhere, points are not looked for in every view
+        self._expected = around.landmarks.of(rare[kind] & (kind < LINE_CROSSINGS))
         self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
         self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
         self._gain, self._mistaken, self._loss = _tables(around.chance)

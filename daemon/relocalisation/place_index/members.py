@@ -26,6 +26,12 @@ class Members:
     count: Ints = field(default_factory=lambda: np.zeros(CROSSING_TYPES, np.int64))
     place: Slots = field(default_factory=lambda: np.empty(0, np.int32))
 
+    def __post_init__(self) -> None:
+        """Recordings that are older than points have fewer types."""
+        more = CROSSING_TYPES - len(self.count)
+        self.count = np.concatenate([self.count, np.zeros(more, np.int64)]) if more > 0 else self.count
+        self.slots = [*self.slots, *(np.empty(0, np.int32) for _ in range(more))]
+
     def of(self, kind: int) -> Slots:
         return self.slots[kind][: self.count[kind]]
 

@@ -127,7 +127,9 @@ class PlaceIndex:
     def named(self, ids: Ints) -> NDArray[np.bool_]:
         """(N,) whether landmarks are not mistaken names of others; those that are not there are not."""
         slots = self.grid.blocks.find(ids)
-        return np.asarray((slots < 0) | self.grid.blocks.named.take(slots, mode="clip"), np.bool_)
+        named = slots < 0
+        named[~named] = self.grid.blocks.named[slots[~named]]
+        return np.asarray(named, np.bool_)
 
     def add(self, landmarks: Landmarks) -> None:
         """Landmarks with ids that are not there yet, each once."""

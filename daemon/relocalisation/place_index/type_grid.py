@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, turned_type
+from ceilvo.crossing_types import LINE_CROSSINGS, turned_type
 from ceilvo.daemon.relocalisation.place_index.blocks import (
     BLOCK_BITS,
     CELL_M,
@@ -30,8 +30,8 @@ GROUND_M = 0.45
 HALF_DIAGONAL_M = CELL_M * np.sqrt(0.5)
 """A cell's bit holds for its centre: a point within REACH_M less this of a landmark finds it always, one beyond REACH_M
 and this never."""
-GROUND = np.uint16(1 << CROSSING_TYPES)
-"""The bit above those of the types: ground is mapped here."""
+GROUND = np.uint16(1 << LINE_CROSSINGS)
+"""The bit between those of crossings and of points, which no type has: ground is mapped here."""
 IN_BLOCK = (1 << BLOCK_BITS) - 1
 CELLS = 1 << 2 * BLOCK_BITS
 """Of a block."""

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
-from ceilvo.daemon.vision.angles import pixels
-from ceilvo.daemon.vision.crossings import cross
+from ceilvo.daemon.vision.crossings import cross, squares_with
 from ceilvo.daemon.vision.faint.direction import common_direction
 from ceilvo.daemon.vision.faint.level_picture import LevelPicture
 from ceilvo.daemon.vision.faint.line_search import find_faint
@@ -23,8 +22,6 @@ from ceilvo.daemon.vision.faint.merging import folded, merged
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Lines
 
-_SQUARE_DEG = 4.0
-"""Side of the squares in which crossings are counted once, 29 px at a focal length of 410 px; chosen: a vent is 100."""
 _FEW = 10
 """Places with crossings of edge points below which faint lines are looked for soon; chosen: tiles show 30."""
 _WEAK = 5
@@ -94,12 +91,9 @@ class FaintLines:
         return both if state.helps else found
 
     def _places(self, lines: Lines | None) -> int:
-        """Squares of the picture that hold a crossing: a vent's dozen of them are worth few."""
         if lines is None:
             return 0
-        side_px = pixels(_SQUARE_DEG, self._calibration.level_view.focal_px)
-        cell = np.floor(cross(lines, self._calibration, self._config).uv_px / side_px).astype(np.int64)
-        return len(np.unique(cell, axis=0))
+        return squares_with(cross(lines, self._calibration, self._config), self._calibration.level_view.focal_px)
 
     def _look(
         self,

@@ -12,6 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
+from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Frame, Lines
 
@@ -41,6 +42,7 @@ class CrossingFinder:
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._calibration = calibration
         self._lines = LineFinder(calibration, config)
+        self._points = PointFinder(calibration, config.max_view_deg) if config.points else None
         self.view: View | None = None
 
     @property
@@ -58,7 +60,7 @@ class CrossingFinder:
         on_stage_done: OnStageDone = ignore,
         twist: TwistPrior | None = None,
     ) -> Crossings | None:
-        """Crossings of a frame, None without lines.
+        """Crossings of a frame, and points where these are few; None without either.
 
         Args:
             expected: (3,) predicted motion since the last frame.
@@ -66,6 +68,8 @@ class CrossingFinder:
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist)
         crossings = None if lines is None else cross(lines, self._calibration, self._lines.config)
+        if self._points is not None:
+            crossings = self._points(frame.gray, crossings, self._lines.tilt_prior())
         if crossings is not None:
             crossings = replace(crossings, sample_gray=_sample(frame.gray))
         on_stage_done("crossings")

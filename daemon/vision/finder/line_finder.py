@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
+from ceilvo.daemon.vision.crossings import VAGUE_RAD
 from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.faint.stage import FaintLines, FaintState
@@ -92,7 +93,8 @@ class LineFinder:
             s.tracked += 1
             lines, s.edges = found
         else:
-            lines = self._searched(gray, prior, readout, on_stage_done)
+            carried = None if s.edges is None or prev_from_curr is None else s.edges.psi_rad - float(prev_from_curr[2])
+            lines = self._searched(gray, prior, readout, on_stage_done, carried)
         on_stage_done("lines")
         if lines is None:
             return None
@@ -106,14 +108,23 @@ class LineFinder:
         tilt.update(lines)
         return lines
 
+    def tilt_prior(self) -> TiltPrior | None:
+        """How the robot has tilted lately; None where too few lines have shown it."""
+        return TiltTracker(self.state.tilt).prior()
+
     def _searched(
         self,
         gray: NDArray[np.uint8],
         prior: TiltPrior | None,
         readout: Readout | None,
         on_stage_done: Callable[[str], None],
+        carried_rad: float | None,
     ) -> Lines | None:
-        """Lines of the whole frame; faint ones are not looked for while rows are read one after the other."""
+        """Lines of the whole frame; faint ones are not looked for while rows are read one after the other.
+
+        Args:
+            carried_rad: direction of the last frame's lines as this one should show it; None where it is not known.
+        """
         s = self.state
         s.since_detection = 0
         s.detections += 1
@@ -128,6 +139,11 @@ class LineFinder:
             return lines
 
         lines = along(None)
+        if carried_rad is not None and (lines is None or lines.psi_sigma_rad > VAGUE_RAD):
+            vague, edges_of_it = lines, s.edges
+            lines = along(carried_rad)
+            if lines is None or (vague is not None and vague.psi_sigma_rad < lines.psi_sigma_rad):
+                lines, s.edges = vague, edges_of_it
         if self._faint is None or readout is not None:
             return lines
         return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior)

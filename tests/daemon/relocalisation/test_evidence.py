@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ceilvo.crossing_types import turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, LAMP, turned_type
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import TypeRaster
@@ -45,7 +45,7 @@ def view_from(landmarks: Landmarks, pose: Array, turns: int = 0) -> Observations
 
 
 def around(landmarks: Landmarks) -> Surroundings:
-    same = np.full((2, 9), 0.2)
+    same = np.full((2, CROSSING_TYPES), 0.2)
     same[:, 4] = 0.98
     chance = Chance(same, np.minimum(same + 0.1, 0.99))
     return Surroundings.of(landmarks, Coverage.of(landmarks, 0.6), chance, 3.0)
@@ -91,6 +91,18 @@ def test_a_lamp_that_is_expected_and_not_seen_counts_against_a_pose() -> None:
     assert abs(ratio(landmarks, blind, HERE[None])[0]) < 0.5
 
 
+def test_a_point_that_is_not_seen_says_nothing_for_not_every_view_looks_for_points() -> None:
+    landmarks = ceiling(2)
+    points = replace(landmarks, crossing_type=np.where(landmarks.crossing_type == 4, 4, LAMP))
+    view = view_from(points, HERE)
+    assert abs(ratio(points, view.of(view.crossing_type == 4), HERE[None])[0]) < 0.5
+
+
+def test_chances_of_a_recording_that_is_older_than_points_are_widened() -> None:
+    older = Chance(np.full((2, 9), 0.1), np.full((2, 9), 0.2))
+    assert older.same.shape == older.rare_one.shape == (2, CROSSING_TYPES)
+
+
 def test_a_third_of_a_ceiling_may_change_and_it_is_still_this_place() -> None:
     landmarks = ceiling(3)
     rng = np.random.default_rng(4)
@@ -115,7 +127,7 @@ def test_chance_is_measured_on_the_map_itself() -> None:
     for raster, low, high in ((True, 0.7, 1.0), (False, 0.02, 0.5)):
         landmarks = ceiling(5, raster)
         coverage = Coverage.of(landmarks, 0.6)
-        rows = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type, np.arange(9) != 4)
+        rows = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type, np.arange(CROSSING_TYPES) != 4)
         shifts = np.array([(0.6 * i, 0.6 * j) for i in range(-6, 7) for j in range(-6, 7) if (i, j) != (0, 0)])
         chance = Chance.measured(landmarks, rows, coverage, shifts)
         assert not chance.rare[4] and np.all(chance.rare_one > chance.same)

@@ -1,0 +1,1 @@
+"""Points of the ceiling that are no crossings of lines: lamps, spots, corners."""

@@ -1,0 +1,78 @@
+"""Lamps: bright blobs, by the centre of their light."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ceilvo.crossing_types import LAMP
+from ceilvo.daemon.vision.points.places import NONE, Found, Gray, Places, joined
+from ceilvo.types import Array
+
+_STRIDE = 4
+"""Every so manieth pixel either way tells how bright the ceiling is; chosen: 19,000 of them do."""
+_BRIGHTEST = 0.999
+"""Quantile that is a lamp's brightness, if one is in view; chosen: a lamp of 20 x 20 px is 0.13 % of the picture."""
+_BRIGHTER = 50.0
+"""Grey levels by which a lamp exceeds the ceiling at least; chosen: glow and stains stay below."""
+_HALF = 0.5
+"""Share of the way from the ceiling to the lamp at which a lamp ends; chosen: its glow on the ceiling lies below."""
+_LEAST_PX, _MOST_SHARE = 20, 0.12
+"""Area of a lamp, pixels, and as a part of the picture; chosen: smaller ones are specks, larger ones windows."""
+_BORDER_PX = 2
+"""A blob nearer to the side of the picture may be cut off."""
+_MOST = 40
+"""Looked at, the largest; chosen for time."""
+_SIGMA_PX, _SIGMA_OF_SIZE = 0.05, 0.001
+"""Error of a lamp's centre: and as a part of its diameter, for light is not the same on all of it; chosen above what
+rendered lamps show."""
+
+
+def find_lamps(gray: Gray, places: Places) -> tuple[Found, Gray]:
+    """Lamps in a picture (H, W) that is looked at, and (H, W) 255 where anything is as bright."""
+    limit = _threshold(gray, places)
+    if limit is None:
+        return NONE, np.zeros_like(gray)
+    bright = np.asarray(cv2.threshold(gray, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=8)
+    x, y, wide, high, area = stats.T
+    whole = (x >= _BORDER_PX) & (y >= _BORDER_PX)
+    whole &= (x + wide <= places.width - _BORDER_PX) & (y + high <= places.height - _BORDER_PX)
+    whole &= (area >= _LEAST_PX) & (area <= _MOST_SHARE * gray.size)
+    whole[0] = False  # what is not bright
+    ids = np.flatnonzero(whole)
+    found = []
+    for i in ids[np.argsort(-area[ids], kind="stable")[:_MOST]].tolist():
+        rows, columns = slice(y[i], y[i] + high[i]), slice(x[i], x[i] + wide[i])
+        weight = np.where(labels[rows, columns] == i, gray[rows, columns] - limit, 0.0)
+        one = _centre(weight, rows, columns, places)
+        if one is not None:
+            found.append(one)
+    return joined(found) if found else NONE, bright
+
+
+def _threshold(gray: Gray, places: Places) -> float | None:
+    """Grey level from which a pixel is of a lamp; None where nothing is much brighter than the ceiling."""
+    some = gray[::_STRIDE, ::_STRIDE][places.known[::_STRIDE, ::_STRIDE] > 0]
+    if not len(some):
+        return None
+    ceiling, lamp = np.quantile(some, [0.5, _BRIGHTEST]).tolist()
+    return ceiling + _HALF * (lamp - ceiling) if lamp - ceiling >= _BRIGHTER else None
+
+
+def _centre(weight: Array, rows: slice, columns: slice, places: Places) -> Found | None:
+    """The centre of the light (h, w) on the ceiling, where none of it comes from beyond the view."""
+    uv, stretch = places.window(rows, columns)
+    on = weight > 0.0
+    if np.any(~np.isfinite(stretch[on])) or not np.any(on):
+        return None
+    mass = weight[on] * stretch[on]
+    total = float(np.sum(mass))
+    centre = mass @ uv[on] / total
+    light = weight[on] / np.sum(weight)
+    row, column = np.nonzero(on)
+    middle = np.array([[columns.start + light @ column, rows.start + light @ row]])
+    diameter = 2.0 * np.sqrt(np.count_nonzero(on) / np.pi)
+    sigma_px = float(np.hypot(_SIGMA_PX, _SIGMA_OF_SIZE * diameter))
+    at = places.found(middle, sigma_px, LAMP)
+    return Found(centre[None], at.cov, at.kind) if len(at) else None

@@ -1,0 +1,78 @@
+"""Where pixels of the picture lie in the level view, with how it stretches there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.calibration import Calibration
+from ceilvo.types import Array, Ints
+
+Gray = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Points of a picture.
+
+    Attributes:
+        uv: (N, 2) in the level view, px from its principal point, the robot's tilt not taken off.
+        cov: (N, 2, 2) px^2.
+        kind: (N,) LAMP, SPOT or CORNER of ceilvo.crossing_types.
+    """
+
+    uv: Array
+    cov: Array
+    kind: Ints
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def of(self, which: NDArray[np.bool_] | Ints) -> Found:
+        return Found(self.uv[which], self.cov[which], self.kind[which])
+
+
+NONE = Found(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, np.int64))
+
+
+def joined(parts: list[Found]) -> Found:
+    """All of them, in order."""
+    uv, cov, kind = (np.concatenate([getattr(p, name) for p in parts]) for name in ("uv", "cov", "kind"))
+    return Found(uv, cov, kind)
+
+
+class Places:
+    """The level view's coordinates of one camera's pixels, as the picture is looked at (LevelView.reduced)."""
+
+    def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
+        self.view = calibration.level_view
+        camera, k = self.view.camera, self.view.reduction
+        self.width, self.height = camera.width_px // k, camera.height_px // k
+        self._table = np.asarray(self.view.lookup(max_view_deg)[: self.height, : self.width], np.float64)
+        self.known: Gray = np.uint8(255) * np.all(np.isfinite(self._table), axis=2)
+        down, right = np.gradient(self._table, axis=0), np.gradient(self._table, axis=1)
+        self._area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
+
+    def window(self, rows: slice, columns: slice) -> tuple[Array, Array]:
+        """(h, w, 2) level pixels and (h, w) the area of each of a window's pixels there."""
+        return self._table[rows, columns], self._area[rows, columns]
+
+    def at(self, pixels: Array) -> tuple[Array, Array]:
+        """(N, 2) level pixels of pixels (N, 2), and (N, 2, 2) their change with a pixel's; nan where not known."""
+        column = np.clip(np.floor(pixels[:, 0]).astype(np.int64), 0, self.width - 2)
+        row = np.clip(np.floor(pixels[:, 1]).astype(np.int64), 0, self.height - 2)
+        fx, fy = (pixels - np.column_stack([column, row])).T[:, :, None]
+        a, b = self._table[row, column], self._table[row, column + 1]
+        c, d = self._table[row + 1, column], self._table[row + 1, column + 1]
+        uv = (1.0 - fy) * ((1.0 - fx) * a + fx * b) + fy * ((1.0 - fx) * c + fx * d)
+        return np.asarray(uv), np.stack([0.5 * (b - a + d - c), 0.5 * (c - a + d - b)], axis=2)
+
+    def found(self, pixels: Array, sigma_px: Array | float, kind: int) -> Found:
+        """Points at pixels (N, 2) that are off by sigma_px, a number or (N,)."""
+        uv, change = self.at(pixels)
+        variance = np.broadcast_to(np.asarray(sigma_px, np.float64) ** 2, len(pixels))
+        cov = variance[:, None, None] * (change @ change.transpose(0, 2, 1))
+        good = np.all(np.isfinite(cov), axis=(1, 2)) & np.all(np.isfinite(uv), axis=1)
+        return Found(uv[good], cov[good], np.full(int(np.count_nonzero(good)), kind, np.int64))

@@ -1,0 +1,117 @@
+"""Spots and corners: what stands out of the ceiling in all directions, at the scale at which it does most."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.crossing_types import CORNER, SPOT
+from ceilvo.daemon.vision.points.places import NONE, Found, Gray, Places
+from ceilvo.robust import MAD_TO_SIGMA
+from ceilvo.types import Array
+
+Floats = NDArray[np.float32]
+
+_OCTAVES = 3
+"""Halvings of the picture in which spots are looked for: radii of about 6, 12 and 24 px; chosen: a sprinkler has 7 px
+and a loudspeaker 20 px on a ceiling 2.2 m above a camera of 410 px."""
+_INNER_PX, _OUTER_PX = 2.0, 3.2
+"""Standard deviations of the two blurs, pixels of an octave; their ratio is Lowe's 1.6."""
+_SIGMAS, _LEAST_LEVELS = 6.0, 1.0
+"""How much a spot stands out: in standard deviations of the rest, and grey levels; chosen: noise never does."""
+_ROUND = 0.3
+"""Least ratio of the curvatures across a spot; chosen: below, it is a line's end or a piece of one."""
+_APART = 5
+"""Pixels of an octave around a spot in which it must stand out most."""
+_SPOT_SIGMA_PX = 0.12
+"""Error of a spot's middle, pixels of its octave; chosen above what rendered spots show."""
+_AROUND_LAMPS_PX = 17
+"""Side of the square around what is as bright as a lamp where nothing is looked for: its glow and its corners."""
+_BORDER_PX = 8
+_CORNER_QUALITY, _CORNER_LEAST = 0.15, 2e-4
+"""Of Shi and Tomasi (1994): the weakest corner, as a part of the strongest; and its eigenvalue, of a picture of 0 to 1
+without noise; both chosen."""
+_CORNER_BLOCK, _CORNER_AROUND, _SUBPIX = 7, np.ones((15, 15), np.uint8), (5, 5)
+_SUBPIX_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+_CORNER_SIGMA_PX, _CORNER_VAGUE_PX = 0.1, 0.006
+"""Error of a corner, and what a weak one errs by besides, times the root of its eigenvalue; chosen above what rendered
+joints and stains show."""
+_MOST_SPOTS, _MOST_CORNERS = 30, 40
+"""Chosen for time; the strongest."""
+
+
+def free_of_lamps(places: Places, bright: Gray) -> Gray:
+    """(H, W) 255 where spots and corners are looked for."""
+    near = cv2.dilate(bright, np.ones((_AROUND_LAMPS_PX, _AROUND_LAMPS_PX), np.uint8))
+    free = cv2.subtract(places.known, near)
+    free[:_BORDER_PX], free[-_BORDER_PX:], free[:, :_BORDER_PX], free[:, -_BORDER_PX:] = 0, 0, 0, 0
+    return np.asarray(free, np.uint8)
+
+
+def find_spots(gray: Gray, places: Places, free: Gray) -> Found:
+    """Round things darker or brighter than what is around them; the strongest of the scales at each place."""
+    pixels, strength, sigma_px = np.zeros((0, 2)), np.zeros(0), np.zeros(0)
+    octave, usable = np.asarray(gray, np.float32), free
+    for k in range(1, _OCTAVES + 1):
+        octave = np.asarray(cv2.pyrDown(octave), np.float32)
+        usable = np.asarray(cv2.erode(usable, np.ones((3, 3), np.uint8))[::2, ::2], np.uint8)
+        at, strong = _extrema(octave, usable)
+        size = float(2**k)
+        pixels, strength = np.concatenate([pixels, at * size]), np.concatenate([strength, strong])
+        sigma_px = np.concatenate([sigma_px, np.full(len(at), _SPOT_SIGMA_PX * size)])
+    order = np.argsort(-strength, kind="stable")
+    kept: list[int] = []
+    for i in order.tolist():
+        near = np.hypot(*(pixels[kept] - pixels[i]).T) if kept else np.full(1, np.inf)
+        if np.min(near) > 2.0 * _APART and len(kept) < _MOST_SPOTS:
+            kept.append(i)
+    return places.found(pixels[kept], sigma_px[kept], SPOT) if kept else NONE
+
+
+def _extrema(octave: Floats, usable: Gray) -> tuple[Array, Array]:
+    """(N, 2) places in an octave that stand out in all directions, and (N,) by how many grey levels."""
+    off = cv2.GaussianBlur(octave, (0, 0), _INNER_PX) - cv2.GaussianBlur(octave, (0, 0), _OUTER_PX)
+    size = np.abs(off) * (usable > 0)
+    seen = size[usable > 0]
+    if len(seen) < _APART**2:
+        return np.zeros((0, 2)), np.zeros(0)
+    least = max(_SIGMAS * MAD_TO_SIGMA * float(np.median(seen)), _LEAST_LEVELS)
+    around = np.ones((2 * _APART + 1, 2 * _APART + 1), np.uint8)
+    row, column = np.nonzero((size >= least) & (size >= cv2.dilate(size, around)) & (usable > 0))
+    inside = (row > 0) & (column > 0) & (row < off.shape[0] - 1) & (column < off.shape[1] - 1)
+    row, column = row[inside], column[inside]
+    f = np.asarray(off, np.float64)
+    here, left, right = f[row, column], f[row, column - 1], f[row, column + 1]
+    above, below = f[row - 1, column], f[row + 1, column]
+    dx, dy, dxx, dyy = (
+        0.5 * (right - left),
+        0.5 * (below - above),
+        right + left - 2.0 * here,
+        below + above - 2.0 * here,
+    )
+    dxy = 0.25 * (f[row + 1, column + 1] + f[row - 1, column - 1] - f[row + 1, column - 1] - f[row - 1, column + 1])
+    det, trace = dxx * dyy - dxy**2, dxx + dyy
+    # the ratio of the curvatures is at least r where det / trace^2 is at least r / (1 + r)^2
+    good = det > _ROUND / (1.0 + _ROUND) ** 2 * trace**2
+    x, y = -(dyy * dx - dxy * dy)[good] / det[good], -(dxx * dy - dxy * dx)[good] / det[good]
+    near = (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)
+    at = np.column_stack([column[good] + x, row[good] + y])[near]
+    return at, np.abs(here[good][near])
+
+
+def find_corners(gray: Gray, places: Places, free: Gray) -> Found:
+    """Corners, such as where three joints meet."""
+    strong = np.asarray(cv2.cornerMinEigenVal(cv2.GaussianBlur(gray, (5, 5), 0), _CORNER_BLOCK), np.float32)
+    strong *= free > 0
+    least = max(_CORNER_QUALITY * float(np.max(strong)), _CORNER_LEAST)
+    row, column = np.nonzero((strong >= least) & (strong >= cv2.dilate(strong, _CORNER_AROUND)))
+    first = np.argsort(-strong[row, column], kind="stable")[:_MOST_CORNERS]
+    if not len(first):
+        return NONE
+    pixels = np.column_stack([column, row])[first].astype(np.float32)[:, None]
+    exact = np.asarray(cv2.cornerSubPix(gray, pixels.copy(), _SUBPIX, (-1, -1), _SUBPIX_UNTIL)).reshape(-1, 2)
+    stayed = np.max(np.abs(exact - pixels[:, 0]), axis=1) < _SUBPIX[0]
+    strength = strong[row[first], column[first]].astype(np.float64)
+    sigma_px = np.hypot(_CORNER_SIGMA_PX, _CORNER_VAGUE_PX / np.sqrt(strength))
+    return places.found(exact[stayed].astype(np.float64), sigma_px[stayed], CORNER)

@@ -1,0 +1,114 @@
+"""When points are looked for, and how they join the crossings of lines.
+
+Where lines cross at enough places nothing is looked for, so ordinary ceilings of tiles give what they gave before.
+Lamps come first: nothing is placed as well as the centre of their light, and nothing is as quickly found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ceilvo.calibration import Calibration, to_ceiling
+from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
+from ceilvo.daemon.vision.points.lamps import find_lamps
+from ceilvo.daemon.vision.points.places import Found, Gray, Places, joined
+from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
+from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
+
+ENOUGH = 10
+"""Places with features at which no more are looked for; chosen, as for faint lines: tiles show 30."""
+_STEADY_RAD = np.radians(0.02)
+"""Tilt of a robot that showed no lines to tell it by; chosen: floors in buildings, and a millimetre at 2.2 m."""
+
+
+_UNSTEADY_RAD = 1e-3
+"""What tilt and lens are off by in a view: it shifts all of it alike, and stretches its sides; chosen, 0.03 deg."""
+
+
+class PointFinder:
+    """Points of the frames of one camera; its look-up is made when lines do not suffice for the first time."""
+
+    def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
+        self._calibration, self._max_view_deg = calibration, max_view_deg
+        self._places: Places | None = None
+
+    def __call__(self, gray: Gray, crossings: Crossings | None, prior: TiltPrior | None) -> Crossings | None:
+        """The crossings of a frame (H, W) with the points that it needs besides; None where there is neither.
+
+        Args:
+            prior: of the tilt, for frames without lines.
+        """
+        view = self._calibration.level_view
+        have = 0 if crossings is None else squares_with(crossings, view.focal_px)
+        if have >= ENOUGH:
+            return crossings
+        if self._places is None:
+            self._places = Places(self._calibration, self._max_view_deg)
+        found = self._look(view.reduced(gray), self._places, ENOUGH - have)
+        if not len(found):
+            return crossings
+        if crossings is None or not len(crossings):  # lines of one direction tell half of the tilt, and that badly
+            crossings = self._without_crossings(crossings, prior)
+        return self._with(crossings, found)
+
+    def _look(self, gray: Gray, places: Places, need: int) -> Found:
+        lamps, bright = find_lamps(gray, places)
+        found = [lamps]
+        if len(lamps) < need:
+            free = free_of_lamps(places, bright)
+            for more in (find_corners, find_spots):
+                found.append(more(gray, places, free))
+                if sum(map(len, found)) >= need:
+                    break
+        return joined(found)
+
+    def _without_crossings(self, lines: Crossings | None, prior: TiltPrior | None) -> Crossings:
+        """No crossings, with the tilt that is expected, and the direction that lines tell if there are some."""
+        steady = TiltPrior(np.zeros(2), np.full(2, _STEADY_RAD)) if prior is None else prior
+        roll, pitch = self._calibration.ceiling_height_m * steady.sigma_rad
+        return Crossings(
+            uv_px=np.zeros((0, 2)),
+            xy_base_m=np.zeros((0, 2)),
+            cov_base_m2=np.zeros((0, 2, 2)),
+            crossing_type=np.zeros(0, np.int64),
+            psi_rad=0.0 if lines is None else lines.psi_rad,
+            psi_sigma_rad=NO_DIRECTION_RAD if lines is None else lines.psi_sigma_rad,
+            tilt_rad=steady.mean_rad,
+            tilt_sigma_rad=steady.sigma_rad,
+            common_cov_m2=np.diag([pitch**2, roll**2]),
+        )
+
+    def _with(self, crossings: Crossings, found: Found) -> Crossings:
+        """Crossings and points, the robot's tilt taken off the latter."""
+        view = self._calibration.level_view
+        principal = np.array([view.camera.cx_px, view.camera.cy_px])
+        uv = _levelled(found.uv, crossings.tilt_rad, view.focal_px) + principal
+        metres_per_px = self._calibration.ceiling_height_m / view.focal_px
+        own = metres_per_px**2 * (found.cov + _stretched((uv - principal) / view.focal_px, view.focal_px))
+        sure = crossings.psi_sigma_rad < VAGUE_RAD  # else a lamp's or a stain's outline was taken for lines
+        return replace(
+            crossings,
+            psi_sigma_rad=crossings.psi_sigma_rad if sure else NO_DIRECTION_RAD,
+            uv_px=np.concatenate([crossings.uv_px, uv]),
+            xy_base_m=np.concatenate([crossings.xy_base_m, to_ceiling(self._calibration.ceiling_from_level, uv)]),
+            cov_base_m2=np.concatenate([crossings.cov_base_m2, own + crossings.common_cov_m2]),
+            crossing_type=np.concatenate([crossings.crossing_type, found.kind]),
+        )
+
+
+def _levelled(uv: Array, tilt_rad: Array, focal_px: float) -> Array:
+    """(N, 2) px from the principal point as a level robot sees them, from what one tilted by tilt_rad (2,) did."""
+    a, b = tilt_rad.tolist()
+    x, y = uv[:, 0] / focal_px, uv[:, 1] / focal_px
+    depth = 1.0 - b * x + a * y
+    return np.asarray(np.column_stack([x + b, y - a]) * (focal_px / depth)[:, None])
+
+
+def _stretched(at: Array, focal_px: float) -> Array:
+    """(N, 2, 2) px^2 by which a small tilt moves points (N, 2), tangents of their angles, against the view's middle."""
+    x, y = at.T
+    by_tilt = np.stack([np.stack([-x * y, x * x], -1), np.stack([-y * y, x * y], -1)], axis=1)
+    return np.asarray((focal_px * _UNSTEADY_RAD) ** 2 * (by_tilt @ by_tilt.transpose(0, 2, 1)))

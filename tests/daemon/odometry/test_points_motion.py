@@ -1,0 +1,100 @@
+"""Motion from points without lines: two suffice, and the direction of the lines is carried on."""
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.crossing_types import JOINTS, LAMP
+from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
+from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
+
+STEP_S = 1.0 / 15.0
+SIGMA_M = 0.0005
+LAMPS = np.array([[0.6, 0.4], [-0.5, -0.3]])
+TILES = np.stack(np.meshgrid(np.arange(-1.2, 1.3, 0.6), np.arange(-1.2, 1.3, 0.6)), -1).reshape(-1, 2)
+MOTION = np.array([0.02, 0.0, 0.01])
+
+
+def seen(pose: Array, at: Array, kind: int, rng: np.random.Generator, psi_rad: float | None = None) -> Crossings:
+    """Points of the map at (N, 2) as a robot at a pose sees them; with the direction of lines, or without one."""
+    xy = se2.transform(se2.inverse(pose), at) + rng.normal(0.0, SIGMA_M, at.shape)
+    return Crossings(
+        uv_px=186.0 * xy + np.array([320.0, 240.0]),
+        xy_base_m=xy,
+        cov_base_m2=np.broadcast_to(SIGMA_M**2 * np.eye(2), (len(at), 2, 2)).copy(),
+        crossing_type=np.full(len(at), kind),
+        psi_rad=0.0 if psi_rad is None else psi_rad,
+        psi_sigma_rad=NO_DIRECTION_RAD if psi_rad is None else 1e-4,
+        tilt_rad=np.zeros(2),
+        tilt_sigma_rad=np.zeros(2),
+        common_cov_m2=np.zeros((2, 2)),
+    )
+
+
+def test_two_lamps_give_the_motion_and_say_how_well() -> None:
+    rng, odometry, pose = np.random.default_rng(1), VisualOdometry(Odometry()), np.zeros(3)
+    errors, nees = [], []
+    for k in range(40):
+        motion = odometry.step(seen(pose, LAMPS, LAMP, rng), STEP_S)
+        if k > 5:
+            assert motion.ok and motion.inliers == 2, motion.failure
+            off = se2.between(MOTION, motion.prev_from_curr)
+            errors.append(off)
+            nees.append(float(off @ np.linalg.solve(motion.cov, off)) / 3.0)
+        pose = se2.compose(pose, MOTION)
+    assert np.max(np.abs(errors)) < 6.0 * SIGMA_M
+    print(f"seed 1: NEES/3 {np.mean(nees):.2f}")
+    assert 0.2 < np.mean(nees) < 2.0
+
+
+def test_two_crossings_of_lines_alone_do_not() -> None:
+    """Of crossings three are needed, as before: lines that change places move two alike."""
+    rng, odometry = np.random.default_rng(2), VisualOdometry(Odometry())
+    for _ in range(5):
+        motion = odometry.step(seen(np.zeros(3), LAMPS, JOINTS, rng, 0.0), STEP_S)
+    assert not motion.ok
+
+
+def test_two_other_lamps_are_no_motion() -> None:
+    rng, odometry, pose = np.random.default_rng(3), VisualOdometry(Odometry()), np.zeros(3)
+    for _ in range(10):
+        odometry.step(seen(pose, LAMPS, LAMP, rng), STEP_S)
+        pose = se2.compose(pose, MOTION)
+    other = LAMPS + np.array([[0.04, 0.0], [-0.04, 0.0]])
+    assert not odometry.step(seen(pose, other, LAMP, rng), STEP_S).ok
+
+
+def test_the_direction_of_the_lines_is_kept_over_a_gap() -> None:
+    """Turning under two lamps adds up their errors; the lines take them back."""
+    rng, odometry, pose, turned = np.random.default_rng(4), VisualOdometry(Odometry()), np.zeros(3), 0.0
+    worst = 0.0
+    for k in range(120):
+        lines = k < 10 or k >= 100
+        both = np.concatenate([LAMPS, TILES]) if lines else LAMPS
+        view = seen(pose, both, LAMP, rng, psi_rad=float(-pose[2]) if lines else None)
+        motion = odometry.step(view, STEP_S)
+        assert motion.ok or k == 0, f"{k}: {motion.failure}"
+        turned += float(motion.prev_from_curr[2])
+        worst = max(worst, abs(turned - pose[2]))
+        pose = se2.compose(pose, np.array([0.0, 0.0, 0.005]))
+        if k == 60:
+            assert odometry.state.reference is not None
+            carried = odometry.state.reference
+            assert 1e-4 < carried.psi_sigma_rad < 0.05
+            assert abs(carried.psi_rad + 0.005 * k) < 4.0 * carried.psi_sigma_rad
+    left = abs(turned - float(pose[2]) + 0.005)
+    print(f"seed 4: heading {worst:.5f} rad off at most, {left:.5f} at the end")
+    assert left < 5e-4 < worst
+
+
+def test_a_direction_of_other_lines_is_not_believed() -> None:
+    """Hexagons have three: the points' rotation holds."""
+    rng, odometry, pose = np.random.default_rng(5), VisualOdometry(Odometry()), np.zeros(3)
+    turned = 0.0
+    for k in range(40):
+        other = np.radians(30.0) if k >= 10 and k % 7 < 3 else 0.0
+        motion = odometry.step(seen(pose, TILES[::3], LAMP, rng, psi_rad=float(other - pose[2])), STEP_S)
+        assert motion.ok or k == 0, motion.failure
+        turned += float(motion.prev_from_curr[2])
+        pose = se2.compose(pose, np.array([0.01, 0.0, 0.005]))
+    assert abs(turned - 39 * 0.005) < 2e-3

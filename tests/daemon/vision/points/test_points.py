@@ -1,0 +1,143 @@
+"""Lamps, corners and spots against where they hang."""
+
+import numpy as np
+import pytest
+
+from ceilvo import se2
+from ceilvo.config import Features
+from ceilvo.crossing_types import CORNER, LAMP, LINE_CROSSINGS, SPOT
+from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
+from ceilvo.daemon.vision.points.stage import PointFinder
+from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.sim.ceiling.spec import CeilingSpec
+from ceilvo.sim.motion import LapSpec
+from ceilvo.sim.world import World, WorldSpec
+from ceilvo.types import Array, Crossings, Frame
+
+SEED = 21
+ROUND = CeilingSpec(joints=False, tile_spread=0.0, vents=0, spots=0, stains=12, round_lamps=True, lamp_every=(3, 2))
+HEXAGONS = CeilingSpec(pattern="hexagons", vents=0, spots=0, stains=0, round_lamps=True)
+VIEW_DEG = Features().max_view_deg
+AT_S = 2.0
+
+
+def world(ceiling: CeilingSpec, seed: int = SEED) -> World:
+    out = World(WorldSpec(seed=seed, ceiling=ceiling, lap=LapSpec(room_m=4.0, inset_m=1.0)))
+    out.start(0)
+    return out
+
+
+@pytest.fixture(scope="module")
+def lamps() -> World:
+    return world(ROUND)
+
+
+def lamps_at(room: World, pose: Array, tilt_rad: Array) -> Array:
+    """(N, 2) true centres of lamps in base, of those that a robot at a pose sees as a whole."""
+    calibration, layout = room.calibration, room.ceiling.layout
+    rects = np.array([p.rect for p in layout.lamps])
+    xy = se2.transform(se2.inverse(pose), 0.5 * (rects[:, :2] + rects[:, 2:]))
+    uv = np.column_stack([xy, np.ones(len(xy))]) @ calibration.level_from_ceiling.T
+    raw = calibration.level_view.to_raw(uv[:, :2] / uv[:, 2:])
+    margin = 30.0 + 1.5 * calibration.camera.focal_px * float(np.max(np.abs(tilt_rad)))
+    return np.asarray(xy[np.all((raw > margin) & (raw < np.array([640.0, 480.0]) - margin), axis=1)])
+
+
+def off_m(seen: Crossings, kind: int, at: Array) -> Array:
+    """(N,) distance from each place to the nearest point of a kind."""
+    xy = seen.xy_base_m[seen.crossing_type == kind]
+    return np.asarray(np.min(np.hypot(*(at[:, None] - xy[None]).transpose(2, 0, 1)), axis=1))
+
+
+def test_lamps_are_where_they_hang_to_a_millimetre(lamps: World) -> None:
+    finder, worst, told = PointFinder(lamps.calibration, VIEW_DEG), [], []
+    for k in range(12):
+        t_s = AT_S + 0.4 * k
+        seen = finder(lamps.frame_at(t_s), None, None)
+        assert seen is not None and not seen.directed
+        at = lamps_at(lamps, lamps.truth_at(t_s), np.zeros(2))
+        worst += off_m(seen, LAMP, at).tolist()
+        told += np.sqrt(seen.cov_base_m2[seen.crossing_type == LAMP, 0, 0]).tolist()
+    print(f"seed {SEED}: {len(worst)} lamps, {1e3 * np.median(worst):.2f} mm off, {1e3 * max(worst):.2f} at most")
+    assert len(worst) >= 24
+    assert max(worst) < 2e-3
+    assert np.sqrt(np.mean(np.square(worst)) / 2.0) < np.median(told), "the error is no larger than it is said to be"
+
+
+@pytest.mark.parametrize("tilt_rad", [(0.02, 0.0), (0.0, 0.02)])
+def test_the_tilt_that_lines_told_is_taken_off(lamps: World, tilt_rad: tuple[float, float]) -> None:
+    tilt, pose = np.array(tilt_rad), lamps.truth_at(AT_S)
+    frame = lamps.renderer.render(pose, np.random.default_rng(SEED), tilt)
+    finder = PointFinder(lamps.calibration, VIEW_DEG)
+    at = lamps_at(lamps, pose, tilt)
+    told = finder(frame, None, TiltPrior(tilt, np.full(2, 1e-4)))
+    untold = finder(frame, None, None)
+    assert told is not None and untold is not None and len(at) >= 2
+    assert np.max(off_m(told, LAMP, at)) < 2e-3
+    assert np.min(off_m(untold, LAMP, at)) > 0.03, "2.2 m above, a fiftieth of a radian is 44 mm"
+
+
+def test_a_lamp_that_the_border_cuts_is_left_out(lamps: World) -> None:
+    frame = lamps.frame_at(AT_S).copy()
+    finder = PointFinder(lamps.calibration, VIEW_DEG)
+    frame[:, :] = 100
+    frame[200:230, 0:25] = 255
+    frame[200:230, 300:325] = 255
+    seen = finder(frame, None, None)
+    assert seen is not None
+    assert np.count_nonzero(seen.crossing_type == LAMP) == 1
+    raw = lamps.calibration.level_view.to_raw(seen.uv_px)[0]
+    assert np.max(np.abs(raw - [312.0, 214.5])) < 0.1
+
+
+def test_corners_of_hexagons_are_found_again() -> None:
+    room = world(HEXAGONS)
+    finder = PointFinder(room.calibration, VIEW_DEG)
+    off = []
+    for k in range(6):
+        views = []
+        for t_s in (AT_S + 0.5 * k, AT_S + 0.5 * k + 0.2):
+            seen = finder(room.frame_at(t_s), None, None)
+            assert seen is not None
+            corners = seen.xy_base_m[seen.crossing_type == CORNER]
+            views.append(se2.transform(room.truth_at(t_s), corners))
+        a, b = views
+        i, j = mutual_nearest(a, np.zeros(len(a), np.int64), b, np.zeros(len(b), np.int64), 0.02)
+        assert len(i) >= 0.8 * min(len(a), len(b)) >= 16
+        off += np.hypot(*(a[i] - b[j]).T).tolist()
+    print(f"seed {SEED}: {len(off)} corners, {1e3 * np.median(off):.2f} mm apart in two views")
+    assert np.median(off) < 1.5e-3
+
+
+def test_stains_are_spots() -> None:
+    room = world(CeilingSpec(joints=False, tile_spread=0.0, vents=0, spots=0, stains=60, lamp_every=(0, 0)))
+    finder, found = PointFinder(room.calibration, VIEW_DEG), 0
+    stains = np.array(room.ceiling.layout.stains)
+    for k in range(5):
+        t_s = AT_S + 0.5 * k
+        seen = finder(room.frame_at(t_s), None, None)
+        assert seen is not None
+        spots = se2.transform(room.truth_at(t_s), seen.xy_base_m[seen.crossing_type == SPOT])
+        apart = np.hypot(*(spots[:, None] - stains[None, :, :2]).transpose(2, 0, 1))
+        found += int(np.count_nonzero(np.min(apart - 1.2 * stains[:, 2], axis=1) < 0.0))
+    print(f"seed {SEED}: {found} spots on stains in 5 frames")
+    assert found >= 5
+
+
+def test_where_lines_cross_often_enough_nothing_is_looked_for() -> None:
+    room = world(CeilingSpec())
+    finders = [CrossingFinder(room.calibration, Features(points=p)) for p in (True, False)]
+    for k in range(3):
+        frame = Frame(k, k, room.frame_at(AT_S + k / 15.0))
+        with_them, without = (f(frame, None) for f in finders)
+        assert with_them is not None and without is not None
+        assert np.all(with_them.crossing_type < LINE_CROSSINGS)
+        np.testing.assert_array_equal(with_them.xy_base_m, without.xy_base_m)
+
+
+def test_points_join_the_crossings_where_these_are_few(lamps: World) -> None:
+    frame = Frame(0, 0, lamps.frame_at(AT_S))
+    with_them, without = (CrossingFinder(lamps.calibration, Features(points=p))(frame, None) for p in (True, False))
+    assert with_them is not None and np.count_nonzero(with_them.crossing_type == LAMP) >= 2
+    assert without is None or not len(without)
