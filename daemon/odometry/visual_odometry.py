@@ -133,6 +133,11 @@ class VisualOdometry:
             return None
         return wheels.prev_from_curr if wheels is not None else self.state.twist * dt_s
 
+    def look_again(self, reference: Crossings | None) -> None:
+        """The last good frame's crossings, when they are known better now; None when they are not."""
+        if reference is not None and self.state.reference is not None:
+            self.state.reference = reference
+
     def expected_twist(self, dt_s: float, wheels: WheelMotion | None = None) -> TwistPrior | None:
         """Of the robot at the end of dt_s, by wheels or as it was last seen; None when nothing is known of it."""
         s = self.state

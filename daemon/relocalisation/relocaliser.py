@@ -217,17 +217,17 @@ class Relocaliser:
         if admitted is not None:
             self.filter.update(admitted)
             if self.sure and not self.state.surprised and len(self._visible_m):
-                s.survey.learnt(self.filter, self._visible_m)
+                s.survey.learnt(self.filter, view.visible_m)
         return view
 
     def _observed(self, crossings: Crossings) -> Observations:
         s = self.state
-        pose = self.filter.estimate()[0]
+        pose, cov, _ = self.filter.estimate()
         if s.map_axis_rad is None:
             s.map_axis_rad = float(wrap(crossings.psi_rad + float(pose[2])))
-        noise, mount_xy_m = self._calibration.noise, self._calibration.mount_xy_m
-        near, axis = self.filter.landmarks_near, s.map_axis_rad
-        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, self._visible_m)
+        noise, mount_xy_m, axis = self._calibration.noise, self._calibration.mount_xy_m, s.map_axis_rad
+        near, visible = self.filter.landmarks_near, self._visible_m if crossings.complete else None
+        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, visible, cov)
 
     def _weigh(self, view: Observations) -> bool:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
