@@ -119,6 +119,8 @@ class Crossings:
         common_cov_m2: (2, 2) the part of cov_base_m2 that all crossings of a frame share: an error of the tilt
             shifts them together.
         sample_gray: (S,) grey levels at fixed places of the picture, to tell whether it is an old one; (0,) = none.
+        complete: whatever is seen of the ceiling is here; otherwise what is missing says nothing.
+        several: they are at several heights, so what was taken to be at another height lies beside them.
     """
 
     uv_px: Array
@@ -131,6 +133,8 @@ class Crossings:
     tilt_sigma_rad: Array
     common_cov_m2: Array
     sample_gray: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
+    complete: bool = True
+    several: bool = False
 
     def __len__(self) -> int:
         return len(self.crossing_type)
@@ -209,6 +213,7 @@ class Observations:
         common_var_m2: the part of var_m2 (mean of both axes) that all features of the frame share.
         visible_m: (V, 2) corners in base of a convex part of the ceiling, counter-clockwise, in which whatever is there
             would be seen; (0, 2) where that is not known, and then a landmark that is not seen says nothing.
+        reach_m: no feature's landmark is further off, whatever the filter's own gate allows.
     """
 
     xy_base_m: Array
@@ -219,6 +224,7 @@ class Observations:
     heading_var_rad2: float = float("inf")
     common_var_m2: float = 0.0
     visible_m: Array = field(default_factory=lambda: np.empty((0, 2)))
+    reach_m: float = float("inf")
 
     def __len__(self) -> int:
         return len(self.label)

@@ -17,12 +17,14 @@ from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineS
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
-from ceilvo.daemon.odometry.visual_odometry import VisualOdometry, VisualOdometryState
+from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
+from ceilvo.daemon.odometry.heights.stage import HeightsState
+from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
-from ceilvo.daemon.relocalisation.submap import rest_of
+from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.finder.line_finder import LineFinderState
@@ -45,6 +47,7 @@ class PipelineState:
     filter: Any
     states: StateMachineState
     checks: CrossChecksState = field(default_factory=CrossChecksState)
+    heights: HeightsState = field(default_factory=HeightsState)
 
 
 class Pipeline:
@@ -55,7 +58,7 @@ class Pipeline:
         process = np.diag([settings.process_xy_m**2, settings.process_xy_m**2, settings.process_theta_rad**2])
         self.config = config
         self.vision = CrossingFinder(calibration, config.features)
-        self.odometry = VisualOdometry(config.odometry)
+        self.odometry = HeightsOdometry(config.odometry, calibration)
         self.dead_reckoning = DeadReckoning(process)
         self.relocaliser = Relocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
@@ -68,7 +71,8 @@ class Pipeline:
         elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
         usable = self.checks.usable_wheels(wheels, elapsed_s)
         expected, twist = self.odometry.expected(elapsed_s, usable), self.odometry.expected_twist(elapsed_s, usable)
-        crossings = self.vision(frame, expected, on_stage_done, twist)
+        hint = None if self.odometry.heights.wants_whole_look else expected
+        crossings = self.vision(frame, hint, on_stage_done, twist)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done)
 
     def step_crossings(
@@ -82,12 +86,16 @@ class Pipeline:
         """step() from what was seen in a frame; without crossings, why they are missing."""
         elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)
         usable = self.checks.admit(crossings, wheels, elapsed_s)
-        motion = self.odometry.step(usable.crossings, elapsed_s, usable.wheels, usable.missing or missing)
+        placed = self.odometry.placed(usable.crossings, self.odometry.expected(elapsed_s, usable.wheels))
+        motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing)
+        self.odometry.heights.learn(motion)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s)
-        crossings = None if usable.crossings is None else self.odometry.directed(usable.crossings)
+        crossings = None if placed is None else self.odometry.directed(placed)
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.travelled(track, 0 if crossings is None else len(crossings))
+        if len(self.odometry.heights.misplaced) and track.gap is None:
+            forget_near(self.filter, self.odometry.heights.misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)
@@ -124,7 +132,7 @@ class Pipeline:
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             in_doubt=self.relocaliser.doubt,
-            suspected="" if degraded is None else degraded.reason,
+            suspected=self.odometry.heights.suspicion if degraded is None else degraded.reason,
         )
         verdict = self.states.step(evidence)
         self.seq += 1
@@ -175,6 +183,7 @@ class Pipeline:
             self.filter.state,
             self.states.state,
             self.checks.state,
+            self.odometry.heights.state,
         )
 
     @state.setter
@@ -182,7 +191,7 @@ class Pipeline:
         self.seq, self.vision.state, self.odometry.state = state.seq, state.vision, state.odometry
         self.dead_reckoning.state = state.dead_reckoning
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
-        self.checks.state = state.checks
+        self.checks.state, self.odometry.heights.state = state.checks, state.heights
 
     def reset(self, keep_map: bool = False) -> None:
         """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without."""
@@ -196,6 +205,7 @@ class Pipeline:
         self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known, doubt)
         self.states.reset("started")
         self.checks.restart()
+        self.odometry.heights.state = HeightsState()
 
     def set_pose(self, pose: Pose, cov: Array, reason: str) -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.errors import ConfigError
 from ceilvo.sim.ceiling.ceiling import Ceiling
-from ceilvo.sim.surroundings import Surface
+from ceilvo.sim.surroundings.surface import Surface
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -22,6 +23,8 @@ Gray = NDArray[np.uint8]
 
 _STEEPEST = 12.0  # tan of the largest angle off the vertical that is drawn, beyond any ceiling
 _NO_MAP: Any = None  # the map has two channels; the type stubs do not know that None is allowed
+_PARALLEL, _TOUCHING, _HALF = np.float32(1e-6), np.float32(1e-3), 0.5
+"""A ray so nearly in a plane never meets it; surfaces that touch, in metres; from this alpha on a surface hides."""
 _BANK = 257  # the noise bank is larger than a frame by this many pixels
 
 
@@ -158,6 +161,7 @@ class Renderer:
 
     def _in_front(self, pose: Array, tilt: Array) -> Iterator[tuple[Array32, Array32]]:
         """Radiance times alpha, and alpha, of every surface in view, far ones first."""
+        nearest = self._ceiling_distance(pose, tilt) if any(s.solid for s in self._surfaces) else None
         for s in self._surfaces:
             m = _along_rows(partial(self._texel_of, s), pose, tilt)
             h, w = s.picture.shape[:2]
@@ -169,8 +173,29 @@ class Renderer:
             else:
                 _map_rays(self._rays, m, self._at)
             seen = cv2.remap(s.picture, self._at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-            light, alpha = cv2.split(seen)
-            yield np.asarray(light, np.float32), np.asarray(alpha, np.float32)
+            light, alpha = (np.asarray(part, np.float32) for part in cv2.split(seen))
+            if s.solid and nearest is not None:
+                behind = self._behind(s, _middle(pose), _middle(tilt), alpha, nearest)
+                light[behind], alpha[behind] = 0.0, 0.0
+            yield light, alpha
+
+    def _ceiling_distance(self, pose: Array, tilt: Array) -> Array32:
+        """(H, W) how many rays away the ceiling is; where rows see other poses, from the middle one."""
+        m = self._texel_from_ray(_middle(pose), _middle(tilt))
+        return self._distance(self._height_m(_middle(pose)), m)
+
+    def _distance(self, along_normal_m: float, m: Array) -> Array32:
+        along = self._rays @ m[2, :2].astype(np.float32) + np.float32(m[2, 2])
+        away = np.float32(along_normal_m) / np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
+        return np.asarray(np.where(away > 0, away, np.inf), np.float32)
+
+    def _behind(self, s: Surface, pose: Array, tilt: Array, alpha: Array32, nearest: Array32) -> NDArray[np.bool_]:
+        """(H, W) where something nearer was drawn; else this is the nearest now."""
+        away = self._distance(s.distance(pose, self._cal.mount_xy_m), self._texel_of(s, pose, tilt))
+        behind = away > nearest + _TOUCHING
+        drawn = ~behind & (alpha > _HALF)
+        nearest[drawn] = away[drawn]
+        return np.asarray(behind)
 
     def _texel_of(self, surface: Surface, pose: Array, tilt: Array) -> Array:
         return _turned(surface.texel_from_ray(pose, self._cal.mount_xy_m), tilt)
@@ -195,13 +220,24 @@ class Renderer:
 
     def _texel_from_ray(self, pose: Array, tilt: Array) -> Array:
         """(3, 3) homography from rays in the untilted base frame, scaled to unit height, to the texture."""
-        h = self._cal.ceiling_height_m
+        h = self._height_m(pose)
         mx, my = self._cal.mount_xy_m
-        ceiling_from_ray = np.array([[h, 0.0, mx], [0.0, h, my], [0.0, 0.0, 1.0]])
         c, s = np.cos(pose[2]), np.sin(pose[2])
+        gx, gy = self._ceiling.spec.slope
+        ahead, left = c * gx + s * gy, c * gy - s * gx
+        level = np.array([-ahead, -left, 1.0])  # rays away from the camera: h over this times the ray
+        ceiling_from_ray = np.array([[h, 0.0, 0.0], [0.0, h, 0.0], level]) + np.outer([mx, my, 0.0], level)
         map_from_base = np.array([[c, -s, pose[0]], [s, c, pose[1]], [0.0, 0.0, 1.0]])
         m = self._ceiling.texel_from_map @ map_from_base @ ceiling_from_ray
         return _turned(m, tilt)
+
+    def _height_m(self, pose: Array) -> float:
+        """Of the ceiling above the camera."""
+        rise = np.array(self._ceiling.spec.slope)
+        if not rise.any():
+            return self._cal.ceiling_height_m
+        camera = se2.transform(pose, self._cal.mount_xy_m[None])[0]
+        return float(self._cal.ceiling_height_m + rise @ (camera - 0.5 * self._ceiling.spec.room_m))
 
     def _wiring(self) -> list[tuple[int, ...]]:
         """Lamps of each group that switches."""
@@ -247,6 +283,11 @@ class Renderer:
 def _turned(m: Array, tilt: Array) -> Array:
     """The homography for rays of a camera that the tilt has turned about its own centre."""
     return np.asarray(m @ cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]) if tilt.any() else m
+
+
+def _middle(of_rows: Array) -> Array:
+    """The pose or tilt of the middle of a picture's rows."""
+    return of_rows if of_rows.ndim == 1 else np.asarray(of_rows[len(of_rows) // 2])
 
 
 def _along_rows(homography: Callable[[Array, Array], Array], pose: Array, tilt: Array) -> Array:

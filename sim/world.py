@@ -14,7 +14,7 @@ from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltProfile, TiltSpec, WheelOdometry, WheelSpec
 from ceilvo.sim.renderer import Renderer, RenderSpec
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.sim.surroundings import SurroundingsSpec, make_surfaces
+from ceilvo.sim.surroundings.surroundings import SurroundingsSpec, make_surfaces
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]

@@ -13,7 +13,8 @@ from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
-from ceilvo.sim.surroundings import Slab, SurroundingsSpec
+from ceilvo.sim.surroundings import scenes
+from ceilvo.sim.surroundings.surroundings import Slab, SurroundingsSpec
 from ceilvo.sim.world import World, WorldSpec
 
 LAP = LapSpec(room_m=6.94, inset_m=1.0)  # 19.0 m
@@ -82,7 +83,7 @@ class Condition:
 
 def conditions() -> tuple[Condition, ...]:
     """All of them, in the order of the table."""
-    return (*_light(), *_ceilings(), *_in_the_way(), *_driving(), *_calibration(), *_lenses(), *_stress())
+    return (*_light(), *_ceilings(), *_heights(), *_in_the_way(), *_driving(), *_calibration(), *_lenses(), *_stress())
 
 
 def _light() -> list[Condition]:
@@ -127,6 +128,24 @@ def _ceilings() -> list[Condition]:
             surroundings=SurroundingsSpec(walls=True),
             bars=never_wrong,
         ),
+    ]
+
+
+def _heights() -> list[Condition]:
+    """Ceilings of more than one height; recall and precision count what hangs at the calibrated one."""
+    bars = {"drift_pct": at_most(0.1), "worst_mm": at_most(20.0), "wrong": at_most(0.0)}
+    high_m = simulated_calibration().ceiling_height_m
+    slope = CeilingSpec(slope=(float(np.tan(np.radians(5.0))), 0.0))
+    about = {
+        "step": "the half of the room 0.4 m lower",
+        "beams": "beams 0.3 m deep, every 1.6 m",
+        "coffers": "coffers 0.25 m deep, 1.2 m apart",
+        "ducts": "ducts and cable trays that cross, below the ceiling",
+        "truss": "thin bars both ways, 0.5 m below the ceiling",
+    }
+    return [
+        *(_make(n, a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars) for n, a in about.items()),
+        _make("slope", "the ceiling rises by 5 deg along x", ceiling=slope, bars=bars),
     ]
 
 

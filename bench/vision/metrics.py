@@ -128,7 +128,7 @@ class CrossingScore:
             inside = np.all((uv > margin) & (uv < [cam.width_px - 1 - margin, cam.height_px - 1 - margin]), 1)
         inside &= ~steep
         surroundings = self.world.spec.surroundings
-        if surroundings.slabs or surroundings.walls:
+        if surroundings.slabs or surroundings.boxes or surroundings.walls:
             clear = round(_CLEAR_PX * self._raw_scale)
             hidden = cv2.dilate(self.world.renderer.occlusion(pose, tilt), np.ones((2 * clear + 1,) * 2)) > 0.02
             at = np.rint(uv[inside]).astype(np.int64)

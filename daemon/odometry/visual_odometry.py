@@ -55,9 +55,8 @@ _TWIST_SIGMA = np.array([0.005, 0.005, 0.006])
 """[m/s, m/s, rad/s] of the next frame's twist when it did not change lately; chosen: a steady drive differs
 by less, and what lamps and lens do to lines looks like 0.007 rad/s (docs/method.md)."""
 _TWIST_LATE = 1.5
-"""Steps from the middle of the last one, whose twist is known, to the next frame: the twist goes on changing as in the
-last step, or does not."""
-_NONE = np.empty((0, 3))
+"""Steps from the middle of the last one to the next frame: its twist goes on changing as in the last, or does not."""
+_NONE, _NO_FIT = np.empty((0, 3)), "nothing fits the last good view"
 
 
 @dataclass(slots=True)
@@ -131,6 +130,11 @@ class VisualOdometry:
         if self.state.reference is None or self.state.since_ref_s > 0.0:
             return None
         return wheels.prev_from_curr if wheels is not None else self.state.twist * dt_s
+
+    def look_again(self, reference: Crossings | None) -> None:
+        """The last good frame's crossings, when they are known better now; None when they are not."""
+        if reference is not None and self.state.reference is not None:
+            self.state.reference = reference
 
     def expected_twist(self, dt_s: float, wheels: WheelMotion | None = None) -> TwistPrior | None:
         """Of the robot at the end of dt_s, by wheels or as it was last seen; None when nothing is known of it."""
@@ -249,11 +253,7 @@ class VisualOdometry:
         """The likeliest of all displacements that fit, with the others that may be right."""
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
         if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
-            why = (
-                why
-                or (near is not None and contradicted(near, self._config, course))
-                or "nothing fits the last good view"
-            )
+            why = why or (near is not None and contradicted(near, self._config, course)) or _NO_FIT
             return _Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
         if place is None:
             place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config)

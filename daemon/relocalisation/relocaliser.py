@@ -217,17 +217,17 @@ class Relocaliser:
         if admitted is not None:
             self.filter.update(admitted)
             if self.sure and not self.state.surprised and len(self._visible_m):
-                s.survey.learnt(self.filter, self._visible_m)
+                s.survey.learnt(self.filter, view.visible_m)
         return view
 
     def _observed(self, crossings: Crossings) -> Observations:
         s = self.state
-        pose = self.filter.estimate()[0]
+        pose, cov, _ = self.filter.estimate()
         axis = float(wrap(crossings.psi_rad + float(pose[2]))) if s.map_axis_rad is None else s.map_axis_rad
-        if crossings.directed:
-            s.map_axis_rad = axis
+        s.map_axis_rad = axis if crossings.directed else s.map_axis_rad
         noise, mount_xy_m, near = self._calibration.noise, self._calibration.mount_xy_m, self.filter.landmarks_near
-        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, self._visible_m)
+        visible = self._visible_m if crossings.complete else None
+        return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, visible, cov)
 
     def _weigh(self, view: Observations) -> bool:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""

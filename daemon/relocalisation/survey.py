@@ -73,9 +73,10 @@ class MapSurvey:
         return Surroundings.of(near, self.coverage, self.chance, reach_m, named)
 
     def learnt(self, filter_: PoseFilter, visible_m: Array) -> None:
-        """The filter has learnt from a view that showed a polygon (V, 2) in base."""
+        """The filter has learnt from a view that showed all there is in a polygon (V, 2) in base, (0, 2) for none."""
         pose = Pose(filter_.estimate()[0])
-        self.coverage.show(transform(pose, visible_m))
+        if len(visible_m):
+            self.coverage.show(transform(pose, visible_m))
         near = filter_.landmarks_near(pose[None, :2], INDEXED_M)[1]
         self.index.sync(near)
         there = self.index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)

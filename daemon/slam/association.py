@@ -29,6 +29,9 @@ CANDIDATE_GATE_CHI2 = 25.0
 """Squared normalised distance at which two sightings cannot be of one feature (5 sigma)."""
 DUPLICATE_FRACTION = 0.25
 """No landmark is born nearer to one of its kind than this fraction of the association gate."""
+SHARP_GATE_M, SHARP_SIGMAS = 0.05, 4.0
+"""Under a ceiling of several heights a landmark is no further off, where the pose is known to a quarter of that: what
+was learnt before a height was known lies beside the right one, centimetres or decimetres off; chosen."""
 EXPIRES_UPDATES = 20
 """A feature seen too rarely and not again for so many updates is forgotten; chosen."""
 MOST_FEATURES = 64
@@ -71,6 +74,7 @@ def associate(
     settings: Filter,
     map_axis_rad: float,
     visible_m: Array | None = None,
+    pose_cov: Array | None = None,
 ) -> Observations:
     """Observations of one frame, labelled with the landmarks (their index) that explain them, else -1.
 
@@ -83,6 +87,7 @@ def associate(
         settings: association_gate_m is used.
         map_axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
         visible_m: (V, 2) as in Observations; None: not known.
+        pose_cov: (3, 3), for crossings of several heights.
     """
     turns = quarter_turns(crossings.psi_rad + float(pose[2]), map_axis_rad)
     kind = turned_type(crossings.crossing_type, turns)
@@ -90,16 +95,24 @@ def associate(
     variance = np.column_stack([sigma_x**2, sigma_y**2])  # R11, R22 of eq. 27, as variances
     variance += np.diagonal(crossings.cov_base_m2, axis1=1, axis2=2)
     seen_at = transform(pose, crossings.xy_base_m)
+    reach_m = _reach_m(crossings, pose_cov)
     return Observations(
         xy_base_m=crossings.xy_base_m,
         var_m2=frozen(variance),
         crossing_type=kind,
-        label=_associate(seen_at, kind, near, settings.association_gate_m),
+        label=_associate(seen_at, kind, near, min(settings.association_gate_m, reach_m)),
         heading_rad=wrap(map_axis_rad - crossings.psi_rad - 0.5 * np.pi * turns),
         heading_var_rad2=curves.sigma_theta_rad**2 + crossings.psi_sigma_rad**2,  # R33 of eq. 27
         common_var_m2=0.5 * float(np.trace(crossings.common_cov_m2)),
         visible_m=np.empty((0, 2)) if visible_m is None else visible_m,
+        reach_m=reach_m,
     )
+
+
+def _reach_m(crossings: Crossings, pose_cov: Array | None) -> float:
+    if not crossings.several or pose_cov is None:
+        return float("inf")
+    return max(SHARP_SIGMAS * float(np.sqrt(np.max(np.diag(pose_cov)[:2]))), SHARP_GATE_M)
 
 
 def _associate(xy_map_m: Array, kind: Ints, near: Near, gate_m: float) -> Ints:

@@ -309,7 +309,8 @@ class JointFilter:
 
     def _associated(self, obs: Observations) -> Observations:
         """With landmarks for what has none: unconfirmed ones, or any for what the filter shall label itself."""
-        label, known, gate = obs.label.copy(), self._state.known, self.settings.association_gate_m
+        label, known = obs.label.copy(), self._state.known
+        gate = min(self.settings.association_gate_m, obs.reach_m)
         free = np.flatnonzero(label == UNLABELLED if known is not None else label < 0)
         label[label < 0] = NO_LANDMARK
         xy = transform(self._state.joint.pose, obs.xy_base_m[free])

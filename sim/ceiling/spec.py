@@ -33,6 +33,7 @@ class CeilingSpec:
         tile_spread: standard deviation of the tiles' brightness.
         texture: strength of the tiles' speckle and mottling; 0 is plain.
         lamp_every: one lamp in so many tiles along each axis; (0, 0) is none.
+        slope: by how much it rises in a metre of the map's x and y; the calibrated height is that of the room's centre.
         vents, spots, stains: how many of each in the room and its margin.
     """
 
@@ -54,6 +55,7 @@ class CeilingSpec:
     tile_spread: float = 0.025
     texture: float = 1.0
     lamp_every: tuple[int, int] = (4, 3)
+    slope: tuple[float, float] = (0.0, 0.0)
     vents: int = 12
     spots: int = 24
     stains: int = 7

@@ -13,7 +13,7 @@ from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.renderer import RenderSpec
-from ceilvo.sim.surroundings import Slab, SurroundingsSpec
+from ceilvo.sim.surroundings.surroundings import Slab, SurroundingsSpec
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import LineKind
 

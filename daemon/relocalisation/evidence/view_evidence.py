@@ -34,6 +34,9 @@ UNMAPPED_COMMON = 0.01
 UNMAPPED_FIRST, UNMAPPED_VIEWS = 6.0, 3.0
 """The same of rarer types, that are seen now and then only: 1 / (6 + n / 3) after n views showed the ground. Measured
 0.16, 0.11, 0.09, 0.06, 0.03, 0.015 at 6, 15, 25, 40, 80 and 150 views (two rooms, first laps, seeds 501 and 502)."""
+UNMAPPED_HIDDEN = 0.3
+"""The same of any type under a ceiling of several heights: what is lower hides what is higher, something else from
+every spot; chosen: 0.3 of the features in coffers were of no landmark yet."""
 _VIEWS_PER_STEP = 8
 """Views are told apart in steps of so many."""
 CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
@@ -108,7 +111,9 @@ class ViewEvidence:
         self._expected = around.landmarks.of(rare[kind] & (kind < LINE_CROSSINGS))
         self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
         self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
-        self._gain, self._mistaken, self._loss = _tables(around.chance)
+        self._gain, self._mistaken, self._loss = _tables(
+            around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0
+        )
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, rare, corners_m=view.visible_m)
@@ -258,7 +263,7 @@ def _telling(chance: Array, rare: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-def _tables(chance: Chance) -> tuple[Array, Array, Array]:
+def _tables(chance: Chance, least_unmapped: float) -> tuple[Array, Array, Array]:
     """(V, 9, 2 R) log-likelihood ratios of a feature with a landmark of its type, with one of another type, and without
     any, by steps of views and type; against any wrong place and against one like it, for every fraction of change."""
     views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
@@ -273,7 +278,7 @@ def _tables(chance: Chance) -> tuple[Array, Array, Array]:
         same, other, none = (np.log(p)[:, None] for p in wrong)
         out[0].append(known + np.log(1.0 - mistaken) - same)
         out[1].append(known + np.log(mistaken) - other)
-        out[2].append(np.minimum(np.log(unmapped) - none, 0.0))
+        out[2].append(np.minimum(np.log(np.maximum(unmapped, least_unmapped)) - none, 0.0))
     rare = chance.rare[:, None]
     ratios = [np.concatenate(kinds, axis=2) for kinds in out]
     return np.where(rare, ratios[0], np.minimum(ratios[0], 0.0)), np.where(rare, ratios[1], ratios[2]), ratios[2]

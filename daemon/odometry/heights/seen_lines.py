@@ -1,0 +1,66 @@
+"""The lines that the crossings of a frame lie on, as distances from the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ceilvo.se2 import rotation
+from ceilvo.types import Array, Crossings, Ints
+
+_SAME_M = 0.002
+"""Crossings of one line have one distance; those of another are 3 px away, 16 mm under an office ceiling."""
+_QUARTER_RAD = 0.5 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class SeenLines:
+    """Lines of one frame, of two fixed perpendicular normals.
+
+    Attributes:
+        axis: (L,) 0 or 1, which normal.
+        kind: (L,) LineKind along it.
+        apparent_m: (L,) distance from the camera along it, were the line at the calibrated height.
+        of_crossing: (M, 2) the lines of each crossing: on axis 0 and axis 1 of the frame.
+        normals: (2, 2) rows: the frame's own normals in base.
+    """
+
+    axis: Ints
+    kind: Ints
+    apparent_m: Array
+    of_crossing: Ints
+    normals: Array
+
+    def __len__(self) -> int:
+        return len(self.axis)
+
+    @staticmethod
+    def of(crossings: Crossings, mount_xy_m: Array, turned_rad: float) -> SeenLines:
+        """turned_rad: of base against the fixed axes, to well within 45 deg of what the lines' direction says."""
+        normals = rotation(crossings.psi_rad).T
+        from_camera = (crossings.xy_base_m - mount_xy_m) @ normals.T
+        quarters = round((crossings.psi_rad + turned_rad) / _QUARTER_RAD)
+        kinds = np.divmod(crossings.crossing_type, 3)
+        axis, kind, apparent, of_crossing = [], [], [], np.zeros((len(crossings), 2), np.int64)
+        first = 0
+        for own in (0, 1):
+            number, at = _grouped(from_camera[:, own], kinds[own])
+            of_crossing[:, own] = first + number
+            turned = (own + quarters) % 4
+            sign = 1 if turned < 2 else -1
+            apparent.append(sign * from_camera[at, own])
+            kind.append(sign * (kinds[own][at] - 1))
+            axis.append(np.full(len(at), turned % 2))
+            first += len(at)
+        return SeenLines(np.concatenate(axis), np.concatenate(kind), np.concatenate(apparent), of_crossing, normals)
+
+
+def _grouped(value_m: Array, kind: Ints) -> tuple[Ints, Ints]:
+    """(M,) number of the line of each value, and (L,) one of the values of each line."""
+    order = np.lexsort((value_m, kind))
+    begins = np.ones(len(order), bool)
+    begins[1:] = (np.diff(value_m[order]) > _SAME_M) | (np.diff(kind[order]) != 0)
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(begins) - 1
+    return number, order[begins]

@@ -1,0 +1,194 @@
+"""Lines followed over the frames: how fast each moves past the camera tells how high it is.
+
+A line at the calibrated height moves past as fast as the camera does, a lower one faster. What is measured is that
+ratio, calibrated over true height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
+from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.types import Array, Ints
+
+Bools = NDArray[np.bool_]
+
+UNKNOWN = -1
+"""In place of a level."""
+_GATE_M = 0.02
+"""How far from where it was expected a line may be; chosen: a new one may be a third lower than it is taken for."""
+_STEP_M = 0.004
+"""A line is measured again once the camera has moved so far towards it; chosen: before, the same error is seen."""
+_SIGMA_M, _SIGMA_RATIO = 0.0004, 0.002
+"""Of a line's distance over a few centimetres, where lines of one plane were found to agree to 0.1 mm; and of its ratio
+however far it is followed, for what lens and tilt leave; chosen."""
+_INDEPENDENT = 8.0
+"""Measurements of a line that err on their own, at most; chosen, for the same reason."""
+_PATIENCE = 4
+"""Frames in a row in which a line may be missing; chosen."""
+_OUTLIER_SIGMAS, _OUTLIER_M = 4.0, 0.003
+"""A measurement further off is of another line that lies over this one; chosen."""
+FEWEST = 4
+"""Measurements of a line before one of them, or the line, is judged."""
+_STRANGE = 3
+"""Measurements in a row that are not of the line that was followed: it is another; chosen."""
+_STEADY = 1.5
+"""A line moves evenly whose distance scatters by no more than so many times what is usual; chosen."""
+_KINDS = 3
+
+
+@dataclass(slots=True)
+class Tracks:
+    """(T,) lines.
+
+    Attributes:
+        axis, kind: as in SeenLines.
+        apparent_m: where each was seen last, and camera_m: where the camera was then along its normal.
+        measured_m: the same at the last measurement.
+        sums: (T, 6) of the measurements: 1, camera, apparent, camera squared, camera times apparent, apparent squared,
+            in m.
+        level: number of the level that each is taken to be on, or UNKNOWN.
+        own: whether its own measurements say so.
+        missing: frames since each was seen.
+        strange: measurements in a row that were not of the same line.
+        name: a number of its own, rising.
+    """
+
+    axis: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    kind: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    apparent_m: Array = field(default_factory=lambda: np.zeros(0))
+    camera_m: Array = field(default_factory=lambda: np.zeros(0))
+    measured_m: Array = field(default_factory=lambda: np.zeros(0))
+    sums: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    level: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    own: Bools = field(default_factory=lambda: np.zeros(0, bool))
+    missing: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    strange: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    name: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.axis)
+
+    def of(self, which: Bools | Ints) -> Tracks:
+        return Tracks(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
+
+    def followed(self, seen: SeenLines, camera_m: Array, ratio: Array) -> Ints:
+        """(L,) the track of each line seen, or -1.
+
+        Args:
+            camera_m: (2,) where it should be now.
+            ratio: (T,) how fast each track moves past, over the camera.
+        """
+        expected = self.apparent_m - (camera_m[self.axis] - self.camera_m) * ratio
+        # one axis and kind a group; only the distance counts
+        at, to = (np.column_stack([v, np.zeros(len(v))]) for v in (seen.apparent_m, expected))
+        groups = _KINDS * seen.axis + seen.kind, _KINDS * self.axis + self.kind
+        i, j = mutual_nearest(at, groups[0], to, groups[1], _GATE_M)
+        found = np.full(len(seen), -1, np.int64)
+        found[i] = j
+        return found
+
+    def seen_again(self, seen: SeenLines, track: Ints, camera_m: Array, next_name: int) -> tuple[Tracks, Ints]:
+        """With the lines of a frame, the camera at (2,), new ones included; and the track of each line."""
+        new = np.flatnonzero(track < 0)
+        t = self._grown(seen, new, next_name)
+        track = track.copy()
+        track[new] = len(self) + np.arange(len(new))
+        t.missing += 1
+        t.missing[track] = 0
+        t.apparent_m[track], t.camera_m[track] = seen.apparent_m, camera_m[seen.axis]
+        return t, track
+
+    def measure(self, row: Ints) -> None:
+        """Take in where the tracks `row` were seen last, as far as that is news."""
+        s, a = self.camera_m[row], self.apparent_m[row]
+        news = ~(np.abs(s - self.measured_m[row]) < _STEP_M)
+        row, s, a = row[news], s[news], a[news]
+        take = self._plausible(row, s, a)
+        self.strange[row] = np.where(take, 0, self.strange[row] + 1)
+        self.measured_m[row] = s
+        self._begin_anew(row[self.strange[row] >= _STRANGE])
+        row, s, a = row[take], s[take], a[take]
+        self.sums[row] += np.column_stack([np.ones(len(row)), s, a, s * s, s * a, a * a])
+
+    def _begin_anew(self, row: Ints) -> None:
+        """Another line is followed in their place."""
+        self.sums[row], self.measured_m[row], self.strange[row] = 0.0, np.nan, 0
+        self.level[row], self.own[row] = UNKNOWN, False
+
+    def forget_measurements(self) -> None:
+        """What was measured so far was against a camera that moved otherwise."""
+        self.sums[:], self.measured_m[:] = 0.0, np.nan
+
+    def lost(self) -> Bools:
+        """(T,) those that were missing for too long."""
+        return np.asarray(self.missing > _PATIENCE)
+
+    def _grown(self, seen: SeenLines, new: Ints, next_name: int) -> Tracks:
+        n, nowhere = len(new), np.full(len(new), np.nan)
+        more = Tracks(
+            seen.axis[new],
+            seen.kind[new],
+            nowhere,
+            nowhere,
+            nowhere,
+            np.zeros((n, 6)),
+            np.full(n, UNKNOWN),
+            np.zeros(n, bool),
+            np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
+            next_name + np.arange(n),
+        )
+        return replace(
+            self, **{f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}
+        )
+
+    def _plausible(self, row: Ints, camera_m: Array, apparent_m: Array) -> Bools:
+        n, s, a = self.sums[row, :3].T
+        n = np.maximum(n, 1.0)
+        ratio, sigma = (v[row] for v in self.ratios())
+        ahead = camera_m - s / n
+        off = np.abs(apparent_m - a / n + ratio * ahead)
+        young = n < FEWEST
+        return np.asarray(young | (off < _OUTLIER_M + _OUTLIER_SIGMAS * np.minimum(sigma, 1.0) * np.abs(ahead)))
+
+    def ratios(self) -> tuple[Array, Array]:
+        """(T,) how fast each moves past, over the camera; (T,) its standard deviation, infinite where not measured."""
+        ratio, known, safe, bent = self._fitted()
+        error = np.maximum(_SIGMA_M, np.sqrt(bent)) / np.sqrt(safe * np.minimum(_INDEPENDENT / self._count(), 1.0))
+        return ratio, np.where(known, np.hypot(error, _SIGMA_RATIO), np.inf)
+
+    def steady(self) -> Bools:
+        """(T,) lines that were measured often and moved evenly: others are two that lie over each other."""
+        bent = self._fitted()[3]
+        return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= (_STEADY * _SIGMA_M) ** 2))
+
+    def _count(self) -> Array:
+        return np.asarray(np.maximum(self.sums[:, 0], 1.0))
+
+    def _fitted(self) -> tuple[Array, Bools, Array, Array]:
+        """(T,) each: the ratio, whether the camera moved at all, its spread in m^2, and what the fit leaves in m^2."""
+        _, s, a, ss, sa, aa = self.sums.T
+        n = self._count()
+        spread = ss - s * s / n
+        known = spread > _STEP_M**2
+        safe = np.where(known, spread, 1.0)
+        ratio = np.where(known, -(sa - s * a / n) / safe, 1.0)
+        bent = np.maximum(aa - a * a / n - ratio**2 * spread, 0.0) / np.maximum(n - 2.0, 1.0)
+        return ratio, known, safe, bent
+
+    def rescaled(self, factor: float) -> None:
+        """What the camera moved until now was so many times too long."""
+        for axis in (0, 1):
+            of = self.axis == axis
+            now = self.camera_m[of]
+            n, s, a, ss, sa, _ = self.sums[of].T
+            shift = now - now / factor  # s' = s / factor + shift keeps where it is now
+            self.sums[of, 1] = s / factor + n * shift
+            self.sums[of, 3] = ss / factor**2 + 2.0 * shift * s / factor + n * shift**2
+            self.sums[of, 4] = sa / factor + shift * a
+            self.measured_m[of] = self.measured_m[of] / factor + shift

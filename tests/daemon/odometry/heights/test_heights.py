@@ -1,0 +1,126 @@
+"""Lines at several heights, drawn by hand: what the stage says of them against where they were drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from ceilvo import se2
+from ceilvo.crossing_types import crossing_type_of
+from ceilvo.daemon.odometry.heights.stage import Heights
+from ceilvo.sim.rig import simulated_calibration
+from ceilvo.types import Array, Crossings, Displacement, Motion
+
+CALIBRATION = simulated_calibration()
+HIGH_M = CALIBRATION.ceiling_height_m
+NOISE_M = 0.0001
+SEED = 5
+
+
+def seen(lines: list[tuple[int, float, float]], pose: Array, rng: np.random.Generator) -> tuple[Crossings, Array]:
+    """Crossings of all lines (axis, place in map, height above the camera) that are alike in height, as a camera at a
+    pose (3,) takes them for ones at the calibrated height; and where they are in base."""
+    camera = se2.transform(pose, CALIBRATION.mount_xy_m[None])[0]
+    error = rng.normal(0.0, NOISE_M, len(lines))
+    apparent = [(at - camera[axis]) * HIGH_M / high for axis, at, high in lines] + error
+    pairs = [
+        (i, j)
+        for i, (a, _, high) in enumerate(lines)
+        for j, (b, _, other) in enumerate(lines)
+        if (a, b) == (0, 1) and high == other
+    ]
+    from_camera = np.array([[apparent[i], apparent[j]] for i, j in pairs])
+    true = np.array([[lines[i][1], lines[j][1]] for i, j in pairs])
+    turn = se2.rotation(float(pose[2]))
+    groove = np.zeros(len(pairs), np.int64)
+    zero = np.zeros(2)
+    crossings = Crossings(
+        uv_px=np.zeros((len(pairs), 2)),
+        xy_base_m=CALIBRATION.mount_xy_m + from_camera @ turn,
+        cov_base_m2=np.broadcast_to(1e-6 * np.eye(2), (len(pairs), 2, 2)),
+        crossing_type=crossing_type_of(groove, groove),
+        psi_rad=-float(pose[2]),
+        psi_sigma_rad=1e-4,
+        tilt_rad=zero,
+        tilt_sigma_rad=zero,
+        common_cov_m2=np.zeros((2, 2)),
+    )
+    return crossings, se2.transform(se2.inverse(pose), true)
+
+
+def grid(high_m: float, first: float, count: int, spacing_m: float = 0.6) -> list[tuple[int, float, float]]:
+    return [(axis, first + k * spacing_m, high_m) for axis in (0, 1) for k in range(count)]
+
+
+def drive(heights: Heights, lines: list[tuple[int, float, float]], too_long: float = 1.0) -> Iterator[float]:
+    """Drive in a bend; yields the largest error of a crossing that is handed on, m.
+
+    too_long: of the motion that the stage is told, until it knows better.
+    """
+    rng = np.random.default_rng(SEED)
+    poses = [np.array([0.03 * k, 0.012 * k, 0.005 * k]) for k in range(40)]
+    for k, pose in enumerate(poses):
+        crossings, true = seen(lines, pose, rng)
+        moved = np.zeros(3) if k == 0 else se2.between(poses[k - 1], pose)
+        placed = heights.look(crossings, moved)
+        assert placed is not None
+        near = np.min(np.hypot(*(placed.xy_base_m[:, None] - true[None]).transpose(2, 0, 1)), axis=1)
+        told = moved if heights.several else moved * [too_long, too_long, 1.0]
+        heights.learn(Motion(Displacement(told), 1e-6 * np.eye(3), len(placed), 0.0, restarted=k == 0))
+        yield float(np.max(near))
+
+
+def test_one_height_is_left_alone() -> None:
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
+    list(drive(heights, grid(HIGH_M, -1.2, 5)))
+    assert not heights.several
+    crossings, _ = seen(grid(HIGH_M, -1.2, 5), np.zeros(3), rng)
+    assert heights.look(crossings, None) is crossings
+    assert heights.reference() is None
+
+
+@pytest.mark.parametrize("other_m", [HIGH_M - 0.4, HIGH_M - 0.12, HIGH_M + 0.5])
+def test_a_second_height_is_found_and_its_crossings_are_put_where_they_are(other_m: float) -> None:
+    heights = Heights(CALIBRATION)
+    errors = list(drive(heights, grid(HIGH_M, -1.2, 5) + grid(other_m, -0.93, 3, 0.7)))
+    found = HIGH_M / heights.state.levels.ratio
+    print(f"seed {SEED}: {other_m} m found at {found}; errors {errors[0]:.4f} m at first, {errors[-1]:.4f} m")
+    assert len(found) == 2
+    assert abs(found[1] - other_m) < 0.01
+    assert errors[0] > 0.02, "without heights they lie elsewhere"
+    assert errors[-1] < 0.006
+
+
+def test_the_scale_is_found_where_the_way_was_measured_by_both_heights() -> None:
+    """Lower lines move past faster; who takes all for the ceiling's drives too far, until the heights are known."""
+    heights = Heights(CALIBRATION)
+    errors = list(drive(heights, grid(HIGH_M, -1.2, 5) + grid(1.8, -0.93, 3, 0.7), too_long=1.08))
+    print(f"seed {SEED}: ratios {heights.state.levels.ratio}")
+    assert abs(HIGH_M / heights.state.levels.ratio[1] - 1.8) < 0.015
+    assert errors[-1] < 0.008
+
+
+def test_what_hangs_lower_is_not_taken_for_the_ceiling_though_there_is_as_much_of_it() -> None:
+    heights = Heights(CALIBRATION)
+    list(drive(heights, grid(HIGH_M, -1.2, 4) + grid(1.7, -0.93, 4, 0.5), too_long=1.15))
+    assert heights.state.levels.ratio[0] == 1.0
+    assert np.all(heights.state.levels.ratio[1:] > 1.2)
+
+
+def test_a_new_line_across_lines_of_known_height_is_on_theirs() -> None:
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
+    lines = grid(HIGH_M, -1.2, 5) + grid(1.8, -0.93, 3, 0.7)
+    list(drive(heights, lines))
+    pose = np.array([0.03 * 40, 0.012 * 40, 0.005 * 40])
+    last = np.array([0.03 * 39, 0.012 * 39, 0.005 * 39])
+    more = [*lines, (0, 1.9, 1.8)]
+    for moved in (se2.between(last, pose), np.zeros(3)):
+        crossings, true = seen(more, pose, rng)
+        placed = heights.look(crossings, moved)
+        heights.learn(Motion(Displacement(moved), 1e-6 * np.eye(3), 9, 0.0))
+    assert placed is not None
+    assert len(placed) == len(crossings)
+    assert placed.complete
+    assert np.max(np.hypot(*(placed.xy_base_m - true).T)) < 0.008
