@@ -122,9 +122,9 @@ BAD_MAPS: dict[str, tuple[str, str]] = {
     "missing key": (edited(MAP_V1, lambda d: d["content"].pop("map_axis_rad")), "missing keys ['map_axis_rad']"),
     "unknown key": (edited(MAP_V1, lambda d: d["content"].update(colour=1)), "unknown keys ['colour']"),
     "short column": (edited(MAP_V1, table("kind", [4])), "landmarks.kind has 1 values, expected 2"),
-    "kind 9": (
-        edited(MAP_V1, table("kind", [4, 9])),
-        "landmarks.kind is not a list of whole numbers from 0 to 8",
+    "kind 13": (
+        edited(MAP_V1, table("kind", [4, 13])),
+        "landmarks.kind is not a list of whole numbers from 0 to 12",
     ),
     "bool for number": (edited(MAP_V1, table("sightings", [True, 3])), "landmarks.sightings"),
     "same id": (edited(MAP_V1, table("id", [3, 3])), "landmarks.id has duplicates"),

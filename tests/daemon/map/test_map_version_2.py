@@ -51,9 +51,9 @@ BAD: dict[str, tuple[str, str]] = {
         edited(MAP_V2, table("xy_map_m", in_base64("<d", 4, 0))),
         "landmarks.xy_map_m is not an array of numbers of shape (2, 2)",
     ),
-    "kind 9 of 2": (
-        edited(MAP_V2, table("kind", in_base64("<q", 4, 9))),
-        "landmarks.kind is not a list of whole numbers from 0 to 8",
+    "kind 13 of 2": (
+        edited(MAP_V2, table("kind", in_base64("<q", 4, 13))),
+        "landmarks.kind is not a list of whole numbers from 0 to 12",
     ),
     "NaN of 2": (
         edited(MAP_V2, table("xy_map_m", in_base64("<d", 0, 0, 0, float("nan")))),

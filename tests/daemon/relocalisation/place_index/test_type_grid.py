@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS
 from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_M, FINE_M, LandmarkBlocks, fine
 from ceilvo.daemon.relocalisation.place_index.id_table import IdTable
 from ceilvo.daemon.relocalisation.place_index.type_grid import GROUND, GROUND_M, HALF_DIAGONAL_M, TypeGrid
 from ceilvo.types import Landmarks
 
-AT = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.integers(0, CROSSING_TYPES - 1))
+TYPES = [t for t in range(CROSSING_TYPES) if t != LINE_CROSSINGS]  # between crossings and points is no type
+AT = st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.sampled_from(TYPES))
 MAPS = st.lists(AT, min_size=1, max_size=20).map(np.array)
 ROUND_M = 2 * FINE_M
 """Positions are rounded to FINE_M."""
