@@ -67,4 +67,4 @@ inside /opt/venv/bin/pip install -q /opt/src -c /opt/src/constraints.txt
 inside /opt/venv/bin/pip list --format=freeze
 log "poses"
 OPENBLAS_NUM_THREADS=1 "$PYTHON" -m ceilvo.bench.arm.same_estimates make "$ROOT/opt/drive"
-inside /opt/venv/bin/python -m ceilvo.bench.arm.same_estimates compare /opt/src/tests/golden/pipeline /opt/drive
+inside /opt/venv/bin/python -u -m ceilvo.bench.arm.same_estimates compare /opt/src/tests/golden/pipeline /opt/drive
