@@ -27,6 +27,8 @@ from ceilvo.errors import FileFormatError, one_line
 VERSION = 3
 """Version 1 (ceilvo 0.1) named classes and private attributes; snapshot_v1 turns it into version 2, which had one
 hypothesis about the place, and a filter that searched by itself."""
+_LONGEST_NAME = 8
+"""Of a type of numbers, as "<f8"; NumPy evaluates a longer one as a program would be read."""
 _BAD_TREE = (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError)
 _T = TypeVar("_T")
 
@@ -208,6 +210,7 @@ def _scalar(node: Any, hint: Any) -> Any:
 
 def _array(node: Any, args: tuple[Any, ...]) -> np.ndarray[Any, Any]:
     name, shape, order, data = node["array"]
+    _expect(name, isinstance(name, str) and len(name) <= _LONGEST_NAME, "the name of a type of numbers")
     dtype = np.dtype(name)
     (wanted,) = get_args(args[1])
     _expect(name, np.issubdtype(dtype, wanted), np.dtype(wanted).str)

@@ -118,7 +118,7 @@ def shape_changed(tree: Any, rng: Random) -> Any:
             return tree
         more = np.resize(flat if flat.size else np.zeros(1, dtype), count).astype(dtype)
         node["array"] = [name, sizes, order, base64.b64encode(more.tobytes()).decode()]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, SyntaxError):
         return mutated_tree(tree, rng)
     return tree
 
