@@ -60,8 +60,9 @@ def forget_near(filter_: PoseFilter, xy_base_m: Array) -> None:
     """Drop landmarks at points (N, 2) in base: what was learnt there is elsewhere."""
     pose, cov, _ = filter_.estimate()
     at = transform(Pose(pose), xy_base_m)
-    landmarks = filter_.landmarks()
-    off = landmarks.xy_map_m[:, None] - at
+    near = filter_.landmarks_near(at, MISPLACED_M)[1]
+    off = near.xy_map_m[:, None] - at
     wrong = np.any(np.hypot(off[..., 0], off[..., 1]) < MISPLACED_M, axis=1)
     if np.any(wrong):
-        filter_.reset(pose, cov, landmarks.of(~wrong))
+        landmarks = filter_.landmarks()
+        filter_.reset(pose, cov, landmarks.of(~np.isin(landmarks.ids, near.ids[wrong])))

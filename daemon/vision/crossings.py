@@ -75,8 +75,8 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
 
 def squares_with(crossings: Crossings, focal_px: float) -> int:
     """Squares of the picture that hold a crossing: a vent's dozen of them are worth few."""
-    cell = np.floor(crossings.uv_px / pixels(_SQUARE_DEG, focal_px)).astype(np.int64)
-    return len(np.unique(cell, axis=0))
+    column, row = np.floor(crossings.uv_px / pixels(_SQUARE_DEG, focal_px)).astype(np.int64).T
+    return len(set(zip(column.tolist(), row.tolist(), strict=True)))
 
 
 def _normals(psi: float) -> Array:

@@ -129,6 +129,8 @@ class Tracks:
         return np.asarray(self.missing > _PATIENCE)
 
     def _grown(self, seen: SeenLines, new: Ints, next_name: int) -> Tracks:
+        if not len(new):
+            return self
         n, nowhere = len(new), np.full(len(new), np.nan)
         more = Tracks(
             seen.axis[new],
