@@ -139,6 +139,16 @@ class Crossings:
     def __len__(self) -> int:
         return len(self.crossing_type)
 
+    def of(self, which: NDArray[np.bool_] | Ints) -> Crossings:
+        """The features `which`, a mask (M,) or indices, of the same frame."""
+        return replace(
+            self,
+            uv_px=self.uv_px[which],
+            xy_base_m=self.xy_base_m[which],
+            cov_base_m2=self.cov_base_m2[which],
+            crossing_type=self.crossing_type[which],
+        )
+
     @property
     def directed(self) -> bool:
         """Whether lines tell a direction."""

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ceilvo.calibration import Calibration, to_ceiling
+from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN, Bools, Tracks
+from ceilvo.daemon.odometry.registration import has_points
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints, Motion
 
@@ -114,25 +116,28 @@ class Heights:
         return self.several or bool(np.any(strange))
 
     def look(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
-        """The crossings where they are; those whose height is not known are left out.
+        """The crossings where they are; those whose height is not known are left out, with points if there are several.
 
         Args:
             expected: (3,) motion since the last frame.
         """
         s = self.state
         self._look = None
-        if crossings is None or not len(crossings):
+        if crossings is None or not crossings.directed:
+            return crossings
+        crossed = crossings.of(crossings.crossing_type < LINE_CROSSINGS) if has_points(crossings) else crossings
+        if not len(crossed):
             return crossings
         moved = np.zeros(3) if expected is None else expected
         turned = -crossings.psi_rad if s.turned_rad is None else s.turned_rad + float(moved[2])
-        lines = SeenLines.of(crossings, self._mount, turned)
+        lines = SeenLines.of(crossed, self._mount, turned)
         ratio = s.levels.ratio[np.maximum(s.tracks.level, 0)]
         track = s.tracks.followed(lines, s.camera_m + self._way(moved), ratio)
-        self._look = _Look(crossings, lines, track)
+        self._look = _Look(crossed, lines, track)
         if not self.several:
             return crossings
         level = np.where(track >= 0, s.tracks.level[track] if len(s.tracks) else UNKNOWN, UNKNOWN)
-        return self._placed(crossings, lines.normals, level[lines.of_crossing])
+        return self._placed(crossed, lines.normals, level[lines.of_crossing])
 
     def reference(self) -> Crossings | None:
         """The crossings of the frame that motion is measured against, as their heights are known now."""
@@ -208,12 +213,15 @@ class Heights:
         """
         s, t = self.state, self.state.tracks
         ratio, sigma = self._ratios()
-        known = (crossed >= _CROSSED) & t.steady()
-        new = s.levels.unlisted(ratio, sigma) & known
-        s.slopes |= bool(np.any(new)) and self._slopes(ratio, sigma)
-        if s.slopes:
+        unlisted = s.levels.unlisted(ratio, sigma)
+        if s.slopes or not np.any(unlisted):
             return
-        if not self.several and np.any(new):
+        known = (crossed >= _CROSSED) & t.steady()
+        new = unlisted & known
+        s.slopes = bool(np.any(new)) and self._slopes(ratio, sigma)
+        if s.slopes or not np.any(new):
+            return
+        if not self.several:
             factor = self._factor(ratio, sigma, crossed)
             if factor != 1.0:
                 t.rescaled(factor)
@@ -313,7 +321,7 @@ class Heights:
             known = np.ones(len(level), bool)
         which = np.flatnonzero(known)
         at = np.maximum(level[which], 0)
-        part = replace(of_crossings(crossings, which), complete=len(which) >= _COMPLETE * len(level), several=True)
+        part = replace(crossings.of(which), complete=len(which) >= _COMPLETE * len(level), several=True)
         if not np.any(at):
             return part
         higher = 1.0 / levels.ratio[at]
@@ -324,14 +332,3 @@ class Heights:
         cov = scale @ (part.cov_base_m2 - part.common_cov_m2) @ scale + part.common_cov_m2
         cov += np.einsum("mk,ki,kj->mij", (sigma * from_camera) ** 2, normals, normals)
         return replace(part, xy_base_m=xy, cov_base_m2=cov, uv_px=to_ceiling(self._level_from_ceiling, xy))
-
-
-def of_crossings(crossings: Crossings, which: Ints) -> Crossings:
-    """The crossings `which`, of the same frame."""
-    return replace(
-        crossings,
-        uv_px=crossings.uv_px[which],
-        xy_base_m=crossings.xy_base_m[which],
-        cov_base_m2=crossings.cov_base_m2[which],
-        crossing_type=crossings.crossing_type[which],
-    )

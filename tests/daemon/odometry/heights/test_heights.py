@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ceilvo import se2
-from ceilvo.crossing_types import crossing_type_of
+from ceilvo.crossing_types import CORNER, LAMP, crossing_type_of
 from ceilvo.daemon.odometry.heights.stage import Heights
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Crossings, Displacement, Motion
+from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Displacement, Motion
 
 CALIBRATION = simulated_calibration()
 HIGH_M = CALIBRATION.ceiling_height_m
@@ -70,6 +71,21 @@ def drive(heights: Heights, lines: list[tuple[int, float, float]], too_long: flo
         told = moved if heights.several else moved * [too_long, too_long, 1.0]
         heights.learn(Motion(Displacement(told), 1e-6 * np.eye(3), len(placed), 0.0, restarted=k == 0))
         yield float(np.max(near))
+
+
+@pytest.mark.parametrize("lines", [0, 4])
+def test_points_are_no_lines(lines: int) -> None:
+    """Lamps and corners have no axes: only crossings of lines are followed, and without any the view is left alone."""
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
+    crossings, _ = seen(grid(HIGH_M, -0.9, 4), np.zeros(3), rng)
+    kind = np.where(
+        np.arange(len(crossings)) < lines, crossings.crossing_type, np.resize([LAMP, CORNER], len(crossings))
+    )
+    sigma = crossings.psi_sigma_rad if lines else NO_DIRECTION_RAD
+    view = replace(crossings, crossing_type=kind, psi_sigma_rad=sigma)
+    assert heights.look(view, None) is view
+    heights.learn(Motion(Displacement(np.zeros(3)), 1e-6 * np.eye(3), len(view), 0.0))
+    assert len(heights.state.tracks) == (lines + 1 if lines else 0)  # those of one line across, and of each along
 
 
 def test_one_height_is_left_alone() -> None:
