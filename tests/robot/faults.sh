@@ -63,9 +63,9 @@ setup() {
 
 # picture NAME: the feeder's mode for 2 s.
 picture() {
-  begin "$1"
   mode "$1"
   wait_for 10 is_bad || return 1
+  note "$1_begin_ns" "$(sed -n "s/^$1,//p" "$feed/faults.csv")"
   note "status_$1" "$(show StatusText)"
   sleep 2
   rm "$feed/mode"

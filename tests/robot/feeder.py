@@ -4,7 +4,8 @@ feeder.py DEVICE FRAMES WIDTH HEIGHT RATE_HZ FORMAT FOLDER
 
 Repeats the first frame until FOLDER/go exists, plays FRAMES once in real time, makes FOLDER/played, then repeats the
 last frame. As on a sensor no two frames are equal: one row after the other has its lowest bit turned over.
-FOLDER/mode, where it exists, says what is wrong: stall, frozen, black or white.
+FOLDER/mode, where it exists, says what is wrong: stall, frozen, black or white. FOLDER/faults.csv gets a line where
+this changes: the mode, and when the first frame that it changes was due, in ns of CLOCK_MONOTONIC.
 FOLDER/feed.csv gets a line for each write: index in FRAMES, CLOCK_MONOTONIC in ns before and after. v4l2loopback
 stamps a buffer while it is written.
 """
@@ -96,8 +97,8 @@ def main() -> None:
     set_format(fd, fourcc, w, h, sensor.line_bytes)
     period_ns = round(1e9 / float(rate))
     origin_ns = time.monotonic_ns()
-    tick, index, first = 0, 0, None
-    with (folder / "feed.csv").open("w", buffering=1) as log:
+    tick, index, first, was = 0, 0, None, ""
+    with (folder / "feed.csv").open("w", buffering=1) as log, (folder / "faults.csv").open("w", buffering=1) as faults:
         while True:
             # The robot drives on while this process is kept waiting: frames whose time has passed are lost.
             tick = max(tick + 1, round((time.monotonic_ns() - origin_ns) / period_ns))
@@ -111,6 +112,9 @@ def main() -> None:
                 luma[:] = {"black": 0, "white": 255}.get(mode, frames[index])
                 luma[tick % h] ^= mode not in ("black", "white")
             due_ns = origin_ns + tick * period_ns
+            if mode != was:
+                faults.write(f"{mode},{due_ns}\n")
+                was = mode
             time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
             before_ns = time.monotonic_ns()
             if before_ns - due_ns > LATEST_OF_PERIOD * period_ns:

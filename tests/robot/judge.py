@@ -253,7 +253,11 @@ def _json_lines(path: Path) -> list[dict[str, Any]]:
 
 def main() -> int:
     out, share, summary = (Path(a) for a in sys.argv[1:])
-    found = list(checks(read(out, share)))
+    return told(list(checks(read(out, share))), summary)
+
+
+def told(found: list[Check], summary: Path) -> int:
+    """Prints the table and writes summary.json; the exit status."""
     width = max(len(c.name) for c in found)
     for c in found:
         verdict = "" if c.kept is None else "ok" if c.kept else "FAILED"

@@ -102,7 +102,9 @@ wait $base || true
 trap - EXIT
 
 step "results"
-if [ "${ONLY:-drive}" = drive ]; then "$python" "$here/judge.py" "$OUT" "$share" "$work/summary.json" || status=1; fi
-if [ "${ONLY:-faults}" = faults ]; then "$python" "$here/judge_faults.py" "$OUT/faults" "$work/faults.json" || status=1; fi
+: >"$work/results.txt"
+if [ "${ONLY:-drive}" = drive ]; then "$python" "$here/judge.py" "$OUT" "$share" "$work/summary.json" | tee -a "$work/results.txt" || status=1; fi
+if [ "${ONLY:-faults}" = faults ]; then "$python" "$here/judge_faults.py" "$OUT/faults" "$work/faults.json" | tee -a "$work/results.txt" || status=1; fi
+grep -s FAILED "$work/results.txt" || true # once more, where the end of a log shows it
 step "done"
 exit $status
