@@ -228,7 +228,7 @@ class Heights:
                 ratio, sigma = self._ratios()
                 new = s.levels.unlisted(ratio, sigma) & known
         near = np.abs(ratio[:, None] - ratio) < np.maximum(SAME, 2.0 * np.hypot(sigma[:, None], sigma))
-        near &= (sigma < 2.0 * _TELLING) & known
+        near &= (sigma < 2.0 * _TELLING) & known & s.levels.unlisted(ratio, sigma)  # not: vague, and on a level
         near &= (np.abs(t.apparent_m[:, None] - t.apparent_m) > _APART_M) | (t.axis[:, None] != t.axis)
         alike = np.count_nonzero(near, axis=1) + 1
         long = (t.sums[:, 0] >= _LONG) & (sigma < _SURE)
