@@ -19,7 +19,8 @@ class KeyPoses:
         pose: (K, 3) map_from_base [m, m, rad], as the robot believed.
         motion: (K, 3) prev_from_curr [m, m, rad] since the key pose before, by odometry; the first says nothing.
         motion_cov: (K, 3, 3) of it; infinite on the diagonal where nothing is known.
-        tilt_rad: (K, 2) of the robot, taken off what was seen.
+        direction_rad: (K,) of the ceiling's axis 0 in base, modulo a quarter turn.
+        direction_sigma_rad: (K,) of it, infinite where no lines were seen.
         view: (O,) index of the key pose that a feature was seen from, ascending.
         xy_base_m: (O, 2) of the feature on the ceiling, by the calibration in use then.
         cov_base_m2: (O, 2, 2).
@@ -32,7 +33,8 @@ class KeyPoses:
     pose: Array
     motion: Array
     motion_cov: Array
-    tilt_rad: Array
+    direction_rad: Array
+    direction_sigma_rad: Array
     view: Ints
     xy_base_m: Array
     cov_base_m2: Array
@@ -53,7 +55,8 @@ class KeyPoses:
             "pose": (k, 3),
             "motion": (k, 3),
             "motion_cov": (k, 3, 3),
-            "tilt_rad": (k, 2),
+            "direction_rad": (k,),
+            "direction_sigma_rad": (k,),
             "xy_base_m": (o, 2),
             "cov_base_m2": (o, 2, 2),
             "crossing_type": (o,),

@@ -1,0 +1,1 @@
+"""Maps of buildings, refined: how good they become, how long it takes."""

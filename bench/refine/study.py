@@ -1,0 +1,156 @@
+"""Halls, driven through several times by the daemon with a calibration that is off, and refined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ceilvo import se2
+from ceilvo.bench.place.ceiling.eye import SyntheticEye
+from ceilvo.bench.place.ceiling.truth import Features
+from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
+from ceilvo.bench.place.robot.driver import Base
+from ceilvo.bench.refine.building import Hall, sweep
+from ceilvo.calibration import Calibration, in_base
+from ceilvo.config import Config
+from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
+from ceilvo.sim.rig import simulated_calibration
+from ceilvo.types import Array, Crossings, Estimate, Landmarks, Pose
+
+SPEED_MPS, RATE_HZ = 0.8, 15.0
+_SURE = np.diag([1e-6, 1e-6, 1e-6])
+_TRUE_M = 0.2
+"""A landmark belongs to the true crossing of its type nearest to it, within so much; chosen: a third of a tile."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """True crossings in map, and paths of the sessions (K, 3) in map."""
+
+    features: Features
+    ways: tuple[Array, ...]
+
+
+def room(size: str, tile_m: float, seed: int, sessions: int, length_m: float) -> Room:
+    """A hall of bench.place with lamps and vents; every session drives some length_m through all of it."""
+    world = make_world(WorldSpec(size, tile_m, "raster", seed))
+    hall = (Hall(0.0, 0.0, world.room[2], world.room[3]),)
+    ways = (_way(hall, length_m, (s + 0.5) / sessions) for s in range(sessions))
+    return Room(world.features, tuple(se2.compose(world.map_from_ceiling, w) for w in ways))
+
+
+def _way(halls: tuple[Hall, ...], length_m: float, share: float) -> Array:
+    """The sweep whose lanes are as far apart as it takes for the length."""
+    step_m = SPEED_MPS / RATE_HZ
+    lanes = np.linspace(2.0, 30.0, 57)
+    ways = [sweep(halls, step_m, float(lane), share) for lane in lanes]
+    return min(ways, key=lambda w: abs(len(w) * step_m - length_m))
+
+
+def drive(
+    pipeline: Pipeline,
+    eye: SyntheticEye,
+    way: Array,
+    believed: Calibration,
+    true: Calibration,
+    rng: np.random.Generator,
+    session: str,
+    on_pose: Callable[[Array, Estimate], None] = lambda _true, _estimate: None,
+) -> KeyPoses:
+    """One session through the daemon's own steps."""
+    taker, base, before, before_ns = KeyPoseTaker(session), Base(rng), way[0], None
+    for stamp_ns, pose, seen in _seen(eye, way, believed, true):
+        base.turned(se2.between(before, pose), stamp_ns)
+        estimate = pipeline.step_crossings(stamp_ns, seen, base.between(before_ns, stamp_ns))
+        before, before_ns = pose, stamp_ns
+        taker.add(pipeline, estimate, seen)
+        on_pose(pose, estimate)
+    return taker.taken()
+
+
+def _seen(
+    eye: SyntheticEye, way: Array, believed: Calibration, true: Calibration
+) -> Iterator[tuple[int, Array, Crossings | None]]:
+    for k, pose in enumerate(way):
+        seen = eye.look(pose)
+        yield 10**9 + round(1e9 * k / RATE_HZ), pose, None if seen is None else bent(seen, true, believed)
+
+
+def bent(seen: Crossings, true: Calibration, believed: Calibration) -> Crossings:
+    """Crossings as a robot places them that believes another calibration."""
+    level = np.column_stack([seen.xy_base_m, np.ones(len(seen))]) @ true.level_from_ceiling.T
+    raw = true.level_view.to_raw(level[:, :2] / level[:, 2:])
+    xy, uv = in_base(believed, raw), believed.level_view.from_raw(raw)
+    good = np.isfinite(xy).all(axis=1)
+    return replace(seen, xy_base_m=xy, uv_px=uv).of(good)
+
+
+def mapped(
+    b: Room, believed: Calibration, config: Config, seed: int, progress: Callable[[str], None]
+) -> tuple[list[KeyPoses], Landmarks, float]:
+    """All sessions one after the other, each on the map of those before."""
+    true = simulated_calibration()
+    rng = np.random.default_rng(seed)
+    sessions = []
+    pipeline = Pipeline(believed, config, rng.spawn(1)[0])
+    for number, way in enumerate(b.ways):
+        eye = SyntheticEye(b.features, true, rng.spawn(1)[0])
+        if number:
+            known, axis = pipeline.landmarks(), pipeline.relocaliser.state.map_axis_rad or 0.0
+            pipeline = Pipeline(believed, config, rng.spawn(1)[0])
+            pipeline.load_map(known, axis, Pose(way[0]), _SURE, recent=True)
+        else:
+            pipeline.set_pose(Pose(way[0]), _SURE, "put here")
+        sessions.append(drive(pipeline, eye, way, believed, true, rng.spawn(1)[0], f"simulated/{number}"))
+        progress(f"session {number}: {len(sessions[-1])} key poses, {len(pipeline.landmarks())} landmarks")
+    return sessions, pipeline.landmarks(), pipeline.relocaliser.state.map_axis_rad or 0.0
+
+
+@dataclass(frozen=True)
+class MapError:
+    """Of a map laid on the truth by turning and shifting: mm, ppm, and landmarks that belong to no crossing."""
+
+    rms_mm: float
+    worst_mm: float
+    scale_ppm: float
+    landmarks: int
+    alone: int
+    double: int
+
+
+def error_of(landmarks: Landmarks, features: Features) -> MapError:
+    """Against the true crossings nearest to them."""
+    own, at = landmarks.xy_map_m, features.xy_map_m
+    tree = cKDTree(at)
+    laid = own
+    for _ in range(10):
+        off, nearest = tree.query(laid)
+        used = off < _TRUE_M
+        t = _motion(own[used], at[nearest[used]])
+        laid = se2.transform(Pose(t), own)
+    off, nearest = tree.query(laid)
+    used = off < _TRUE_M
+    a, c = own[used] - own[used].mean(axis=0), at[nearest[used]] - at[nearest[used]].mean(axis=0)
+    scale = np.sqrt(np.sum(a**2) / np.sum(c**2)) - 1.0
+    double = np.count_nonzero(used) - len(np.unique(nearest[used]))
+    return MapError(
+        1e3 * float(np.sqrt(np.mean(off[used] ** 2))),
+        1e3 * float(off[used].max()),
+        1e6 * float(scale),
+        len(own),
+        int(np.count_nonzero(~used)),
+        int(double),
+    )
+
+
+def _motion(a: Array, b: Array) -> Array:
+    da, db = a - a.mean(axis=0), b - b.mean(axis=0)
+    angle = np.arctan2(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]), np.sum(da * db))
+    return np.append(b.mean(axis=0) - se2.rotation(float(angle)) @ a.mean(axis=0), angle)
+
+

@@ -1,0 +1,92 @@
+"""Views worth keeping of a drive: one every so far, with what was seen there by the names of the map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.types import Array, Crossings, Estimate, Ints, State
+
+EVERY_M, EVERY_RAD = 0.25, np.radians(15.0)
+"""From one to the next; chosen: a view is 2 m wide and more, so each landmark is in ten of them."""
+_GOOD = (State.TRACKING, State.DEGRADED)
+_UNKNOWN = np.full((3, 3), np.nan)
+"""Covariance of a motion that nobody saw."""
+
+
+class KeyPoseTaker:
+    """Takes key poses from a pipeline that drives."""
+
+    def __init__(self, session: str) -> None:
+        self._session = session
+        self._poses: list[tuple[int, Array, Array, Array, float, float]] = []
+        self._views: list[tuple[Array, Array, Ints, Ints]] = []
+        self._motion, self._motion_cov = np.zeros(3), _UNKNOWN
+
+    def add(self, pipeline: Pipeline, estimate: Estimate, crossings: Crossings | None) -> None:
+        """After a step of the pipeline: what it saw and what came out."""
+        self._motion_cov = se2.compose_cov(
+            self._motion, self._motion_cov, estimate.motion.prev_from_curr, estimate.motion.cov
+        )
+        self._motion = se2.compose(self._motion, estimate.motion.prev_from_curr)
+        if crossings is None or not self._wanted(pipeline, estimate):
+            return
+        view = pipeline.relocaliser.observed(crossings)
+        landmarks = pipeline.filter.landmarks()
+        named = view.label >= 0
+        ids = np.full(len(view), -1)
+        ids[named] = landmarks.ids[view.label[named]]
+        self._views.append((view.xy_base_m, _squares(view.var_m2), view.crossing_type, ids))
+        directed = crossings.directed
+        self._poses.append(
+            (
+                estimate.stamp_ns,
+                np.array(estimate.pose),
+                self._motion,
+                self._motion_cov,
+                crossings.psi_rad if directed else 0.0,
+                crossings.psi_sigma_rad if directed else np.inf,
+            )
+        )
+        self._motion, self._motion_cov = np.zeros(3), np.zeros((3, 3))
+
+    def _wanted(self, pipeline: Pipeline, estimate: Estimate) -> bool:
+        if estimate.state not in _GOOD or not estimate.motion.ok or not pipeline.relocaliser.sure:
+            return False
+        return not self._poses or bool(
+            np.hypot(*self._motion[:2]) >= EVERY_M or abs(float(self._motion[2])) >= EVERY_RAD
+        )
+
+    def taken(self) -> KeyPoses:
+        """All of them."""
+        k = len(self._poses)
+        stamps, poses, motions, covs, directions, sigmas = ([p[i] for p in self._poses] for i in range(6))
+        cov = np.array(covs).reshape(k, 3, 3)
+        cov[np.isnan(cov).any(axis=(1, 2))] = np.diag([np.inf] * 3)
+        return KeyPoses(
+            session=self._session,
+            stamp_ns=np.array(stamps, np.int64),
+            pose=np.array(poses).reshape(k, 3),
+            motion=np.array(motions).reshape(k, 3),
+            motion_cov=cov,
+            direction_rad=np.array(directions, np.float64),
+            direction_sigma_rad=np.array(sigmas, np.float64),
+            view=np.repeat(np.arange(k), [len(v[3]) for v in self._views]).astype(np.int64),
+            xy_base_m=_joined((v[0] for v in self._views), (2,)),
+            cov_base_m2=_joined((v[1] for v in self._views), (2, 2)),
+            crossing_type=_joined((v[2] for v in self._views), ()).astype(np.int64),
+            landmark=_joined((v[3] for v in self._views), ()).astype(np.int64),
+        )
+
+
+def _squares(var_m2: Array) -> Array:
+    """(M, 2, 2) diagonal matrices."""
+    return np.asarray(var_m2[:, :, None] * np.eye(2))
+
+
+def _joined(parts: Iterable[Array] | Iterable[Ints], shape: tuple[int, ...]) -> Array:
+    return np.concatenate([np.zeros((0, *shape)), *parts])
