@@ -13,7 +13,8 @@ from ceilvo.bench.fuzz.engine.bounds import LINE_CHARS
 from ceilvo.bench.fuzz.engine.mutations import mutated_json
 from ceilvo.bench.fuzz.engine.target import PERIOD_NS, Target, crossings, file, folder, json_of, pipeline, wheels
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.map.map_file import _digest, load_map, load_state, save_map, save_state
+from ceilvo.daemon.map.document import digest
+from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_state
 from ceilvo.daemon.map.store import Store
 from ceilvo.daemon.replay.inputs import Sighting, apply
 from ceilvo.drivers.host.ownership import LOCK_NAME, owner_of_folder
@@ -73,7 +74,7 @@ def _signed(data: bytes) -> bytes:
     """With the checksum that belongs to the content, where there is one to be had."""
     try:
         document = json.loads(data)
-        document["sha256"] = _digest(document["content"])
+        document["sha256"] = digest(document["content"])
         return json.dumps(document).encode("utf-8", "surrogatepass")
     except Exception:
         return data
