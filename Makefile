@@ -99,7 +99,7 @@ bench-starved: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.starved --seconds $(or $(SECONDS),20)
 
 kill-test: $(VENV)/.installed-dev
-	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_files.py tests/faults/test_kill.py -k killed -q -s
+	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_files.py tests/faults/test_kill.py tests/daemon/map/database -k killed -q -s
 
 damage-matrix: $(VENV)/.installed-dev
 	DAMAGES=all $(BIN)/python -m pytest tests/faults/test_damage_matrix.py -q -s

@@ -16,11 +16,12 @@ class SmallDisk:
 
     Attributes:
         path: where it is.
+        folder: where it is to inside().
     """
 
     def __init__(self, folder: Path, size: str = "4m") -> None:
         folder.mkdir()
-        self._folder = folder
+        self.folder = folder
         self._keeper = subprocess.Popen(
             [*_unshare(), "sh", "-c", f"mount -t tmpfs -o size={size},mode=755 ceilvo {folder} && {_KEEPER}"],
             stdin=subprocess.PIPE,
@@ -49,10 +50,16 @@ class SmallDisk:
 
     def make_read_only(self) -> None:
         """By a second mount of it, which lies above the first: a mount with open files cannot be made read-only."""
-        self._do(f"mount --bind {self._folder} {self._folder} && mount -o remount,bind,ro {self._folder}")
+        self._do(f"mount --bind {self.folder} {self.folder} && mount -o remount,bind,ro {self.folder}")
 
     def make_writable(self) -> None:
-        self._do(f"umount {self._folder}")
+        self._do(f"umount {self.folder}")
+
+    def inside(self, *command: str | Path) -> subprocess.CompletedProcess[str]:
+        """Run a command that sees the disk as `folder`: SQLite follows links, and /proc's lead nowhere."""
+        user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
+        enter = ["nsenter", "--target", str(self._keeper.pid), "--mount", *user, "--"]
+        return subprocess.run([*enter, *map(str, command)], capture_output=True, text=True, check=False)
 
     def close(self) -> None:
         self._keeper.communicate("")
@@ -67,8 +74,9 @@ class SmallDisk:
 
 def why_not() -> str:
     """Why no such disk can be made here; "" where it can."""
-    if not shutil.which("unshare"):
-        return "unshare is not installed (util-linux)"
+    for tool in ("unshare", "nsenter"):
+        if not shutil.which(tool):
+            return f"{tool} is not installed (util-linux)"
     tried = subprocess.run(
         [*_unshare(), "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, text=True, check=False
     )

@@ -1,0 +1,92 @@
+"""What SQLite says when something is wrong, as one line for people."""
+
+from __future__ import annotations
+
+import sqlite3
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ceilvo.daemon.map.checks import Damage
+from ceilvo.errors import FileFormatError, one_line
+
+MAGIC = b"SQLite format 3\0"
+"""What every such file begins with."""
+BUSY_S = 5.0
+"""Another program may hold the file for so long; chosen: an edit of 100,000 landmarks takes about 2 s."""
+_NOT_WRITTEN = {
+    "full": "make room on its disk",
+    "readonly": "expected a file and a folder that you may write to, check their owner",
+    "locked": f"another program held it for {BUSY_S:g} s, stop that one or try again",
+    "disk I/O": "check its disk",
+}
+"""What SQLite's messages have in them, and what to do; nothing is wrong with the content then."""
+_NOT_READ = {
+    "unable to open": "expected a file and a folder that you may read, check their owner",
+    "locked": _NOT_WRITTEN["locked"],
+    "readonly": _NOT_WRITTEN["readonly"],
+}
+
+
+class DamagedError(FileFormatError):
+    """The file is no map any more, or none yet; the last good copy takes its place."""
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Whatever SQLite or the checks of values find wrong becomes one line.
+
+    Raises:
+        FileFormatError: it cannot be read now; DamagedError where it never will.
+    """
+    try:
+        yield
+    except (sqlite3.Error, OverflowError, UnicodeError) as e:  # the last of a message that quotes what is damaged
+        for word, remedy in _NOT_READ.items():
+            if isinstance(e, sqlite3.OperationalError) and word in str(e):
+                raise FileFormatError(f"{path}: cannot be read: {e}; {remedy}") from e
+        raise damaged(path, f"damaged: {one_line(e)}") from e
+    except Damage as e:
+        raise damaged(path, f"damaged: {e}") from e
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """As reading(), of a transaction that came to nothing."""
+    try:
+        yield
+    except sqlite3.OperationalError as e:
+        for word, remedy in (_NOT_READ | _NOT_WRITTEN).items():
+            if word in str(e):
+                raise FileFormatError(f"{path}: cannot be written: {e}; nothing was changed, {remedy}") from e
+        raise damaged(path, f"damaged: {one_line(e)}") from e
+    except (sqlite3.Error, UnicodeError) as e:
+        raise damaged(path, f"damaged: {one_line(e)}") from e
+    except (Damage, OverflowError) as e:
+        raise FileFormatError(f"{path}: not written, it holds what it held: {e}") from e
+
+
+def damaged(path: Path, what: str) -> DamagedError:
+    return DamagedError(f"{path}: {what}; restore a backup, or begin with an earlier map or a new one")
+
+
+def look_at(path: Path) -> None:
+    """See what lies under the name before SQLite does, which waits for a pipe and writes into an empty file.
+
+    Raises:
+        FileFormatError: DamagedError where it is no database.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise damaged(path, "a folder, a pipe or a device, expected a file")
+        with path.open("rb") as f:
+            head = f.read(len(MAGIC))
+    except FileNotFoundError as e:
+        what = f"a link to {path.readlink()}, which is not there" if path.is_symlink() else "no such file"
+        raise damaged(path, f"{what}, expected a database of maps") from e
+    except (OSError, ValueError) as e:
+        why = (e.strerror or str(e)) if isinstance(e, OSError) else str(e)
+        raise FileFormatError(f"{path}: cannot be read: {why}; check its name and its owner") from e
+    if head != MAGIC:
+        raise damaged(path, f"begins with {head!r}, expected a database of maps (SQLite)")
