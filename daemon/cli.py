@@ -17,13 +17,14 @@ from ceilvo import __version__
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
-from ceilvo.config.arguments import from_up
+from ceilvo.config.arguments import command, from_up
 from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
 from ceilvo.daemon.app.watch import watch_robots
 from ceilvo.daemon.doctor.examination import examine
+from ceilvo.daemon.editing import command as map_command
 from ceilvo.daemon.replay.command import replay_recording
 from ceilvo.daemon.replay.replay import Outputs
 from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run
@@ -32,7 +33,7 @@ from ceilvo.errors import CeilvoError, FileFormatError
 log = logging.getLogger("ceilvo")
 
 if TYPE_CHECKING:
-    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
+    from ceilvo.config.arguments import Commands
 
 DEFAULT_CONFIG = Path("/etc/ceilvo/config.yaml")
 DEFAULT_SUMMARY = Path("build/run-summary.json")
@@ -90,14 +91,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_watch(commands)
     _add_check(commands)
     _add_doctor(commands)
+    map_command.add(commands)
     _add_experiment(commands)
     return parser
-
-
-def _command(commands: Commands, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    return commands.add_parser(
-        name, help=text, description=text[0].upper() + text[1:] + ".", epilog=f"example: {example}"
-    )
 
 
 def _config_options(parser: argparse.ArgumentParser) -> None:
@@ -108,13 +104,13 @@ def _config_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_run(commands: Commands) -> None:
-    p = _command(commands, "run", "run the daemon", "ceilvod run --config config.yaml")
+    p = command(commands, "run", "run the daemon", "ceilvod run --config config.yaml")
     _run_options(p)
     p.set_defaults(do=_run, record=None)
 
 
 def _add_record(commands: Commands) -> None:
-    p = _command(
+    p = command(
         commands,
         "record",
         "run the daemon and record all it sees and says, without loss",
@@ -138,7 +134,7 @@ def _run_options(p: argparse.ArgumentParser) -> None:
 
 
 def _add_replay(commands: Commands) -> None:
-    p = _command(
+    p = command(
         commands,
         "replay",
         "run a recording through the pipeline, as fast as it goes",
@@ -164,7 +160,7 @@ def _add_replay(commands: Commands) -> None:
 
 
 def _add_watch(commands: Commands) -> None:
-    p = _command(commands, "watch", "print what a Zenoh subscriber gets", "ceilvod watch --robot robot1")
+    p = command(commands, "watch", "print what a Zenoh subscriber gets", "ceilvod watch --robot robot1")
     _config_options(p)
     p.add_argument("--robot", default="*", metavar="NAME", help="one robot (default: every one)")
     p.add_argument("--json", action="store_true", help="every message as it came, one line each")
@@ -173,7 +169,7 @@ def _add_watch(commands: Commands) -> None:
 
 
 def _add_check(commands: Commands) -> None:
-    p = _command(
+    p = command(
         commands,
         "check-config",
         "check a configuration without starting",
@@ -187,7 +183,7 @@ def _add_check(commands: Commands) -> None:
 
 
 def _add_doctor(commands: Commands) -> None:
-    p = _command(
+    p = command(
         commands,
         "doctor",
         "look at camera, base, bus, clock, disk and service, and say what to do",

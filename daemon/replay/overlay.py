@@ -78,7 +78,7 @@ def draw_overlay(
         (scale H, scale W, 3) BGR.
     """
     image = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR) * _DIMMED, np.uint8)
-    canvas = _Canvas(np.repeat(np.repeat(image, scale, axis=0), scale, axis=1), scale)
+    canvas = Canvas(np.repeat(np.repeat(image, scale, axis=0), scale, axis=1), scale)
     if lines is not None:
         for k in range(len(lines.axis)):
             thickness = 2 if lines.kind[k] == LineKind.GROOVE else 1
@@ -146,7 +146,7 @@ def _principal_point(level_view: LevelView) -> Array:
     return np.array([level_view.camera.cx_px, level_view.camera.cy_px])
 
 
-class _Canvas:
+class Canvas:
     """Anti-aliased drawing with sub-pixel coordinates on an enlarged picture; nan and far-away points are left out."""
 
     def __init__(self, image: Image, scale: int = 1) -> None:
@@ -204,7 +204,7 @@ class _Canvas:
         cv2.putText(self.image, text, (x * n, y * n), font, size, colour, n, cv2.LINE_AA)
 
 
-def _draw_crossing(canvas: _Canvas, uv: Array, kind: int) -> None:
+def _draw_crossing(canvas: Canvas, uv: Array, kind: int) -> None:
     """Disc: groove with groove. Triangle: groove with edge. Square: two edges, as a lamp's corner. Purple: a point."""
     edges = int(kind // 3 != 1) + int(kind % 3 != 1) if kind < LINE_CROSSINGS else 0
     colour = (GREEN, YELLOW, VERMILION)[edges] if kind < LINE_CROSSINGS else PURPLE
@@ -215,13 +215,13 @@ def _draw_crossing(canvas: _Canvas, uv: Array, kind: int) -> None:
         canvas.polygon(uv + _POLYGON_PX * np.column_stack([np.cos(angle), np.sin(angle)]), colour)
 
 
-def _draw_motion(canvas: _Canvas, before: Array, here: Array) -> None:
+def _draw_motion(canvas: Canvas, before: Array, here: Array) -> None:
     for tail, tip in zip(before, here, strict=True):
         if np.all(np.isfinite(tail)) and np.all(np.isfinite(tip)):
             canvas.arrow(tail, tip, PURPLE)
 
 
-def _draw_direction(canvas: _Canvas, lines: Lines, level_view: LevelView) -> None:
+def _draw_direction(canvas: Canvas, lines: Lines, level_view: LevelView) -> None:
     """Two arrows along the dominant directions, from the point straight above the camera, with their angle."""
     centre = _principal_point(level_view)
     for axis in (0, 1):
@@ -255,7 +255,7 @@ def draw_particles_panel(
     Returns:
         (size_px, size_px, 3) BGR.
     """
-    canvas = _Canvas(np.full((size_px, size_px, 3), DARK, np.uint8))
+    canvas = Canvas(np.full((size_px, size_px, 3), DARK, np.uint8))
     view = PanelView(bounds_m or _bounds(pose, poses, landmarks_xy_m, path_xy_m), size_px)
     _draw_grid(canvas, view)
     if path_xy_m is not None and len(path_xy_m) > 1:
@@ -295,7 +295,7 @@ def _bounds(pose: Array, poses: Array, landmarks: Array, path: Array | None) -> 
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _draw_grid(canvas: _Canvas, view: PanelView) -> None:
+def _draw_grid(canvas: Canvas, view: PanelView) -> None:
     """A line a metre (fewer in large rooms), and what it stands for."""
     step_m = float(10 ** np.ceil(np.log10(max(view.span_m / _MOST_GRID_LINES, _FINEST_GRID_M))))
     half = 0.5 * view.span_m
@@ -308,7 +308,7 @@ def _draw_grid(canvas: _Canvas, view: PanelView) -> None:
     canvas.text(6, canvas.image.shape[0] - 8, f"grid {step_m:g} m", GREY)
 
 
-def _draw_particles(canvas: _Canvas, view: PanelView, poses: Array, weights: Array | None) -> None:
+def _draw_particles(canvas: Canvas, view: PanelView, poses: Array, weights: Array | None) -> None:
     strength = np.ones(len(poses)) if weights is None else np.nan_to_num(weights)
     strength = strength / max(float(np.max(strength, initial=0.0)), 1e-300)
     uv = view.pixels(poses[:, :2])
@@ -320,7 +320,7 @@ def _draw_particles(canvas: _Canvas, view: PanelView, poses: Array, weights: Arr
         canvas.disc(uv[k], _PARTICLE_PX, (b, g, r))
 
 
-def _draw_robot(canvas: _Canvas, view: PanelView, pose: Array) -> None:
+def _draw_robot(canvas: Canvas, view: PanelView, pose: Array) -> None:
     if not np.all(np.isfinite(pose)):
         return
     centre = view.pixels(pose[None, :2])[0]
@@ -343,7 +343,7 @@ def side_by_side(left: Image, right: Image, captions: Mapping[str, str] | None =
     width = round(right.shape[1] * height / right.shape[0])
     resized = cv2.resize(right, (width, height), interpolation=cv2.INTER_AREA) if height != right.shape[0] else right
     image = np.asarray(np.hstack([left, resized]), np.uint8)
-    canvas = _Canvas(image)
+    canvas = Canvas(image)
     for name, x in (("left", 6), ("right", left.shape[1] + 6)):
         if captions and name in captions:
             canvas.text(x, height - 8 if name == "left" else 16, captions[name])

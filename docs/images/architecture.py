@@ -20,6 +20,7 @@ import house  # noqa: E402
 PURE, IMPURE, SHARED, OUTSIDE, LINE = "#d8ecd8", "#fbe3c8", "#dce6f5", "#ececec", "#444444"
 SAID = {
     "cli": "ceilvod and its words",
+    "editing": "ceilvod map: looking at maps, editing, undoing",
     "doctor": "what is wrong with this installation?",
     "app": "process, estimator thread, outputs, requests, screen",
     "replay": "inputs, snapshot, recording, replay, trajectory, overlay",
@@ -61,7 +62,7 @@ CAPTION = (
     "Italic: what the stage remembers (filter: the default one)."
 )
 TOWERS = (
-    (7.95, 1.5, "app", IMPURE, "daemon/map", "map and last\npose on disk\n\nimported by\napp, doctor"),
+    (7.95, 1.5, "app", IMPURE, "daemon/map", "map and last\npose on disk\n\nimported by\napp, doctor,\nediting"),
     (
         9.55,
         1.55,

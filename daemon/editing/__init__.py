@@ -1,0 +1,1 @@
+"""The commands `ceilvod map`: looking at maps and editing them."""
