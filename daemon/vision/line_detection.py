@@ -29,8 +29,6 @@ _FINE_BIN_PX = 1.0
 """Hough bin once direction and tilt are known; chosen: half the first one, peaks are sharper then."""
 _FINE_GATE_PX = 2.0
 """Gate of the round that follows; chosen: between the coarse gates and the last one, 0.8 to 2."""
-_VAGUE_RAD = np.radians(0.1)
-"""A tilt known worse than this, of a robot of which nothing is known yet, is not used; chosen: a lamp's is worse."""
 _STEADY_RAD = np.radians(0.1)
 """A robot whose prior is narrower than this does not rock; chosen: frames with many lines know the tilt better."""
 _DIRECTION_REACH_DEG = 4.0
@@ -164,7 +162,7 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
     expected = _LEVEL_RAD if prior is None else prior.mean_rad
     if not problem.config.estimate_tilt:
         return fit, free
-    vague = _is_vague(fit, free, prior)
+    vague = fit.is_vague(free, prior)
     if not vague and not fit.is_doubtful(expected, prior):
         return fit, free
     level = problem.start(expected, tilt=False)
@@ -190,11 +188,6 @@ def _best(problem: _Problem, found: list[_Found], other_rad: Array) -> _Found:
 
     best = min((*found, problem.solve(other_rad)), key=cost)
     return min(best, problem.solve(best[0].tilt), key=cost)
-
-
-def _is_vague(fit: JointFit, free: TiltPrior, prior: TiltPrior | None) -> bool:
-    """Whether hardly anything is known of the tilt, neither from this frame nor from others."""
-    return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not fit.tilts_for_sure()
 
 
 def _reach(x: Array32, y: Array32) -> float:

@@ -35,6 +35,8 @@ _HELD_RAD = np.radians(0.02)
 """Standard deviation reported for it; chosen: below what a frame with few lines could tell, above 0."""
 _TILT_CHI2 = 9.21
 """Frame and prior, or frame and a level robot, disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
+_VAGUE_RAD = np.radians(0.1)
+"""A tilt known worse than this, of a robot of which nothing is known yet, is not used; chosen: a lamp's is worse."""
 _SPREAD_STRIDE = 3
 """Every third point tells the spread; chosen: saves time, hundreds remain."""
 _DOUBT_RAD = np.radians(0.3)
@@ -154,6 +156,10 @@ class JointFit:
         off = np.abs(self.tilt - expected_rad)
         spread = _DOUBT_RAD if prior is None else np.maximum(_DOUBT_SIGMAS * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
+
+    def is_vague(self, free: TiltPrior, prior: TiltPrior | None) -> bool:
+        """Whether hardly anything is known of the tilt, neither from this frame, as finish() gave it, nor from others."""
+        return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not self.tilts_for_sure()
 
     def tilts_for_sure(self) -> bool:
         """Whether a level robot is hardly possible, however little is known of the tilt."""

@@ -79,7 +79,11 @@ def find_faint(
         seen = _seen(turned, picture.focal_px, config, _REACH_PX[min(k, 1)])
         if len(seen.line_axis) < 2:
             return None
-        fit, free = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
+        fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
+        free = fit.finish()
+        if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
+            fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
+            fit.finish_held()
         if prior is not None and config.estimate_tilt:
             fit.apply_prior(prior)
         off = abs(fit.psi - psi_rad) + float(np.max(np.abs(fit.tilt - tilt_rad)))
@@ -147,8 +151,8 @@ def _runs(maybe: NDArray[np.bool_], sure: NDArray[np.bool_]) -> NDArray[np.bool_
 
 def _fitted(
     seen: _Seen, turned: Aligned, focal_px: float, config: Features, gate_px: float, tilt: bool
-) -> tuple[JointFit, TiltPrior]:
-    """The joint least squares of lines.JointFit on stretches in place of edge points."""
+) -> JointFit:
+    """The joint least squares of lines.JointFit on stretches in place of edge points; its last round is to come."""
     axis = seen.line_axis[seen.line]
     order = np.argsort(axis, kind="stable")
     line, axis = seen.line[order], axis[order]
@@ -169,7 +173,7 @@ def _fitted(
     for _ in range(2):
         fit.assign(gate_px)
         fit.solve(tilt)
-    return fit, fit.finish()
+    return fit
 
 
 def _lines(fit: JointFit, seen: _Seen, free: TiltPrior) -> Lines | None:

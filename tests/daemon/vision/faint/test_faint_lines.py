@@ -33,14 +33,20 @@ def level_px(calibration: Calibration) -> Array:
     return np.asarray(np.nan_to_num(at, nan=1e6).reshape(grid.shape))
 
 
-def drawn(calibration: Calibration, psi: float, depth: float, width_px: float = 0.8) -> Array:
-    """A ceiling without noise: tiles with grooves so many grey levels deep; a bright bar where depth is below 0."""
+def drawn(
+    calibration: Calibration, psi: float, depth: float, width_px: float = 0.8, askew_rad: float = 0.0
+) -> Array:
+    """A ceiling without noise: tiles with grooves so many grey levels deep; a bright bar where depth is below 0.
+
+    Args:
+        askew_rad: by which every second groove is turned, and the others the other way.
+    """
     at = level_px(calibration)
     gray = np.full(at.shape[:2], TILE)
     for axis, offsets in OFFSETS.items():
-        angle = psi + axis * np.pi / 2
-        across = np.cos(angle) * at[..., 0] + np.sin(angle) * at[..., 1]
-        for offset in offsets:
+        for k, offset in enumerate(offsets):
+            angle = psi + axis * np.pi / 2 + (-1) ** k * askew_rad
+            across = np.cos(angle) * at[..., 0] + np.sin(angle) * at[..., 1]
             gray -= depth * np.exp(-0.5 * ((across - offset) / width_px) ** 2)
     return gray
 
@@ -99,6 +105,21 @@ def test_grooves_and_bars_of_three_grey_levels_are_where_they_were_drawn(psi_deg
         print(axis, found)
         assert len(found) == len(offsets)
         assert np.abs(found - offsets).max() < 2.0
+
+
+def test_seams_that_are_not_parallel_tell_no_tilt() -> None:
+    """As between quilts and beams of a hall: any tilt fits them, so a robot of which nothing is known is level."""
+    calibration = camera()
+    rng = np.random.default_rng(SEED)
+    for _ in range(4):
+        plain = drawn(calibration, 0.1, 4.0, askew_rad=np.radians(1.0))
+        lines = search(calibration, photographed(plain, rng), 0.1)
+        assert lines is not None
+        print(f"seed {SEED}: {len(lines.axis)} lines, tilt {np.degrees(lines.tilt_rad)} deg", end=" ")
+        print(f"+- {np.degrees(lines.tilt_sigma_rad)}, free +- {np.degrees(lines.free_tilt_sigma_rad)}")
+        assert np.degrees(lines.free_tilt_sigma_rad).max() > 0.1, "the picture is one that tells no tilt"
+        assert np.abs(np.degrees(lines.tilt_rad)).max() < 1e-3
+        assert np.degrees(lines.tilt_sigma_rad).max() < 0.1
 
 
 def test_what_varies_between_pictures_is_within_what_lines_claim() -> None:
