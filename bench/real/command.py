@@ -4,7 +4,8 @@ python -m ceilvo.bench.real DATA_DIR
 
 DATA_DIR holds `ceiling_lamps` (100 frames of an upward fisheye camera on a car, lamps only, with another tracker's
 output; github.com/a1k0n/cycloid) and `ceiling_still` (a photo of a tiled ceiling with its lens calibration;
-github.com/UbiquityRobotics/fiducials). What is absent is left out, and a line says so.
+github.com/UbiquityRobotics/fiducials), with `industrial` one of the pictures whose lines are marked in marked/. What is
+absent is left out, and a line says so.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.bench.real.lamp_grid import Judged, judge, seen
+from ceilvo.bench.real.marked import standing
+from ceilvo.bench.real.marked.photographs import photographs
 from ceilvo.bench.vision.run import save_picture
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import write_calibration
@@ -59,10 +62,13 @@ LAMP_BARS = {"distance_median_m": 0.15, "distance_max_m": 0.4, "heading_max_deg"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     p = argparse.ArgumentParser(prog="python -m ceilvo.bench.real", description="Recordings of real ceilings.")
-    p.add_argument("data", type=Path, metavar="DATA_DIR", help="folder that holds ceiling_lamps and ceiling_still")
+    p.add_argument("data", type=Path, metavar="DATA_DIR", help="folder that holds the recordings")
     p.add_argument("--out", type=Path, default=Path("build/real"), metavar="DIR", help="(default %(default)s)")
     p.add_argument("--json", type=Path, default=Path("build/bench/real.json"), metavar="FILE")
+    p.add_argument("--stand", type=int, default=standing.FRAMES, metavar="N", help="frames under each (%(default)s)")
     args = p.parse_args(arguments)
+    if args.stand < 1:
+        p.error(f"--stand: found {args.stand}, expected 1 or more")
     parts: dict[str, Callable[[Path, Path], dict[str, float]]] = {"ceiling_lamps": lamps, "ceiling_still": still}
     figures: dict[str, dict[str, float]] = {}
     try:
@@ -72,6 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(f"{name}: left out, {folder} is absent")
                 continue
             figures[name] = part(folder, args.out)
+        figures |= {f"marked {k}": v for k, v in photographs(args.data, args.out, args.stand).items()}
         args.json.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(args.json, json.dumps(figures, indent=1) + "\n")
     except CeilvoError as e:

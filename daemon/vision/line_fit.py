@@ -158,7 +158,7 @@ class JointFit:
         return bool(np.any(off > spread))
 
     def is_vague(self, free: TiltPrior, prior: TiltPrior | None) -> bool:
-        """Whether hardly anything is known of the tilt, neither from this frame, as finish() gave it, nor from others."""
+        """Whether hardly anything is known of the tilt, from this frame, as finish() gave it, or from others."""
         return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not self.tilts_for_sure()
 
     def tilts_for_sure(self) -> bool:

@@ -11,6 +11,8 @@ import pytest
 
 from ceilvo import se2
 from ceilvo.bench.real import command as real
+from ceilvo.bench.real.marked.reading import HERE, read
+from ceilvo.bench.real.marked.standing import SEED, stand
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.camera.selection import source_camera
 from ceilvo.types import Frame
@@ -80,11 +82,26 @@ def test_photo_of_a_tiled_ceiling_shows_the_tiles_direction(tmp_path: Path) -> N
 
 def test_whole_bench_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _folder("ceiling_lamps"), _folder("ceiling_still")
-    assert real.main([str(DATA), "--out", str(tmp_path), "--json", str(tmp_path / "real.json")]) == 0
+    where = ["--out", str(tmp_path), "--json", str(tmp_path / "real.json")]
+    assert real.main([str(DATA), *where, "--stand", "1"]) == 0
     assert "MISS" not in capsys.readouterr().out
     work = tmp_path / "ceiling_lamps"
     for name in ("calibration.yaml", "config.yaml", "reference.tum", "estimated.tum", "trajectories.png"):
         assert (work / name).stat().st_size > 0, name
+
+
+@pytest.mark.parametrize(
+    "name", ["ceiling_still", "industrial_430", "industrial_470", "industrial_560", "industrial_807"]
+)
+def test_robot_that_stands_under_a_photograph_knows_its_place(name: str) -> None:
+    marked = read(HERE / f"{name}.yaml")
+    _folder(marked.picture.parts[0])
+    gray = marked.gray(DATA)
+    assert gray is not None
+    stood = stand(gray, marked.calibration, frames=16)
+    print(f"seed {SEED}: {stood}")
+    assert stood.good >= 10
+    assert stood.spread_m < 0.02
 
 
 def test_absent_data_is_left_out_with_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,7 +23,7 @@ LEAST_VOTES = 5.0
 _SEEN_SIGMAS, _MAYBE_SIGMAS = 2.5, 1.2
 """Answer of a stretch in which a line is seen, in standard deviations, and of those beside it; chosen as Canny does: a
 line goes on through what alone would say nothing."""
-_LENGTHS, _PART = 4.0, 0.3
+_LENGTHS, _PART = 4.0, 0.45
 """A line is seen along so many times the length that edges need, and along this part of where it could be seen; chosen:
 what lamps and vents leave of themselves around them is shorter, joints are longer."""
 _TOGETHER = 3
@@ -149,9 +149,7 @@ def _runs(maybe: NDArray[np.bool_], sure: NDArray[np.bool_]) -> NDArray[np.bool_
     return np.asarray(maybe & found[run])
 
 
-def _fitted(
-    seen: _Seen, turned: Aligned, focal_px: float, config: Features, gate_px: float, tilt: bool
-) -> JointFit:
+def _fitted(seen: _Seen, turned: Aligned, focal_px: float, config: Features, gate_px: float, tilt: bool) -> JointFit:
     """The joint least squares of lines.JointFit on stretches in place of edge points; its last round is to come."""
     axis = seen.line_axis[seen.line]
     order = np.argsort(axis, kind="stable")

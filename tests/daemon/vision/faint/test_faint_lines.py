@@ -33,9 +33,7 @@ def level_px(calibration: Calibration) -> Array:
     return np.asarray(np.nan_to_num(at, nan=1e6).reshape(grid.shape))
 
 
-def drawn(
-    calibration: Calibration, psi: float, depth: float, width_px: float = 0.8, askew_rad: float = 0.0
-) -> Array:
+def drawn(calibration: Calibration, psi: float, depth: float, width_px: float = 0.8, askew_rad: float = 0.0) -> Array:
     """A ceiling without noise: tiles with grooves so many grey levels deep; a bright bar where depth is below 0.
 
     Args:
