@@ -23,6 +23,12 @@ from ceilvo.types import Array, Lines
 
 _NOISE_GROWTH = 1.01
 """Per frame, of the least noise seen: forgotten within some 100 frames; chosen: light and blur change."""
+_TURNED_RAD = np.radians(0.3)
+"""A direction this far from where the last frame's should be may be another optimum; chosen: motions are predicted
+better, and seams of a hall that are not quite parallel have optima 0.7 deg apart."""
+_CLEARLY = 0.5
+"""Ratio of the errors of two directions, from which it is plain which one is right; chosen: noise alone, from frame to
+frame, makes that of two optima of the same lines 0.7 to 1.4."""
 
 
 @dataclass(slots=True)
@@ -31,7 +37,8 @@ class LineFinderState:
 
     Attributes:
         tilt: of the robot, over many frames.
-        edges: of the last frame, None when it showed no lines.
+        edges: of the last frame, None when it showed no lines, or faint ones too.
+        psi_rad: direction of the last frame's lines, in [-pi/4, pi/4); None when it showed none.
         tilt_rad: (2,) of the last frame that showed lines.
         best_noise_px: standard deviation of edge points about their lines in the cleanest of the latest frames.
         detection_noise_px: the same in the last frame that was searched whole.
@@ -49,6 +56,7 @@ class LineFinderState:
     detections: int = 0
     tracked: int = 0
     faint: FaintState = field(default_factory=FaintState)
+    psi_rad: float | None = None
 
 
 class LineFinder:
@@ -93,9 +101,11 @@ class LineFinder:
             s.tracked += 1
             lines, s.edges = found
         else:
-            carried = None if s.edges is None or prev_from_curr is None else s.edges.psi_rad - float(prev_from_curr[2])
+            last_rad = s.psi_rad if s.edges is None else s.edges.psi_rad
+            carried = None if last_rad is None or prev_from_curr is None else last_rad - float(prev_from_curr[2])
             lines = self._searched(gray, prior, readout, on_stage_done, carried)
         on_stage_done("lines")
+        s.psi_rad = None if lines is None else lines.psi_rad
         if lines is None:
             return None
         s.tilt_rad = lines.tilt_rad
@@ -139,11 +149,11 @@ class LineFinder:
             return lines
 
         lines = along(None)
-        if carried_rad is not None and (lines is None or lines.psi_sigma_rad > VAGUE_RAD):
-            vague, edges_of_it = lines, s.edges
+        if carried_rad is not None and (lines is None or _is_doubtful(lines, carried_rad)):
+            free, edges_of_it = lines, s.edges
             lines = along(carried_rad)
-            if lines is None or (vague is not None and vague.psi_sigma_rad < lines.psi_sigma_rad):
-                lines, s.edges = vague, edges_of_it
+            if lines is None or (free is not None and _stays(free, lines)):
+                lines, s.edges = free, edges_of_it
         if self._faint is None or readout is not None:
             return lines
         return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior)
@@ -160,3 +170,21 @@ class LineFinder:
         # what a full look could not fit better, a close one need not
         last = LastFit(s.tilt_rad, max(s.best_noise_px, s.detection_noise_px))
         return self._tracker(gray, expected, last, prior, readout)
+
+
+def _is_doubtful(lines: Lines, carried_rad: float) -> bool:
+    """Whether lines along the last frame's direction may be the better ones: these tell theirs badly, or another."""
+    return lines.psi_sigma_rad > VAGUE_RAD or _apart(lines.psi_rad, carried_rad) > _TURNED_RAD
+
+
+def _stays(free: Lines, carried: Lines) -> bool:
+    """Whether lines that were found freely are kept over those found along the last frame's direction."""
+    if free.psi_sigma_rad > VAGUE_RAD:
+        return free.psi_sigma_rad < carried.psi_sigma_rad
+    same = _apart(free.psi_rad, carried.psi_rad) < _TURNED_RAD
+    return same or free.psi_sigma_rad < _CLEARLY * carried.psi_sigma_rad
+
+
+def _apart(psi_rad: float, other_rad: float) -> float:
+    """Angle between two directions, modulo a quarter turn."""
+    return float(abs((psi_rad - other_rad + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi))

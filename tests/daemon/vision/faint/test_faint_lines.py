@@ -9,6 +9,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision.faint.direction import common_direction
 from ceilvo.daemon.vision.faint.level_picture import LevelPicture
 from ceilvo.daemon.vision.faint.line_search import find_faint
+from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.types import Array, LineKind, Lines
 
@@ -17,7 +18,7 @@ TILE, NOISE = 120.0, 2.0
 """Grey levels."""
 OFFSETS = {0: (-160.0, -48.0, 64.0, 176.0), 1: (-120.0, -8.0, 104.0)}
 """px of the level view along the normals of either axis."""
-LEVEL = np.zeros(2)
+LEVEL, STILL = np.zeros(2), np.zeros(3)
 Gray = NDArray[np.uint8]
 
 
@@ -118,6 +119,35 @@ def test_seams_that_are_not_parallel_tell_no_tilt() -> None:
         assert np.degrees(lines.free_tilt_sigma_rad).max() > 0.1, "the picture is one that tells no tilt"
         assert np.abs(np.degrees(lines.tilt_rad)).max() < 1e-3
         assert np.degrees(lines.tilt_sigma_rad).max() < 0.1
+
+
+def looks(calibration: Calibration, plain: Array, count: int) -> Array:
+    """(count,) directions, deg, that a robot sees that stands and knows it."""
+    finder, rng = LineFinder(calibration, Features()), np.random.default_rng(SEED)
+    found = [finder(photographed(plain, rng), STILL if k else None) for k in range(count)]
+    return np.array([np.nan if lines is None else np.degrees(lines.psi_rad) for lines in found])
+
+
+@pytest.mark.parametrize(("depth", "askew_deg"), [(12.0, 0.4), (14.0, 0.6), (10.0, 0.5)])
+def test_the_direction_of_seams_that_are_not_parallel_does_not_jump(depth: float, askew_deg: float) -> None:
+    """Two directions fit such seams as well, and noise alone had chosen between them from frame to frame."""
+    calibration = camera()
+    psi = looks(calibration, drawn(calibration, 0.1, depth, askew_rad=np.radians(askew_deg)), 16)
+    print(f"seed {SEED}: {psi}")
+    assert np.abs(psi - psi[0]).max() < 0.3
+
+
+@pytest.mark.parametrize("turn_deg", [0.5, 3.0, 20.0])
+def test_a_turn_that_nobody_told_is_seen(turn_deg: float) -> None:
+    """The direction of the last frame is no more than a hint."""
+    calibration, psi = camera(), 0.1
+    finder, rng = LineFinder(calibration, Features()), np.random.default_rng(SEED)
+    for k in range(4):
+        finder(photographed(drawn(calibration, psi, 12.0), rng), STILL if k else None)
+    turned = psi + np.radians(turn_deg)
+    lines = finder(photographed(drawn(calibration, turned, 12.0), rng), STILL)
+    assert lines is not None
+    assert abs(lines.psi_rad - turned) < np.radians(0.1)
 
 
 def test_what_varies_between_pictures_is_within_what_lines_claim() -> None:
