@@ -23,7 +23,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.bench.real.lamp_grid import Judged, judge, seen
 from ceilvo.bench.real.marked import standing
-from ceilvo.bench.real.marked.photographs import photographs
+from ceilvo.bench.real.marked.photographs import photographs, word
 from ceilvo.bench.vision.run import save_picture
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import write_calibration
@@ -219,15 +219,11 @@ def _lamps_table(figures: dict[str, float]) -> str:
     rows = [f"{'ceiling_lamps against the other tracker':44}{'figure':>10}{'bar':>10}"]
     all_ok = figures["frames_ok"] >= figures["frames"]
     rows.append(
-        f"{'frames with a good motion':44}{figures['frames_ok']:10.0f}{figures['frames']:10.0f}  {_word(all_ok)}"
+        f"{'frames with a good motion':44}{figures['frames_ok']:10.0f}{figures['frames']:10.0f}  {word(all_ok)}"
     )
     for name, bar in LAMP_BARS.items():
-        rows.append(f"{name:44}{figures[name]:10.4f}{bar:10.3f}  {_word(figures[name] <= bar)}")
+        rows.append(f"{name:44}{figures[name]:10.4f}{bar:10.3f}  {word(figures[name] <= bar)}")
     return "\n".join(rows)
-
-
-def _word(met: bool) -> str:
-    return "PASS" if met else "MISS"
 
 
 def plot(est: Trajectory, ref: Trajectory, error: TrajectoryError, file: Path) -> None:

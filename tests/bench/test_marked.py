@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -123,6 +124,19 @@ def test_only_joints_that_stand_out_are_asked_for() -> None:
     assert np.isnan(judged(lines, marked(JOINTS, contrast=2.0)).recall_joints)
     assert np.isnan(judged(lines, marked(JOINTS, kinds="pipe")).recall_joints)
     assert judged(lines, marked(JOINTS, kinds="pipe")).recall_all == pytest.approx(0.25, abs=0.02)
+
+
+def test_joints_far_off_the_vertical_are_told_apart() -> None:
+    """The corner of the picture is 44 deg off the vertical, of a wider camera 53."""
+    near, far = (300.0, 200.0, 300.0, 280.0), (5.0, 2.0, 5.0, 20.0)
+    j = judge(found([(300.0, 200.0, 280.0)]), marked([near, far]), VIEW_DEG)
+    assert j.recall_joints == pytest.approx(80.0 / 98.0, abs=0.02)
+    assert np.isnan(j.recall_far)
+    wide = CameraModel("pinhole", 640, 480, 300.0, 300.0, 319.5, 239.5)
+    one = marked([near, far])
+    projection = projection_matrix(wide, mount_rotation(0.0), (0.0, 0.0), 2.5)
+    seen = replace(one, calibration=replace(CALIBRATION, camera=wide, projection=projection))
+    assert judge(found([(300.0, 200.0, 280.0)]), seen, VIEW_DEG).recall_far == 0.0
 
 
 def test_the_middle_of_a_bar_is_a_groove_between_its_two_edges() -> None:

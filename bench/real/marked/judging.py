@@ -23,6 +23,8 @@ ALONG_PX = 3.0
 BAR_PX = 10.0
 """Between the two marked edges of a bar, such as a batten, whose middle is a groove to the finder; chosen: what
 features.groove_deg pairs, 8.5 px of these cameras, and the error of two marks."""
+IN_VIEW_DEG = 50.0
+"""Off the vertical, what counts as in view, as in bench-vision; these cameras lean by up to 54 deg."""
 TRUE_SHARE = 0.5
 """Of a found line's length, which must lie on marks; chosen: the greater part."""
 CONTRAST_LEVELS = 3.0
@@ -44,7 +46,8 @@ class Judged:
     """One picture's lines.
 
     Attributes:
-        recall_joints: share of the length of joints of CONTRAST_LEVELS and more that was found.
+        recall_joints: share of the length of joints of CONTRAST_LEVELS and more that was found, within IN_VIEW_DEG.
+        recall_far: of those beyond; nan where there are none.
         recall_all: of all that is marked.
         true, spurious, apart: (L,) of the found lines: on marks; on none; mostly outside the ceiling, or where a
             pattern of its own hangs.
@@ -53,6 +56,7 @@ class Judged:
     """
 
     recall_joints: float
+    recall_far: float
     recall_all: float
     true: NDArray[np.bool_]
     spurious: NDArray[np.bool_]
@@ -97,8 +101,10 @@ def judge(lines: Lines, marked: Marked, max_view_deg: float) -> Judged:
     found = np.array([_share(m, c) for m, c in _split(marks, covered[:asked])])
     length = np.array([float(np.sum(m.length_px)) for m in marks])
     joints = np.array([k == JOINT for k in marked.kind]) & (marked.contrast >= CONTRAST_LEVELS)
+    near = _in_view(marked)
     return Judged(
-        recall_joints=_mean(found, length * joints),
+        recall_joints=_mean(found, length * (joints & near)),
+        recall_far=_mean(found, length * (joints & ~near)),
         recall_all=_mean(found, length),
         true=good & ~apart,
         spurious=~good & ~apart,
@@ -199,6 +205,13 @@ def _beside(found: Piece, marks: Piece) -> NDArray[np.int64]:
     off_marks = (marks.at - found.at[0]) @ normal
     reach = OFFSET_PX + ALONG_PX
     return np.flatnonzero((off_marks >= off.min() - reach) & (off_marks <= off.max() + reach))
+
+
+def _in_view(marked: Marked) -> NDArray[np.bool_]:
+    """(L,) whether the middle of a mark is within IN_VIEW_DEG of the vertical."""
+    view = marked.calibration.level_view
+    off = view.from_raw(marked.ends.mean(axis=1)) - [view.camera.cx_px, view.camera.cy_px]
+    return np.asarray(np.hypot(*off.T) <= view.focal_px * np.tan(np.radians(IN_VIEW_DEG)), bool)
 
 
 def _within(at: Array, marked: Marked) -> NDArray[np.bool_]:

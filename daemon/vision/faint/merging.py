@@ -16,6 +16,11 @@ _SAME_DEG = 0.35
 """A faint line and one of edge points this near are one, 2.5 px at a focal length of 410 px; chosen: half a groove's
 sides, for of some only one was found."""
 
+_BESIDE_DEG = 0.9
+"""A faint line this near to one of edge points, along most of it, is what the filter for ridges answers beside an edge:
+8 px at a focal length of 500 px, its reach; chosen."""
+_MOSTLY = 0.5
+
 
 def merged(edge_lines: Lines, faint: Lines, focal_px: float) -> Lines:
     """Both, each line once.
@@ -36,10 +41,12 @@ def merged(edge_lines: Lines, faint: Lines, focal_px: float) -> Lines:
     offset, sigma, kind = (v.copy() for v in (edge_lines.offset_px, edge_lines.sigma_px, edge_lines.kind))
     for of_line, of_faint in ((offset, faint.offset_px), (sigma, faint.sigma_px), (kind, faint.kind)):
         of_line[partner[mine]] = of_faint[mine]
-    new = ~same
+    beside_px = pixels(_BESIDE_DEG, focal_px)
+    new = ~same & ((off >= beside_px) | (_along_with(faint, edge_lines, partner, beside_px) < _MOSTLY))
     count = len(edge_lines.axis)
+    used = (same | new)[faint.point_line]
     target = np.where(same, partner, count + np.cumsum(new) - 1)
-    point_line = target[faint.point_line]
+    point_line = target[faint.point_line[used]]
     support = np.append(edge_lines.support, np.zeros(np.count_nonzero(new), np.int64))
     support += np.bincount(point_line, minlength=len(support))
     lines = replace(
@@ -51,7 +58,7 @@ def merged(edge_lines: Lines, faint: Lines, focal_px: float) -> Lines:
         support=support,
         free_tilt_rad=free.free_tilt_rad,
         free_tilt_sigma_rad=free.free_tilt_sigma_rad,
-        points=np.concatenate([edge_lines.points, faint.points]),
+        points=np.concatenate([edge_lines.points, faint.points[used]]),
         point_line=np.append(edge_lines.point_line, point_line),
     )
     return folded(lines)
@@ -101,3 +108,16 @@ def _nearest(lines: Lines, others: Lines) -> tuple[Ints, Array]:
     off[lines.axis[:, None] != others.axis[None]] = np.inf
     partner = np.argmin(off, axis=1)
     return np.asarray(partner, np.int64), np.asarray(off[np.arange(len(off)), partner], np.float64)
+
+
+def _along_with(lines: Lines, others: Lines, partner: Ints, reach_px: float) -> Array:
+    """(L,) share of each line's points that have points of its partner among the others beside them."""
+    share = np.zeros(len(lines.axis))
+    for k, of in enumerate(partner.tolist()):
+        angle = lines.psi_rad + 0.5 * np.pi * int(lines.axis[k])
+        tangent = np.array([-np.sin(angle), np.cos(angle)])
+        mine = lines.points[lines.point_line == k] @ tangent
+        theirs = np.sort(others.points[others.point_line == of] @ tangent)
+        near = np.searchsorted(theirs, mine + reach_px) > np.searchsorted(theirs, mine - reach_px)
+        share[k] = np.mean(near) if len(mine) else 0.0
+    return share

@@ -121,6 +121,15 @@ def test_lines_of_both_are_there_once() -> None:
     assert np.bincount(both.point_line).tolist() == [340, 360, 400, 200]
 
 
+def test_a_faint_line_along_an_edge_is_the_edges_own_answer_and_a_joint_beside_a_lamp_is_not() -> None:
+    edge = lines_of(0.1, [(0, 10.0, R, 300), (0, 100.0, R, 60), (1, -50.0, R, 60)])
+    faint = lines_of(0.1, [(0, 15.0, G, 280), (0, 105.0, G, 280), (1, 20.0, G, 200)])
+    both = merged(edge, faint, FOCAL_PX)
+    assert np.allclose(both.offset_px, [10.0, 100.0, -50.0, 105.0, 20.0], atol=1e-6)
+    assert both.support.tolist() == [300, 60, 60, 280, 200]
+    assert np.bincount(both.point_line).tolist() == [300, 60, 60, 280, 200]
+
+
 @pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
 def test_axes_named_otherwise_are_the_same_lines(turns: int) -> None:
     edge = lines_of(0.1, [(0, 10.0, R, 40), (1, -50.0, R, 300)])
