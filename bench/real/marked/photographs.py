@@ -17,7 +17,7 @@ from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.types import Lines
 
 TUNED_ON = ("ceiling_still", "industrial_430", "industrial_470")
-"""The other two were looked at only for the figures."""
+"""The others were looked at only for the figures."""
 RECALL_LEAST, SPURIOUS_MOST, ON_MARKS_LEAST = 0.85, 0.20, 0.97
 """Bars: joints of 3 grey levels in view by length, spurious among the found lines, found length that lies on marks."""
 GOOD_LEAST = 0.8
@@ -66,7 +66,7 @@ def _no_lines() -> Lines:
 def _figures(judged: Judged, stood: Stood) -> dict[str, float]:
     return {
         "recall_joints": judged.recall_joints,
-        "recall_far": judged.recall_far,
+        **({} if np.isnan(judged.recall_far) else {"recall_far": judged.recall_far}),
         "recall_all": judged.recall_all,
         "lines_true": float(np.sum(judged.true)),
         "lines_spurious": float(np.sum(judged.spurious)),
@@ -91,8 +91,9 @@ def _row(name: str, f: dict[str, float]) -> str:
     counts = ", ".join(f"{f[k]:.0f}" for k in ("lines_true", "lines_spurious", "lines_apart"))
     title = name if name in TUNED_ON else f"{name} *"
     joints = _barred(f["recall_joints"], f["recall_joints"] >= RECALL_LEAST)
+    far = f"{f['recall_far']:.1%}" if "recall_far" in f else "-"
     return (
-        f"{title:18}{joints:>14}{f['recall_far']:8.1%}{f['recall_all']:8.1%}"
+        f"{title:18}{joints:>14}{far:>8}{f['recall_all']:8.1%}"
         f"{counts:>24}{_barred(f['spurious_share'], f['spurious_share'] <= SPURIOUS_MOST):>14}"
         f"{_barred(f['on_marks'], f['on_marks'] >= ON_MARKS_LEAST):>14}"
         f"{_barred(f['stand_good_share'], f['stand_good_share'] >= GOOD_LEAST):>14}{f['stand_spread_mm']:11.1f}"

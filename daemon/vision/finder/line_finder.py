@@ -174,13 +174,11 @@ class LineFinder:
 
 def _is_doubtful(lines: Lines, carried_rad: float) -> bool:
     """Whether lines along the last frame's direction may be the better ones: these tell theirs badly, or another."""
-    return lines.psi_sigma_rad > VAGUE_RAD or _apart(lines.psi_rad, carried_rad) > _TURNED_RAD
+    return bool(lines.psi_sigma_rad > VAGUE_RAD or _apart(lines.psi_rad, carried_rad) > _TURNED_RAD)
 
 
 def _stays(free: Lines, carried: Lines) -> bool:
     """Whether lines that were found freely are kept over those found along the last frame's direction."""
-    if free.psi_sigma_rad > VAGUE_RAD:
-        return free.psi_sigma_rad < carried.psi_sigma_rad
     same = _apart(free.psi_rad, carried.psi_rad) < _TURNED_RAD
     return same or free.psi_sigma_rad < _CLEARLY * carried.psi_sigma_rad
 
