@@ -22,11 +22,14 @@ _BESIDE_DEG = 0.9
 _MOSTLY = 0.5
 
 
-def merged(edge_lines: Lines, faint: Lines, focal_px: float) -> Lines:
+def merged(edge_lines: Lines, faint: Lines, focal_px: float, groove_deg: float) -> Lines:
     """Both, each line once.
 
     Where both see a line it is where the one with more support has it, and seen wherever either saw it; a groove of
     which edge points show one side is where the faint one is.
+
+    Args:
+        groove_deg: a groove's sides are at most so far apart, so its middle is within half of that of either.
     """
     faint = named_alike(faint, edge_lines.psi_rad)
     if faint.psi_sigma_rad < edge_lines.psi_sigma_rad:
@@ -42,7 +45,8 @@ def merged(edge_lines: Lines, faint: Lines, focal_px: float) -> Lines:
     for of_line, of_faint in ((offset, faint.offset_px), (sigma, faint.sigma_px), (kind, faint.kind)):
         of_line[partner[mine]] = of_faint[mine]
     beside_px = pixels(_BESIDE_DEG, focal_px)
-    new = ~same & ((off >= beside_px) | (_along_with(faint, edge_lines, partner, beside_px) < _MOSTLY))
+    apart = (off <= 0.5 * pixels(groove_deg, focal_px)) | (off >= beside_px)
+    new = ~same & (apart | (_along_with(faint, edge_lines, partner, beside_px) < _MOSTLY))
     count = len(edge_lines.axis)
     used = (same | new)[faint.point_line]
     target = np.where(same, partner, count + np.cumsum(new) - 1)

@@ -121,4 +121,4 @@ class FaintLines:
             found = again(faint.psi_rad)
         if found is None:
             return folded(faint)
-        return merged(found, faint, self._picture.focal_px)
+        return merged(found, faint, self._picture.focal_px, self._config.groove_deg)

@@ -113,7 +113,7 @@ G, R = LineKind.GROOVE, LineKind.RISING
 def test_lines_of_both_are_there_once() -> None:
     edge = lines_of(0.1, [(0, 10.0, G, 40), (0, 100.0, R, 60), (1, -50.0, G, 300)])
     faint = lines_of(0.1, [(0, 10.5, G, 300), (0, 101.5, G, 300), (1, -49.5, G, 100), (1, 80.0, G, 200)])
-    both = merged(edge, faint, FOCAL_PX)
+    both = merged(edge, faint, FOCAL_PX, Features().groove_deg)
     assert both.axis.tolist() == [0, 0, 1, 1]
     assert np.allclose(both.offset_px, [10.5, 101.5, -50.0, 80.0], atol=1e-6)  # by the longer; a half-seen groove
     assert (both.kind == G).all()
@@ -124,10 +124,12 @@ def test_lines_of_both_are_there_once() -> None:
 def test_a_faint_line_along_an_edge_is_the_edges_own_answer_and_a_joint_beside_a_lamp_is_not() -> None:
     edge = lines_of(0.1, [(0, 10.0, R, 300), (0, 100.0, R, 60), (1, -50.0, R, 60)])
     faint = lines_of(0.1, [(0, 15.0, G, 280), (0, 105.0, G, 280), (1, 20.0, G, 200)])
-    both = merged(edge, faint, FOCAL_PX)
+    both = merged(edge, faint, FOCAL_PX, Features().groove_deg)
     assert np.allclose(both.offset_px, [10.0, 100.0, -50.0, 105.0, 20.0], atol=1e-6)
     assert both.support.tolist() == [300, 60, 60, 280, 200]
     assert np.bincount(both.point_line).tolist() == [300, 60, 60, 280, 200]
+    wide = merged(edge, faint, FOCAL_PX, groove_deg=1.6)
+    assert 15.0 in np.round(wide.offset_px, 6), "it may be the middle of a groove of which edge points show a side"
 
 
 @pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
