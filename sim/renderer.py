@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,16 +15,20 @@ from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.errors import ConfigError
 from ceilvo.sim.ceiling.ceiling import Ceiling
+from ceilvo.sim.gloss import Gloss, add_gloss
+from ceilvo.sim.rays import along_rows, footprints, level_rays, map_rays, middle, turned, vignette
 from ceilvo.sim.surroundings.surface import Surface
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Gray = NDArray[np.uint8]
 
-_STEEPEST = 12.0  # tan of the largest angle off the vertical that is drawn, beyond any ceiling
 _NO_MAP: Any = None  # the map has two channels; the type stubs do not know that None is allowed
 _PARALLEL, _TOUCHING, _HALF = np.float32(1e-6), np.float32(1e-3), 0.5
 """A ray so nearly in a plane never meets it; surfaces that touch, in metres; from this alpha on a surface hides."""
+_LEVEL_STEP, _MOST_LEVELS = 1.5, 5
+"""From one blurred copy of the ceiling to the next, and at most so many; chosen: between two the blur is right to 2 %,
+and the widest is that of 67 deg off the vertical."""
 _BANK = 257  # the noise bank is larger than a frame by this many pixels
 
 
@@ -46,6 +50,9 @@ class RenderSpec:
         exposure_s: frames show the motion during it; 0 is a snapshot.
         sub_poses: snapshots that one exposure is made of.
         beyond: radiance where no ceiling is seen.
+        footprint: the lens blurs what is seen askance over as many pixels as what is straight above, so over more of
+            the ceiling: nothing finer than a pixel is left to sparkle. False blurs the ceiling alike everywhere.
+        gloss: lights below the ceiling that it reflects; their images move with the robot.
     """
 
     gain: float = 180.0
@@ -62,6 +69,8 @@ class RenderSpec:
     exposure_s: float = 0.0
     sub_poses: int = 5
     beyond: float = 0.25
+    footprint: bool = False
+    gloss: tuple[Gloss, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("gain", "daylight", "flicker_hz", "psf_px", "read_noise", "shot_noise", "exposure_s", "beyond"):
@@ -92,14 +101,15 @@ class Renderer:
     ) -> None:
         self.spec = spec or RenderSpec()
         self._cal, self._ceiling, self._surfaces = calibration, ceiling, surfaces
-        self._rays = _level_rays(calibration)
+        self._rays = level_rays(calibration)
         self._coarse_rays = np.ascontiguousarray(self._rays[::12, ::12])
+        self._scales, self._weights = self._levels()
         self._groups = self._wiring()
         self._textures = self._light()
         h, w = self._rays.shape[:2]
         rng = np.random.default_rng([seed, 0x0153])
         self._bank = rng.standard_normal((h + _BANK, w + _BANK), dtype=np.float32)
-        self._vignette = _vignette(calibration, self.spec.vignetting)
+        self._vignette = vignette(calibration, self.spec.vignetting)
         self._at = np.empty((h, w, 2), np.float32)
         self._sum = np.empty((h, w), np.float32)
         self._part = np.empty((h, w), np.float32)
@@ -145,14 +155,18 @@ class Renderer:
         return np.asarray(1.0 - clear, np.float32)
 
     def _irradiance(self, pose: Array, tilt: Array, lamps: Array, out: Array32) -> None:
-        _map_rays(self._rays, _along_rows(self._texel_from_ray, pose, tilt), self._at)
+        map_rays(self._rays, along_rows(self._texel_from_ray, pose, tilt), self._at)
         base, parts = self._textures
-        self._sample(base, out)
+        self._read(base, out)
         for part, lit in zip(parts, lamps, strict=False):
             if lit > 0:
                 other = np.empty_like(out)
-                self._sample(part, other)
+                self._read(part, other)
                 cv2.scaleAdd(other, float(lit), out, dst=out)
+        if self.spec.gloss:
+            camera_m = se2.transform(middle(pose), self._cal.mount_xy_m[None])[0]
+            texels = (self._ceiling.texel_from_map, self._ceiling.spec.texel_m)
+            add_gloss(self.spec.gloss, camera_m, self._height_m(middle(pose)), texels, self._at, out)
         if self._surfaces:
             ambient = self._ambient(lamps)
             for light, alpha in self._in_front(pose, tilt):
@@ -163,7 +177,7 @@ class Renderer:
         """Radiance times alpha, and alpha, of every surface in view, far ones first."""
         nearest = self._ceiling_distance(pose, tilt) if any(s.solid for s in self._surfaces) else None
         for s in self._surfaces:
-            m = _along_rows(partial(self._texel_of, s), pose, tilt)
+            m = along_rows(partial(self._texel_of, s), pose, tilt)
             h, w = s.picture.shape[:2]
             ends = [cv2.perspectiveTransform(self._coarse_rays, end) for end in m.reshape(-1, 3, 3)[[0, -1]]]
             if not any(np.any((at > -1).all(axis=2) & (at[..., 0] < w) & (at[..., 1] < h)) for at in ends):
@@ -171,18 +185,18 @@ class Renderer:
             if m.ndim == 2:
                 cv2.perspectiveTransform(self._rays, m, dst=self._at)
             else:
-                _map_rays(self._rays, m, self._at)
+                map_rays(self._rays, m, self._at)
             seen = cv2.remap(s.picture, self._at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
             light, alpha = (np.asarray(part, np.float32) for part in cv2.split(seen))
             if s.solid and nearest is not None:
-                behind = self._behind(s, _middle(pose), _middle(tilt), alpha, nearest)
+                behind = self._behind(s, middle(pose), middle(tilt), alpha, nearest)
                 light[behind], alpha[behind] = 0.0, 0.0
             yield light, alpha
 
     def _ceiling_distance(self, pose: Array, tilt: Array) -> Array32:
         """(H, W) how many rays away the ceiling is; where rows see other poses, from the middle one."""
-        m = self._texel_from_ray(_middle(pose), _middle(tilt))
-        return self._distance(self._height_m(_middle(pose)), m)
+        m = self._texel_from_ray(middle(pose), middle(tilt))
+        return self._distance(self._height_m(middle(pose)), m)
 
     def _distance(self, along_normal_m: float, m: Array) -> Array32:
         along = self._rays @ m[2, :2].astype(np.float32) + np.float32(m[2, 2])
@@ -198,7 +212,7 @@ class Renderer:
         return np.asarray(behind)
 
     def _texel_of(self, surface: Surface, pose: Array, tilt: Array) -> Array:
-        return _turned(surface.texel_from_ray(pose, self._cal.mount_xy_m), tilt)
+        return turned(surface.texel_from_ray(pose, self._cal.mount_xy_m), tilt)
 
     def _ambient(self, lamps: Array) -> float:
         """Light on what is not the ceiling."""
@@ -206,6 +220,28 @@ class Renderer:
         n = len(self._ceiling.layout.lamps)
         on = n if self.spec.lit is None else len(self.spec.lit)
         return float(day + (1.0 - day) * (on / n if n else 1.0) * np.mean(lamps))
+
+    def _read(self, copies: list[Array32], out: Array32) -> None:
+        """What the pixels see of the ceiling: of its blurred copies each one those that its footprint lies between."""
+        if not self._weights:
+            self._sample(copies[0], out)
+            return
+        out[:] = 0.0
+        seen = np.empty_like(out)
+        for copy, weight in zip(copies, self._weights, strict=True):
+            self._sample(copy, seen)
+            seen *= weight
+            out += seen
+
+    def _levels(self) -> tuple[list[float], list[Array32]]:
+        """How much wider than straight above each copy of the ceiling is blurred, and (H, W) weights of the copies."""
+        if not self.spec.footprint:
+            return [1.0], []
+        wide = np.log(np.maximum(footprints(self._rays, self._cal.camera.focal_px), 1.0)) / np.log(_LEVEL_STEP)
+        steps = np.minimum(wide, _MOST_LEVELS - 1.0)
+        count = int(np.ceil(float(steps.max()))) + 1
+        weights = [np.asarray(np.maximum(1.0 - np.abs(steps - k), 0.0), np.float32) for k in range(count)]
+        return [_LEVEL_STEP**k for k in range(count)], weights
 
     def _sample(self, texture: Array32, out: Array32) -> None:
         cv2.remap(
@@ -229,7 +265,7 @@ class Renderer:
         ceiling_from_ray = np.array([[h, 0.0, 0.0], [0.0, h, 0.0], level]) + np.outer([mx, my, 0.0], level)
         map_from_base = np.array([[c, -s, pose[0]], [s, c, pose[1]], [0.0, 0.0, 1.0]])
         m = self._ceiling.texel_from_map @ map_from_base @ ceiling_from_ray
-        return _turned(m, tilt)
+        return turned(m, tilt)
 
     def _height_m(self, pose: Array) -> float:
         """Of the ceiling above the camera."""
@@ -245,8 +281,9 @@ class Renderer:
         lit = range(len(self._ceiling.layout.lamps)) if self.spec.lit is None else self.spec.lit
         return [tuple(i for i in lit if i % n == g) for g in range(n)]
 
-    def _light(self) -> tuple[Array32, list[Array32]]:
-        """The picture as the lens blurs it; the lamps' part kept apart only when it flickers or switches."""
+    def _light(self) -> tuple[list[Array32], list[list[Array32]]]:
+        """The picture as the lens blurs it, its copies for each footprint; the lamps' part kept apart only when it
+        flickers or switches."""
         day, lamps = self._ceiling.radiance(self.spec.lit, self.spec.daylight)
         texel_px = self._ceiling.spec.texel_m * self._cal.camera.focal_px / self._cal.ceiling_height_m
         sigma = self.spec.psf_px / texel_px
@@ -254,9 +291,8 @@ class Renderer:
             parts = [day, *(self._ceiling.radiance(g, self.spec.daylight)[1] for g in self._groups)]
         else:
             parts = [day, lamps] if self.spec.flicker_depth > 0 else [day + lamps]
-        if sigma > 0:
-            parts = [np.asarray(cv2.GaussianBlur(p, (0, 0), sigma), np.float32) for p in parts]
-        return parts[0], parts[1:]
+        copies = [[_blurred(p, sigma * scale) for scale in self._scales] for p in parts]
+        return copies[0], copies[1:]
 
     def _flicker(self, t_s: float) -> float:
         """Mean of the lamps' light over the exposure."""
@@ -280,58 +316,5 @@ class Renderer:
         return np.asarray(cv2.add(signal, noise, dtype=cv2.CV_8U), np.uint8)
 
 
-def _turned(m: Array, tilt: Array) -> Array:
-    """The homography for rays of a camera that the tilt has turned about its own centre."""
-    return np.asarray(m @ cv2.Rodrigues(np.array([tilt[0], tilt[1], 0.0]))[0]) if tilt.any() else m
-
-
-def _middle(of_rows: Array) -> Array:
-    """The pose or tilt of the middle of a picture's rows."""
-    return of_rows if of_rows.ndim == 1 else np.asarray(of_rows[len(of_rows) // 2])
-
-
-def _along_rows(homography: Callable[[Array, Array], Array], pose: Array, tilt: Array) -> Array:
-    """(3, 3) of a pose, or (N, 3, 3) of the poses of a rolling shutter."""
-    if pose.ndim == 1:
-        return homography(pose, tilt)
-    return np.stack([homography(p, t) for p, t in zip(pose, tilt, strict=True)])
-
-
-def _map_rays(rays: Array32, m: Array, out: Array32) -> None:
-    """Where rays (H, W, 2) meet a texture; m: (3, 3), or (N, 3, 3) from the first row's to the last's in even steps."""
-    if m.ndim == 2:
-        if np.array_equal(m[2], [0.0, 0.0, 1.0]):
-            cv2.transform(rays, m[:2], dst=out)
-        else:
-            cv2.perspectiveTransform(rays, m, dst=out)
-        return
-    bounds = np.linspace(0.0, len(rays) - 1.0, len(m))
-    for k in range(len(m) - 1):  # linear between the two that a row lies between
-        rows = np.arange(int(np.ceil(bounds[k])), int(np.ceil(bounds[k + 1])) + (k == len(m) - 2))
-        band = slice(rows[0], rows[-1] + 1)
-        part = ((rows - bounds[k]) / (bounds[k + 1] - bounds[k])).astype(np.float32)[:, None, None]
-        _map_rays(rays[band], m[k], out[band])
-        other = np.empty_like(out[band])
-        _map_rays(rays[band], m[k + 1], other)
-        other -= out[band]
-        other *= part
-        out[band] += other
-
-
-def _level_rays(calibration: Calibration) -> Array32:
-    """(H, W, 2) x / z and y / z of each pixel's ray in base."""
-    cam = calibration.camera
-    grid = np.stack(np.meshgrid(np.arange(cam.width_px), np.arange(cam.height_px)), axis=-1)
-    r = cam.rays(grid.reshape(-1, 2).astype(np.float64)) @ calibration.camera_from_base  # base_from_camera, transposed
-    xy = r[:, :2] / np.maximum(r[:, 2:], 1e-6)
-    steep = np.maximum(np.hypot(xy[:, 0], xy[:, 1]) / _STEEPEST, 1.0)
-    return np.asarray((xy / steep[:, None]).reshape(cam.height_px, cam.width_px, 2), np.float32)
-
-
-def _vignette(calibration: Calibration, loss: float) -> Array32:
-    """(H, W) factor, 1 at the principal point and 1 - loss in the farthest corner."""
-    cam = calibration.camera
-    x = np.arange(cam.width_px)[None, :] - cam.cx_px
-    y = np.arange(cam.height_px)[:, None] - cam.cy_px
-    r2 = x * x + y * y
-    return np.asarray(1.0 - loss * r2 / r2.max(), np.float32)
+def _blurred(picture: Array32, sigma: float) -> Array32:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma), np.float32) if sigma > 0 else picture

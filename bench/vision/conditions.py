@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ceilvo.calibration import Calibration, projection_matrix
+from ceilvo.bench.vision.textures import found_ceilings
 from ceilvo.camera import CameraModel
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltSpec
@@ -83,7 +84,7 @@ class Condition:
 
 def conditions() -> tuple[Condition, ...]:
     """All of them, in the order of the table."""
-    return (*_light(), *_ceilings(), *_heights(), *_in_the_way(), *_driving(), *_calibration(), *_lenses(), *_stress())
+    return (*_light(), *_ceilings(), *_heights(), *_in_the_way(), *_driving(), *_calibration(), *_lenses(), *_stress(), *_found_ceilings())
 
 
 def _light() -> list[Condition]:
@@ -214,6 +215,24 @@ def _stress() -> list[Condition]:
             assumed=misjudged(1.05, 1.005, 2.0),
             bars={"restarts": at_most(0.0), "drift_pct": at_most(0.5)},
         ),
+    ]
+
+
+def _found_ceilings() -> list[Condition]:
+    """What is found in buildings: right, or said not to be."""
+    never_far = {"tracking_worst_mm": at_most(50.0)}
+    one_direction = ("wood-slats", "strips-only")
+    bars = {**never_far, "worst_mm": at_most(20.0)}
+    return [
+        _make(
+            f.name,
+            f.about,
+            ceiling=f.ceiling,
+            render=f.render,
+            true=f.true,
+            bars=never_far if f.name in one_direction else bars,
+        )
+        for f in found_ceilings()
     ]
 
 

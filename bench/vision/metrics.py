@@ -11,6 +11,7 @@ error of the calibration or of the estimated tilt counts as an error of the cros
   lamp saturates the sensor, so its edge is seen more than a pixel outside of where it is.
 - Where the pipeline is given a wrong calibration, all crossings are off by it: `FOUND_WRONG_CALIBRATION_PX` instead.
 - motion: a good motion against the true one since the last good frame; NEES of the same with the motion's covariance.
+- tracking: share of frames in TRACKING, and their worst pose.
 - drift: worst position error of the integrated motions over the path's length.
 """
 
@@ -26,7 +27,7 @@ from ceilvo import se2
 from ceilvo.calibration import USUAL_FOCAL_PX, Calibration
 from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.world import World
-from ceilvo.types import Crossings, Motion
+from ceilvo.types import Crossings, Estimate, Motion, State
 
 Array = NDArray[np.float64]
 
@@ -211,6 +212,27 @@ class MotionScore:
             "failed": float(sum(self.failures.values())),
             "restarts": float(self.restarts),
             "wrong": float(self.wrong),
+        }
+
+
+class TrackingScore:
+    """The poses that are claimed, against the truth."""
+
+    def __init__(self, start: Array) -> None:
+        self._start = np.array(start, np.float64)
+        self._frames = 0
+        self._errors_m: list[float] = []
+
+    def add(self, estimate: Estimate, true: Array) -> None:
+        """One frame's estimate, which begins at the origin, and the true pose (3,) at its time."""
+        self._frames += 1
+        if estimate.state == State.TRACKING:
+            self._errors_m.append(float(np.hypot(*(se2.compose(self._start, estimate.pose) - true)[:2])))
+
+    def figures(self) -> dict[str, float]:
+        return {
+            "tracking_pct": _percent(len(self._errors_m), self._frames - len(self._errors_m)),
+            "tracking_worst_mm": 1e3 * max(self._errors_m, default=0.0),
         }
 
 

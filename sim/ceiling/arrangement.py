@@ -26,6 +26,10 @@ _DOWNLIGHT_M = 0.11
 """Radius of a round lamp with its rim; chosen, as common ones have."""
 
 
+_STRIP_M, _STRIP_WIDE_M, _STRIP_APART_M = 1.5, 0.16, 0.04
+"""Length and width of a strip lamp, and the gap to the next in its row; chosen, as battens for tubes of 58 W have."""
+
+
 def make_layout(spec: CeilingSpec, rng: np.random.Generator) -> Layout:
     """Hang lamps in a regular array with exceptions, and the rest at random into free tiles."""
     half = 0.5 * spec.room_m + spec.margin_m
@@ -34,7 +38,8 @@ def make_layout(spec: CeilingSpec, rng: np.random.Generator) -> Layout:
     grooves = (_grooves(spec, 0, lo, hi), _grooves(spec, 1, lo, hi))
     nx, ny = (len(g) - 1 for g in grooves)
     free = np.ones((nx, ny), dtype=bool)
-    panels = _lamps(spec, grooves, free, rng)
+    panels = (_strips if spec.strip_lamps else _lamps)(spec, grooves, free, rng)
+    panels += _grilles(spec, grooves, free, rng)
     for i, j in _pick(free, spec.vents, rng):
         kind: PanelKind = "vent" if rng.random() < _VENTS else "diffuser"
         panels.append(Panel(kind, _tiles(spec, grooves, i, j, 1, 1), int(rng.integers(2))))
@@ -52,20 +57,23 @@ def _stain(lo: float, hi: float, rng: np.random.Generator) -> tuple[float, float
 
 def _grooves(spec: CeilingSpec, axis: int, lo: float, hi: float) -> Array:
     """Positions of the grooves of one axis within the extent."""
-    first = np.ceil((lo - spec.grid_offset_m[axis]) / spec.tile_m)
-    n = int(np.floor((hi - spec.grid_offset_m[axis]) / spec.tile_m) - first) + 1
-    return np.asarray(spec.grid_offset_m[axis] + spec.tile_m * (first + np.arange(n)))
+    pitch = spec.tile_xy_m[axis]
+    first = np.ceil((lo - spec.grid_offset_m[axis]) / pitch)
+    n = int(np.floor((hi - spec.grid_offset_m[axis]) / pitch) - first) + 1
+    return np.asarray(spec.grid_offset_m[axis] + pitch * (first + np.arange(n)))
 
 
 def _tiles(spec: CeilingSpec, grooves: tuple[Array, Array], i: int, j: int, wide: int, high: int) -> Rect:
     """Rectangle between the grooves around a block of tiles."""
     g = 0.5 * spec.groove_m
     x0, y0 = float(grooves[0][i]), float(grooves[1][j])
-    return (x0 + g, y0 + g, x0 + wide * spec.tile_m - g, y0 + high * spec.tile_m - g)
+    along_x, along_y = spec.tile_xy_m
+    return (x0 + g, y0 + g, x0 + wide * along_x - g, y0 + high * along_y - g)
 
 
 def _centre(spec: CeilingSpec, grooves: tuple[Array, Array], i: int, j: int) -> tuple[float, float]:
-    return float(grooves[0][i]) + 0.5 * spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
+    along_x, along_y = spec.tile_xy_m
+    return float(grooves[0][i]) + 0.5 * along_x, float(grooves[1][j]) + 0.5 * along_y
 
 
 def _lamps(
@@ -85,7 +93,7 @@ def _lamps(
                 continue
             free[i : i + 2, j] = False
             if spec.round_lamps:
-                x, y = float(grooves[0][i]) + spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
+                x, y = float(grooves[0][i]) + spec.tile_m, _centre(spec, grooves, i, j)[1]
                 out.append(
                     Panel(
                         "lamp", (x - _DOWNLIGHT_M, y - _DOWNLIGHT_M, x + _DOWNLIGHT_M, y + _DOWNLIGHT_M), 0, round=True
@@ -95,9 +103,41 @@ def _lamps(
             if chance < _RECESSED_TO:
                 out.append(Panel("lamp", _tiles(spec, grooves, i, j, 2, 1), 0))
                 continue
-            x, y = float(grooves[0][i]) + spec.tile_m, float(grooves[1][j]) + 0.5 * spec.tile_m
+            x, y = float(grooves[0][i]) + spec.tile_m, _centre(spec, grooves, i, j)[1]
             w, h = (k * spec.tile_m for k in _SURFACE_LAMP)
             out.append(Panel("lamp", (x - w, y - h, x + w, y + h), 0, recessed=False))
+    return out
+
+
+def _strips(
+    spec: CeilingSpec, grooves: tuple[Array, Array], free: NDArray[np.bool_], rng: np.random.Generator
+) -> list[Panel]:
+    """Rows of strip lamps along x, screwed on below the middles of tiles, with no place left out."""
+    every = spec.lamp_every[1]
+    if every < 1:
+        return []
+    begins = np.arange(grooves[0][0] + rng.uniform(0.0, _STRIP_M), grooves[0][-1] - _STRIP_M, _STRIP_M + _STRIP_APART_M)
+    out = []
+    for j in range(int(rng.integers(every)), free.shape[1], every):
+        free[:, j] = False
+        y0 = _centre(spec, grooves, 0, j)[1] - 0.5 * _STRIP_WIDE_M
+        strips = ((float(x0), y0, float(x0) + _STRIP_M, y0 + _STRIP_WIDE_M) for x0 in begins)
+        out += [Panel("lamp", rect, 0, recessed=False) for rect in strips]
+    return out
+
+
+def _grilles(
+    spec: CeilingSpec, grooves: tuple[Array, Array], free: NDArray[np.bool_], rng: np.random.Generator
+) -> list[Panel]:
+    """Grilles in the places of two tiles along x."""
+    if spec.grilles == 0:
+        return []
+    places = free[:-1] & free[1:]
+    out = []
+    for i, j in np.argwhere(places)[rng.permutation(int(places.sum()))]:
+        if len(out) < spec.grilles and free[i : i + 2, j].all():
+            free[i : i + 2, j] = False
+            out.append(Panel("grille", _tiles(spec, grooves, int(i), int(j), 2, 1), 0))
     return out
 
 

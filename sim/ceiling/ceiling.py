@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
+from ceilvo.sim.ceiling import board
 from ceilvo.sim.ceiling.arrangement import make_layout
 from ceilvo.sim.ceiling.layout import Layout, TrueLines
 from ceilvo.sim.ceiling.panels import Panel, Rect, Spot, SpotKind, grown
@@ -32,12 +33,6 @@ _TILES_FROM, _TILES_TO = 0.4, 0.95
 """Albedo of the darkest and the brightest tile."""
 _FALL = ((0.04, 0.5, 0.3), (0.03, 0.6))
 """Slow fall of light along x and y: relative size, rad/m and along x its phase."""
-_MOTTLE, _MOTTLE_TEXELS, _GRAIN = 0.010, 24, 0.022
-"""Of mineral board, relative: mottling, and over how many texels; grain of single texels."""
-_FISSURES, _FISSURE_DEPTH, _FISSURE_TEXELS = 0.012, 0.7, 0.8
-"""Of mineral board: how many texels have one, how dark, how wide (sigma)."""
-_BOARD_FROM, _BOARD_TO = 0.2, 1.3
-"""Of all that together."""
 _STAIN_REACH, _STAIN_LOBES, _STAIN_LOBE = 1.6, (2, 3, 5), 0.09
 """Dried water: radii that are drawn, waves of its outline, and their relative size."""
 _STAIN_EDGE, _STAIN_INSIDE, _STAIN_RIM = 0.05, 0.05, (0.97, 0.06, 0.10)
@@ -70,7 +65,7 @@ class Ceiling:
         x0, y0, x1, y1 = self.layout.extent
         n = self.spec.texel_m
         self._size = (int(np.ceil((x1 - x0) / n)), int(np.ceil((y1 - y0) / n)))
-        self.albedo: Array32 = self._draw(rng)
+        self.albedo: Array32 = self._draw(rng, np.random.default_rng([seed, 0xF1B2E]))
 
     def true_crossings(self) -> tuple[Array, Ints]:
         """(N, 2) crossings in map and (N,) CrossingType: grooves that meet, corners of lamps and vents."""
@@ -137,12 +132,19 @@ class Ceiling:
         soft = cv2.GaussianBlur(small, (0, 0), sigma) * (HALO / LAMP_RADIANCE)
         return np.asarray(cv2.resize(soft, self._size, interpolation=cv2.INTER_LINEAR), np.float32)
 
-    def _draw(self, rng: np.random.Generator) -> Array32:
+    def _draw(self, rng: np.random.Generator, of_boards: np.random.Generator) -> Array32:
+        s = self.spec
         a = self._tiles(rng)
         self._stain(a, rng)
-        a *= self._mineral(rng)
-        if self.spec.joints:
-            (self._hexagons if self.spec.pattern == "hexagons" else self._grooves)(a)
+        if s.fibre > 0:
+            self._face(a, board.fibre(self._size, s.texel_m, s.fibre, of_boards))
+        else:
+            a *= board.mineral(self._size, s.texture, rng)
+        if s.wood:
+            slat = np.searchsorted(self.layout.joints()[0], self._centres()[0])
+            self._face(a, board.wood(slat, self._size, s.texel_m, of_boards))
+        if s.joints:
+            (self._hexagons if s.pattern == "hexagons" else self._grooves)(a)
         for p in self.layout.panels:
             self._panel(a, p)
         for s in self.layout.spots:
@@ -170,20 +172,11 @@ class Ceiling:
         a *= (1.0 + along_y * np.cos(wave_y * y)).astype(np.float32)[:, None]
         return np.asarray(a, np.float32)
 
-    def _mineral(self, rng: np.random.Generator) -> Array32:
-        """Mineral-fibre board: mottling, grain and small dark fissures, as a factor."""
-        w, h = self._size
-        out = np.ones((h, w), np.float32)
-        if self.spec.texture <= 0:
-            return out
-        amount = np.float32(self.spec.texture)
-        coarse = rng.standard_normal((h // _MOTTLE_TEXELS + 2, w // _MOTTLE_TEXELS + 2), dtype=np.float32)
-        out += _MOTTLE * amount * cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
-        grain = rng.standard_normal((h, w), dtype=np.float32)
-        out += _GRAIN * amount * grain
-        holes = (rng.random((h, w), dtype=np.float32) < _FISSURES).astype(np.float32)
-        out -= _FISSURE_DEPTH * amount * cv2.GaussianBlur(holes, (0, 0), _FISSURE_TEXELS)
-        return np.asarray(np.clip(out, _BOARD_FROM, _BOARD_TO), np.float32)
+    def _face(self, a: Array32, factor: Array32) -> None:
+        """What the boards show, not the painted joints between them."""
+        if self.spec.joints and self.spec.pattern != "hexagons":
+            factor = 1.0 + (factor - 1.0) * self._besides_joints(0.5 * self.spec.groove_m)
+        a *= factor
 
     def _stain(self, a: Array32, rng: np.random.Generator) -> None:
         """Dried water: a soft patch with a darker rim, not quite round."""
@@ -202,18 +195,20 @@ class Ceiling:
     def _grooves(self, a: Array32) -> None:
         """Joints with a bevel on either side."""
         half, lip = 0.5 * self.spec.groove_m, self.spec.lip_m
-        dark, both = [], []
-        for axis in (0, 1):
-            at = self.layout.joints()[axis]
-            dark.append(1.0 - self._profile(axis, at - half, at + half))
-            both.append(1.0 - self._profile(axis, at - half - lip, at + half + lip))
-        tile = np.outer(both[1], both[0]).astype(np.float32)
-        bare = np.outer(dark[1], dark[0]).astype(np.float32)  # all but the joints
+        bare, tile = self._besides_joints(half), self._besides_joints(half + lip)  # all but joints, and their bevels
         if self.spec.groove_darker is not None:
             a *= 1.0 - np.float32(self.spec.groove_darker) * (1.0 - bare)
             return
         a *= tile
         a += np.float32(self.spec.lip_albedo) * (bare - tile) + np.float32(self.spec.groove_albedo) * (1.0 - bare)
+
+    def _besides_joints(self, half_m: float) -> Array32:
+        """(Ny, Nx) share of each texel that is farther than this from the middle of any straight joint."""
+        free = [1.0 - self._profile(axis, at - half_m, at + half_m) for axis, at in enumerate(self.layout.joints())]
+        soft = self.spec.groove_soft_m / self.spec.texel_m
+        if soft > 0:
+            free = [cv2.GaussianBlur(f[None], (0, 0), soft, borderType=cv2.BORDER_REFLECT)[0] for f in free]
+        return np.outer(free[1], free[0]).astype(np.float32)
 
     def _panel(self, a: Array32, p: Panel) -> None:
         if p.round:
@@ -229,6 +224,10 @@ class Ceiling:
         self._fill(a, p.inner, PANEL)
         for slot in p.steps():
             self._fill(a, slot, SLOT)
+        if p.kind == "grille":
+            self._fill(a, p.inner, SLOT)
+        for blade in p.blades():
+            self._fill(a, blade, RIM)
         for i, ring in enumerate(p.rings()):
             self._fill(a, ring, SLOT if i % 2 == 0 else RIM)
 

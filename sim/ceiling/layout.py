@@ -98,6 +98,12 @@ class Layout:
                 found += _outline(at, LineKind.GROOVE)
             for slot in p.steps():
                 found += _outline(slot, LineKind.FALLING)
+            for x0, y0, x1, y1 in p.blades():
+                sides = _outline((x0, y0, x1, y1), LineKind.RISING)
+                middle = (1, 0.5 * (y0 + y1), x0, x1) if x1 - x0 > y1 - y0 else (0, 0.5 * (x0 + x1), y0, y1)
+                found += [*(s for s in sides if s[0] == middle[0]), (*middle, int(LineKind.GROOVE))]
+            if p.kind == "grille":
+                found += _outline(p.inner, LineKind.FALLING)
             for i, ring in enumerate(p.rings()):
                 found += _outline(ring, LineKind.FALLING if i % 2 == 0 else LineKind.RISING)
         a = np.array(found, dtype=np.float64).reshape(-1, 5)
@@ -134,9 +140,12 @@ class Layout:
 
     def _profile(self) -> list[tuple[float, int]]:
         """Lines that a joint shows, with their distance from its middle: a wide one has two edges of its own."""
-        half, bright = 0.5 * self.spec.groove_m, self.spec.groove_albedo > self.spec.lip_albedo
+        s = self.spec
+        half, bright = 0.5 * s.groove_m, s.groove_albedo > s.lip_albedo
+        if s.groove_darker is not None:
+            bright = s.groove_darker < 0.0
         edge = int(LineKind.RISING if bright else LineKind.FALLING)
-        edges = [(-half, edge), (half, -edge)] if self.spec.groove_m > WIDE_M else []
+        edges = [(-half, edge), (half, -edge)] if s.groove_m > WIDE_M else []
         return [(0.0, int(LineKind.GROOVE)), *edges]
 
     def _hidden(self, x: float, y: float) -> bool:

@@ -8,7 +8,7 @@ from typing import Literal
 
 Rect = tuple[float, float, float, float]
 """x0, y0, x1, y1 in metres, in the ceiling's own axes."""
-PanelKind = Literal["lamp", "vent", "diffuser"]
+PanelKind = Literal["lamp", "vent", "diffuser", "grille"]
 SpotKind = Literal["sprinkler", "detector", "speaker"]
 SPOTS: tuple[tuple[SpotKind, float], ...] = (("sprinkler", 0.038), ("detector", 0.055), ("speaker", 0.105))
 """Radius m; chosen: about what such things have."""
@@ -16,6 +16,8 @@ _SLOT_FROM, _SLOT_TO = 0.15, 0.60
 """Where a vent's dark slot begins and ends in the pitch of its slats; chosen, dark and bright about equal."""
 _RING_PITCH_M, _RING_M = 0.075, 0.028
 """Of a diffuser's rings, and how wide the dark part is; chosen."""
+_CELL_M, _BLADE_M = 0.05, 0.010
+"""Pitch of a grille's square cells, about, and how wide its blades are; chosen, as louvres of 50 mm have."""
 _RING_CENTRE_M = 0.03
 """Half the side of a diffuser's middle, which has no rings."""
 
@@ -78,6 +80,15 @@ class Panel:
         ]
         return [(x0 + d, y0 + d, x1 - d, y1 - d) for d in insets]
 
+    def blades(self) -> list[Rect]:
+        """Bright bars of a grille, both ways across its dark opening."""
+        if self.kind != "grille":
+            return []
+        x0, y0, x1, y1 = self.inner
+        h = 0.5 * _BLADE_M
+        across = [(x - h, y0, x + h, y1) for x in _between(x0, x1, _CELL_M)]
+        return across + [(x0, y - h, x1, y + h) for y in _between(y0, y1, _CELL_M)]
+
     def joints(self) -> list[Rect]:
         """Rectangles along the middles of what is narrow and dark: gap, slots, rings."""
         out = [] if self.recessed else [grown(self.rect, 0.5 * self.GAP_M)]
@@ -104,6 +115,12 @@ class Spot:
     kind: SpotKind
     xy: tuple[float, float]
     radius_m: float
+
+
+def _between(lo: float, hi: float, pitch: float) -> list[float]:
+    """Places that part an interval into equal pieces of about a pitch."""
+    n = max(1, round((hi - lo) / pitch))
+    return [lo + (hi - lo) * i / n for i in range(1, n)]
 
 
 def grown(rect: Rect, by: float) -> Rect:
