@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ceilvo.calibration import Calibration, projection_matrix
 from ceilvo.bench.vision.textures import found_ceilings
+from ceilvo.calibration import Calibration, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapPath, LapSpec, TiltSpec
@@ -84,7 +84,10 @@ class Condition:
 
 def conditions() -> tuple[Condition, ...]:
     """All of them, in the order of the table."""
-    return (*_light(), *_ceilings(), *_heights(), *_in_the_way(), *_driving(), *_calibration(), *_lenses(), *_stress(), *_found_ceilings())
+    return (
+        *(*_light(), *_ceilings(), *_heights(), *_in_the_way(), *_driving()),
+        *(*_calibration(), *_lenses(), *_stress(), *_found_ceilings()),
+    )
 
 
 def _light() -> list[Condition]:

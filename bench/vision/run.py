@@ -106,7 +106,8 @@ def run(
             save_picture(options.pictures / f"{condition.name}.png", picture)
         progress(1)
     path_m = float(world.path.travel_at(frames / condition.fps))
-    figures = {"frames": float(frames), "path_m": path_m, **crossings.figures(), **motions.figures(path_m), **tracking.figures()}
+    figures = {"frames": float(frames), "path_m": path_m, **crossings.figures()}
+    figures |= {**motions.figures(path_m), **tracking.figures()}
     figures.update(_time_figures(times))
     if rivals is not None:
         figures.update(rivals.figures(path_m, float(np.median(times.total(("canny",))))))

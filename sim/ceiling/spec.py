@@ -76,7 +76,7 @@ class CeilingSpec:
         for name in ("room_m", "tile_m", "groove_m", "slat_m", "texel_m"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"ceiling: {name} is {getattr(self, name)}, expected more than 0")
-        if not min(self.tile_xy_m) > 0:
+        if self.tile_y_m is not None and not self.tile_y_m > 0:
             raise ConfigError(f"ceiling: tile_y_m is {self.tile_y_m}, expected more than 0")
         if self.pattern not in get_args(Pattern):
             raise ConfigError(f"ceiling: pattern is {self.pattern!r}, expected one of {', '.join(get_args(Pattern))}")
