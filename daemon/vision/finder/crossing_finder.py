@@ -14,6 +14,7 @@ from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
+from ceilvo.daemon.vision.thinning import thinned
 from ceilvo.types import Array, Crossings, Frame, Lines
 
 _SAMPLES_A_SIDE = 32
@@ -68,6 +69,8 @@ class CrossingFinder:
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist)
         crossings = None if lines is None else cross(lines, self._calibration, self._lines.config)
+        if crossings is not None:
+            crossings = thinned(crossings, self._calibration.level_view.focal_px)
         if self._points is not None:
             crossings = self._points(frame.gray, crossings, self._lines.tilt_prior())
         if crossings is not None:

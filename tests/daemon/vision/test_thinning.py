@@ -1,0 +1,46 @@
+"""What of a view counts where a grille is in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ceilvo.daemon.vision.thinning import thinned
+from ceilvo.types import Crossings
+
+FOCAL_PX, HEIGHT_M = 410.0, 2.2
+GRID = np.stack(np.meshgrid(0.6 * np.arange(-3, 3), 0.6 * np.arange(-2, 2)), -1).reshape(-1, 2) + 0.1
+CELLS = np.stack(np.meshgrid(0.05 * np.arange(12), 0.05 * np.arange(11)), -1).reshape(-1, 2) + 0.15
+
+
+def seen(xy: np.ndarray) -> Crossings:
+    n, z = len(xy), np.zeros(2)
+    uv = xy * FOCAL_PX / HEIGHT_M + 300.0
+    return Crossings(uv, xy, np.zeros((n, 2, 2)), np.zeros(n, np.int64), 0.0, 0.0, z, z, np.zeros((2, 2)))
+
+
+def test_a_grille_is_left_out_and_the_grid_stays() -> None:
+    left = thinned(seen(np.concatenate([CELLS, GRID])), FOCAL_PX)
+    np.testing.assert_array_equal(left.xy_base_m, GRID)
+
+
+def test_what_remains_does_not_depend_on_how_much_of_the_grille_is_seen() -> None:
+    for rows in range(3, 12):
+        left = thinned(seen(np.concatenate([CELLS[: 12 * rows], GRID])), FOCAL_PX)
+        assert len(left) == len(GRID)
+
+
+def test_a_grille_alone_is_better_than_nothing() -> None:
+    alone = seen(CELLS)
+    assert thinned(alone, FOCAL_PX) is alone
+
+
+def test_corners_of_a_lamp_with_frame_and_joints_stay() -> None:
+    corner = np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.03], [0.03, 0.03]])
+    lamp = np.concatenate([corner + at for at in ([0.0, 0.0], [1.16, 0.0], [0.0, 0.56], [1.16, 0.56])])
+    view = seen(np.concatenate([GRID + 0.3, lamp]))
+    assert thinned(view, FOCAL_PX) is view
+
+
+def test_an_empty_view_stays_empty() -> None:
+    empty = seen(np.zeros((0, 2)))
+    assert len(thinned(empty, FOCAL_PX)) == 0
