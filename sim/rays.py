@@ -79,6 +79,6 @@ def footprints(rays: Array32, focal_px: float) -> Array32:
     Args:
         rays: (H, W, 2) of level_rays.
     """
-    along_y, along_x = np.gradient(rays, axis=(0, 1))
+    along_y, along_x = (np.asarray(np.gradient(rays, axis=axis), np.float32) for axis in (0, 1))
     area = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0])
     return np.asarray(np.sqrt(area) * focal_px, np.float32)

@@ -133,7 +133,7 @@ def _grilles(
     if spec.grilles == 0:
         return []
     places = free[:-1] & free[1:]
-    out = []
+    out: list[Panel] = []
     for i, j in np.argwhere(places)[rng.permutation(int(places.sum()))]:
         if len(out) < spec.grilles and free[i : i + 2, j].all():
             free[i : i + 2, j] = False

@@ -147,8 +147,8 @@ class Ceiling:
             (self._hexagons if s.pattern == "hexagons" else self._grooves)(a)
         for p in self.layout.panels:
             self._panel(a, p)
-        for s in self.layout.spots:
-            self._spot(a, s)
+        for spot in self.layout.spots:
+            self._spot(a, spot)
         return a
 
     def _centres(self) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,12 +15,12 @@ from ceilvo import se2
 from ceilvo.bench.vision import command as vision
 from ceilvo.bench.vision.baselines import DescriptorMatcher, PointTracker
 from ceilvo.bench.vision.conditions import LAP, conditions, misjudged
-from ceilvo.bench.vision.metrics import CrossingScore, MotionScore
+from ceilvo.bench.vision.metrics import CrossingScore, MotionScore, TrackingScore
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.motion import TiltSpec
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Crossings, Motion
+from ceilvo.types import Crossings, Motion, State
 
 TILT = np.array([0.03, -0.02])
 
@@ -149,6 +150,19 @@ def test_nees_of_honest_noise_is_one() -> None:
     f = score.figures(30.0)
     assert abs(f["nees_mean"] - 1.0) < 0.06
     assert abs(f["nees_median"] - 1.0) < 0.08
+
+
+def test_only_poses_in_tracking_are_held_to_what_they_claim() -> None:
+    true = drive(2)
+    score = TrackingScore(true[0])
+    moved = se2.between(true[0], true[1])
+    for state, off_m in ((State.TRACKING, 0.03), (State.LOST, 9.0)):
+        pose = se2.between(true[0], true[1] + np.array([0.0, off_m, 0.0]))
+        assert off_m > 0 < np.hypot(*(pose - moved)[:2])
+        score.add(SimpleNamespace(state=state, pose=pose), true[1])
+    figures = score.figures()
+    assert figures["tracking_pct"] == 50.0
+    assert abs(figures["tracking_worst_mm"] - 30.0) < 1e-6
 
 
 @pytest.mark.parametrize("method", [PointTracker, DescriptorMatcher])
