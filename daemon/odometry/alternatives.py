@@ -57,6 +57,11 @@ chosen: a wrong quarter turn would have to fit even better to matter."""
 _QUARTER_SIGMAS = 4.0
 """By which the prediction must be off to be in another quarter: once in 16,000."""
 _QUARTER_RAD = 0.5 * np.pi
+_CARRIED_MPS, _CARRIED_RADPS, _CARRIED_NEAR_M = 10.0, 10.0, 1.3
+"""Nobody moves a robot faster, but for a snatch by two tiles; chosen: half of it is a throw."""
+_STAMP_LIES = 1e-3
+"""Of all that happens to a robot, so much is not that but pictures whose stamps are wrong: then it may be anywhere;
+chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +72,13 @@ class Prior:
         mean: (3,) [m, m, rad].
         cov: (3, 3).
         carried: chance that neither holds, because somebody moved the robot.
+        carried_s: time in which that was, without a picture that told.
     """
 
     mean: Array
     cov: Array
     carried: float
+    carried_s: float = math.inf
 
     @property
     def knows_quarter(self) -> bool:
@@ -222,7 +229,9 @@ def _prior_share(at: Array, prior: Prior, far_m: float) -> tuple[Array, Array]:
     log_turn = -0.5 * wrap_array(quarters) ** 2 / (float(prior.cov[2, 2]) + _SAME_RAD**2)
     of_turn = np.exp(log_turn[:, 0] - np.logaddexp.reduce(log_turn, axis=1))
     own = np.minimum(_TILE_M2 * density, 1.0) * of_turn
-    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0
+    near = np.hypot(off[:, 0], off[:, 1]) <= _CARRIED_NEAR_M + _CARRIED_MPS * prior.carried_s
+    near &= np.abs(wrap_array(at[:, 2] - prior.mean[2])) <= _SAME_RAD + _CARRIED_RADPS * prior.carried_s
+    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0 * np.where(near, 1.0, _STAMP_LIES)
     share = np.asarray((1.0 - prior.carried) * own + anywhere + _TINY)
     return share, anywhere / share
 

@@ -232,7 +232,7 @@ class VisualOdometry:
         guess = np.array([course.guess[0], course.guess[1], turn])
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config)
         carried = _JUMPED if self.state.failed_frames else min(_CARRIED_PS * course.elapsed_s, _JUMPED)
-        prior = Prior(course.guess, course.cov, carried)
+        prior = Prior(course.guess, course.cov, carried, math.inf if self.state.failed_frames else course.elapsed_s)
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
         if narrow and carried < _JUMPED and near is not None and near.is_usual(usual):

@@ -210,9 +210,9 @@ class Relocaliser:
         s = self.state
         if not self._schedule.due(stamp_ns, self._view_period_s):
             return None
-        view = self._observed(crossings)
+        view = self.observed(crossings)
         if self._weigh(view):
-            view = self._observed(crossings)
+            view = self.observed(crossings)
         admitted = self._admitted(view)
         if admitted is not None:
             self.filter.update(admitted)
@@ -220,7 +220,7 @@ class Relocaliser:
                 s.survey.learnt(self.filter, view.visible_m)
         return view
 
-    def _observed(self, crossings: Crossings) -> Observations:
+    def observed(self, crossings: Crossings) -> Observations:
         s = self.state
         pose, cov, _ = self.filter.estimate()
         axis = float(wrap(crossings.psi_rad + float(pose[2]))) if s.map_axis_rad is None else s.map_axis_rad
@@ -248,7 +248,7 @@ class Relocaliser:
         if not self.sure and not s.belief.spot_views:
             self._search(view, pose)
         evidence.take(self._worth(view))
-        s.belief.weigh(self._log_ratio(evidence, pose))
+        s.belief.weigh(self._log_ratio(evidence, pose), evidence.unmapped(rival_poses(s.belief.places, pose)))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 

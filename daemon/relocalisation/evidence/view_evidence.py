@@ -141,6 +141,13 @@ class ViewEvidence:
         out[near] = _mixed(score[near] + missed(poses[near]))
         return out
 
+    def unmapped(self, poses: Array) -> Array:
+        """(M,) share of the features that poses (M, 3) see on ground of which the map does not know what is there."""
+        if not len(self._view):
+            return np.zeros(len(poses))
+        views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
+        return np.asarray(1.0 - np.mean(np.minimum(views / VIEWS, 1.0), axis=1))
+
     @property
     def reach_m(self) -> float:
         return self._around.reach_m
