@@ -16,11 +16,12 @@ from ceilvo.calibration import Calibration, in_base
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.refinement.calibration_field import corrected
+from ceilvo.daemon.refinement.refine import laid_on
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Ints, Landmarks
 
 WRONG = np.array([0.005, 0.003, 0.03, np.radians(0.3), np.radians(-0.3)])
-"""Height .5 %, focal length .3 %, k1 3 % (of itself), mounting .3 deg: the calibration that is held out of the solver."""
+"""By how much the robot's calibration is off: height .5 %, focal length .3 %, k1 3 % of itself, mounting .3 deg."""
 _PX = 0.1
 """Standard deviation of a crossing in the picture; docs/bench.md has .1 to .15 px for the grid."""
 _LAID_M = 1e-3
@@ -28,8 +29,7 @@ _LAID_M = 1e-3
 _DIRECTION_RAD = 1e-4
 """Standard deviation of the direction of lines in a view; docs/bench.md: mrad/10."""
 _CORNER_M = 1.5
-"""Way along which a corner is rounded, and half of that along which the robot turns; chosen: .84 rad/s at .8 m/s where it turns
-round."""
+"""Way along which a corner is rounded; the robot turns along twice as much, .84 rad/s at .8 m/s; chosen."""
 _BORDER_PX = 10.0
 _MOTION_SIGMA = np.array([1e-3, 1e-3, 5e-4])
 """Of the odometry between key poses, as it claims; chosen."""
@@ -166,3 +166,23 @@ def _session(
         crossing_type=drive.kind[mark],
         landmark=mark,
     )
+
+
+@dataclass(frozen=True)
+class MapError:
+    """Of a map laid on the truth by turning and shifting."""
+
+    rms_mm: float
+    worst_mm: float
+    scale_ppm: float
+
+    def __str__(self) -> str:
+        return f"{self.rms_mm:.2f} mm rms, {self.worst_mm:.2f} mm worst, scale {self.scale_ppm:+.0f} ppm"
+
+
+def error(xy_m: Array, truth_m: Array) -> MapError:
+    """Of landmarks (L, 2) against where they are."""
+    off = np.hypot(*(laid_on(xy_m, truth_m) - truth_m).T)
+    own, true = xy_m - xy_m.mean(axis=0), truth_m - truth_m.mean(axis=0)
+    scale = np.sqrt(np.sum(own**2) / np.sum(true**2)) - 1.0
+    return MapError(1e3 * float(np.sqrt(np.mean(off**2))), 1e3 * float(off.max()), 1e6 * float(scale))

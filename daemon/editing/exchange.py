@@ -25,7 +25,7 @@ _MAP, _LANDMARK, _KEY_POSE = "map", "landmark", "key pose"
 _NUMBERS = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "first_seen_s", "last_seen_s")
 _COUNTS = ("id", "kind", "sightings", "expected")
 _PLACE = ("x_m", "y_m")
-_POSE_KEYS = {"session", "stamp_ns", "pose", "motion", "motion_cov", "tilt_rad", "view"}
+_POSE_KEYS = {"session", "stamp_ns", "pose", "motion", "motion_cov", "direction_rad", "direction_sigma_rad", "view"}
 _FEATURE_KEYS = {"x_m", "y_m", *_NUMBERS[:3], "kind", "landmark"}
 _SESSION_KEYS = {"name", "begun_s", "last_s", "saves"}
 
@@ -167,7 +167,8 @@ def _poses(k: KeyPoses) -> Iterator[dict[str, Any]]:
             "pose": k.pose[i].tolist(),
             "motion": k.motion[i].tolist(),
             "motion_cov": json_value(k.motion_cov[i]),  # null: nothing is known
-            "tilt_rad": k.tilt_rad[i].tolist(),
+            "direction_rad": float(k.direction_rad[i]),
+            "direction_sigma_rad": float(k.direction_sigma_rad[i]),
             "view": [
                 {
                     "x_m": xy[o][0],
@@ -210,7 +211,10 @@ def _one_session(name: str, poses: list[dict[str, Any]]) -> KeyPoses:
         pose=floats([p["pose"] for p in poses], "key_poses.pose", (n, 3), limit),
         motion=floats([p["motion"] for p in poses], "key_poses.motion", (n, 3), limit),
         motion_cov=floats(unknown, "key_poses.motion_cov", (n, 3, 3), limit),
-        tilt_rad=floats([p["tilt_rad"] for p in poses], "key_poses.tilt_rad", (n, 2), limit),
+        direction_rad=floats([p["direction_rad"] for p in poses], "key_poses.direction_rad", (n,), limit),
+        direction_sigma_rad=floats(
+            [p["direction_sigma_rad"] for p in poses], "key_poses.direction_sigma_rad", (n,), limit
+        ),
         view=np.array([i for i, _ in features], np.int64),
         xy_base_m=floats([[f[c] for c in _PLACE] for _, f in features], "key_poses.view.x_m, y_m", (o, 2), limit),
         cov_base_m2=packed[:, [0, 1, 1, 2]].reshape(-1, 2, 2),

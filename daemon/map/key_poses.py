@@ -20,7 +20,7 @@ class KeyPoses:
         motion: (K, 3) prev_from_curr [m, m, rad] since the key pose before, by odometry; the first says nothing.
         motion_cov: (K, 3, 3) of it; infinite on the diagonal where nothing is known.
         direction_rad: (K,) of the ceiling's axis 0 in base, modulo a quarter turn.
-        direction_sigma_rad: (K,) of it, infinite where no lines were seen.
+        direction_sigma_rad: (K,) of it, NO_DIRECTION_RAD where no lines were seen.
         view: (O,) index of the key pose that a feature was seen from, ascending.
         xy_base_m: (O, 2) of the feature on the ceiling, by the calibration in use then.
         cov_base_m2: (O, 2, 2).

@@ -67,7 +67,9 @@ def corrected(calibration: Calibration, correction: Array) -> Calibration:
 def _tilted(about_x: float, about_y: float) -> Array:
     """(3, 3) rotation about base x, then y."""
     cx, sx, cy, sy = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
-    return np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    return np.asarray(y @ x, np.float64)
 
 
 class CalibrationField:

@@ -10,14 +10,14 @@ from ceilvo.daemon.refinement.calibration_field import UNKNOWNS, CalibrationFiel
 from ceilvo.daemon.refinement.straightness import Rows
 from ceilvo.daemon.refinement.survey import Anchors, Survey
 from ceilvo.se2 import wrap_array
-from ceilvo.types import Array, Ints
+from ceilvo.types import NO_DIRECTION_RAD, Array, Ints
 
 BORDER = len(UNKNOWNS) + 1
 """Unknowns that everything depends on: the calibration's, and the direction of the ceiling."""
 _AXIS = len(UNKNOWNS)
 _HEIGHT, _FOCAL = UNKNOWNS.index("height"), UNKNOWNS.index("focal")
-"""Features scatter by so much in the picture: in metres with the height, and less with the focal length. Were it so much
-in metres whatever they are, the smallest map would fit best."""
+"""Features scatter by so much in the picture, so in metres with the height, and less with the focal length. Were it so
+much in metres whatever these are, the smallest map would fit best."""
 ROBUST = 3.0
 """Cauchy's scale, standard deviations: beyond it a residual counts less; 1 in 90 of normal noise of two dimensions."""
 _DIRECTION_FLOOR_RAD = np.radians(0.05)
@@ -186,7 +186,7 @@ def _add_held(e: Equations, terms: Terms, at: Estimate) -> None:
 def _add_directions(e: Equations, terms: Terms, at: Estimate) -> None:
     """The ceiling's lines have one direction; a hall that is built at another counts for nothing."""
     s = terms.survey
-    told = np.flatnonzero(np.isfinite(s.direction_sigma_rad))
+    told = np.flatnonzero(s.direction_sigma_rad < NO_DIRECTION_RAD)
     sigma = np.hypot(s.direction_sigma_rad[told], _DIRECTION_FLOOR_RAD)
     angle = 4.0 * (at.pose[told, 2] + s.direction_rad[told] - at.axis_rad)
     off = 0.25 * wrap_array(angle) / sigma

@@ -9,7 +9,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.types import Array, Crossings, Estimate, Ints, State
+from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, State
 
 EVERY_M, EVERY_RAD = 0.25, np.radians(15.0)
 """From one to the next; chosen: a view is 2 m wide and more, so each landmark is in ten of them."""
@@ -49,7 +49,7 @@ class KeyPoseTaker:
                 self._motion,
                 self._motion_cov,
                 crossings.psi_rad if directed else 0.0,
-                crossings.psi_sigma_rad if directed else np.inf,
+                crossings.psi_sigma_rad if directed else NO_DIRECTION_RAD,
             )
         )
         self._motion, self._motion_cov = np.zeros(3), np.zeros((3, 3))

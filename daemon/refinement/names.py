@@ -14,8 +14,8 @@ from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.types import Array, Ints, Landmarks
 
 _SAME_M = 0.08
-"""Landmarks of one type this close are one, unless views show both; chosen: joints of lamps and tiles are nearer to each
-other, but of several types, or seen together."""
+"""Landmarks of one type this close are one, unless views show both; chosen: joints of lamps and tiles are nearer to
+each other, but of several types, or seen together."""
 _TOGETHER = 0.1
 """Share of the views of the rarer one that may show both: a false crossing now and then."""
 

@@ -148,7 +148,7 @@ def _held(survey: Survey, links: Ints, anchors: Anchors) -> Ints:
     _, part = connected_components(graph, directed=False)
     _, first = np.unique(part[:poses], return_index=True)
     marks = np.bincount(part[poses + np.unique(anchors.mark)], minlength=int(part.max()) + 1)
-    return first[marks[part[first]] < _FEWEST_MARKS]
+    return np.asarray(first[marks[part[first]] < _FEWEST_MARKS], np.int64)
 
 
 def _gaps(survey: Survey) -> Ints:
@@ -196,7 +196,7 @@ def _about_neighbours(xy_m: Array, draws: Array) -> Array:
 
 
 def laid_on(xy_m: Array, onto_m: Array) -> Array:
-    """Points (N, 2) turned and shifted so that they lie best on others, in the sense of least squares (Umeyama 1991)."""
+    """Points (N, 2) turned and shifted so that they lie best on others, by least squares (Umeyama 1991)."""
     a, b = xy_m - xy_m.mean(axis=0), onto_m - onto_m.mean(axis=0)
     angle = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import bsr_array, coo_array
@@ -91,7 +92,7 @@ class Solver:
         return Step(poses, x[: 2 * self._landmarks].reshape(-1, 2), border)
 
     def drawn(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, L, 2) errors of the landmarks, drawn from what the last step's equations leave; the border is held."""
+        """(count, L, 2) errors of the landmarks, drawn from what the last equations leave; the border is held."""
         assert self._band is not None and self._order is not None
         noise = rng.standard_normal((self._size, count))
         solved, info = dtbtrs(self._band, noise, uplo="L", trans="T")
@@ -138,8 +139,8 @@ class Solver:
         width = max(int(np.max(row - column)) for row, column, _ in places) + 1
         if 8 * width * self._size > MOST_BAND_BYTES:
             raise RefinementError(
-                f"refinement needs {8e-9 * width * self._size:.0f} GB for {self._landmarks} landmarks, expected at most "
-                f"{MOST_BAND_BYTES / 2**30:.0f} GB: refine the building's parts one by one (ceilvod map crop)"
+                f"refinement needs {8e-9 * width * self._size:.0f} GB for {self._landmarks} landmarks, expected at "
+                f"most {MOST_BAND_BYTES / 2**30:.0f} GB: refine the building's parts one by one (ceilvod map crop)"
             )
         self._band = None
         band = np.zeros((width, self._size), order="F")
@@ -154,14 +155,14 @@ class Solver:
         out[order] = cho_solve_banded((self._band, True), right[order], check_finite=False)
         return out
 
-    def _ordered(self, parts: list[coo_array]) -> tuple[Ints, Ints]:
+    def _ordered(self, parts: list[coo_array]) -> tuple[Ints, NDArray[np.int32]]:
         """The unknowns in the order of the band, and the rank of each."""
         if self._order is None:
             rows, columns = (np.concatenate([getattr(p, k) for p in parts]) for k in ("row", "col"))
             ones = np.ones(len(rows), np.int8)
             pattern = coo_array((ones, (rows, columns)), shape=(self._size, self._size)).tocsr()
             self._order = np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), np.int64)
-        rank = np.empty(self._size, np.int32)
+        rank = np.empty(self._size, np.int32)  # half the memory of all the places that it is looked up for
         rank[self._order] = np.arange(self._size, dtype=np.int32)
         return self._order, rank
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.types import Array, Ints
 
@@ -26,7 +27,7 @@ class Rows:
     sigma_m: Array
 
 
-def rows_of(xy_m: Array, axis_rad: float, crossings: Array) -> Rows:
+def rows_of(xy_m: Array, axis_rad: float, crossings: NDArray[np.bool_]) -> Rows:
     """The next landmark along each line of either axis.
 
     Args:

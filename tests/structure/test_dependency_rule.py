@@ -37,7 +37,7 @@ TOPS = {
 JOIN_DRIVERS = ("daemon/app", "daemon/replay", "daemon/doctor")
 SIMULATION = "daemon/app/simulation.py"
 FACTORY = "daemon/relocalisation/filters.py"
-MAP, MAP_USERS = "daemon/map", ("daemon/app", "daemon/doctor", "daemon/editing")
+MAP, MAP_USERS = "daemon/map", ("daemon/app", "daemon/doctor", "daemon/editing", "daemon/refinement")
 FUZZ = "bench/fuzz/targets"
 
 PURE_UP_TO = FLOORS.index("pipeline")

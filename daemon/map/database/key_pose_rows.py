@@ -15,7 +15,7 @@ from ceilvo.daemon.map.database.rows import digest
 from ceilvo.daemon.map.database.spatial import cells
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.se2 import compose, compose_cov
-from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Array
+from ceilvo.types import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID, Array
 
 SPACE_M = 1.0
 """Side of the squares in which key poses are counted; chosen: about what one view shows."""
@@ -52,7 +52,7 @@ def rows_of_key_poses(k: KeyPoses) -> list[KeyPoseRow]:
     features = np.empty(k.features, _FEATURE)
     features["xy"], features["cov"] = k.xy_base_m, k.cov_base_m2.reshape(-1, 4)[:, [0, 1, 3]]
     features["landmark"], features["kind"] = k.landmark, k.crossing_type
-    motion = np.hstack([k.motion, k.motion_cov.reshape(-1, 9), k.tilt_rad]).astype("<f8")
+    motion = np.hstack([k.motion, k.motion_cov.reshape(-1, 9), _direction(k)]).astype("<f8")
     pose = np.asarray(k.pose, np.float64) + 0.0  # SQLite knows no negative zero
     start = np.searchsorted(k.view, np.arange(len(k) + 1))
     cell = cells(pose[:, :2], SPACE_M).tolist()
@@ -97,13 +97,19 @@ def _from_table(session: str, table: list[tuple[Any, ...]]) -> KeyPoses:
         pose=np.array([r[1:4] for r in table], np.float64).reshape(-1, 3),
         motion=motion[:, :3].copy(),
         motion_cov=motion[:, 3:12].reshape(-1, 3, 3).copy(),
-        tilt_rad=motion[:, 12:].copy(),
+        direction_rad=motion[:, 12].copy(),
+        direction_sigma_rad=motion[:, 13].copy(),
         view=np.repeat(np.arange(len(table)), [len(v) for v in views]).astype(np.int64),
         xy_base_m=features["xy"].copy(),
         cov_base_m2=features["cov"][:, [0, 1, 1, 2]].reshape(-1, 2, 2),
         crossing_type=features["kind"].astype(np.int64),
         landmark=features["landmark"].astype(np.int64),
     )
+
+
+def _direction(k: KeyPoses) -> Array:
+    """(K, 2) direction and its standard deviation."""
+    return np.column_stack([k.direction_rad, k.direction_sigma_rad])
 
 
 def _digest(session: str, values: tuple[Any, ...]) -> bytes:
@@ -119,7 +125,7 @@ def _check(k: KeyPoses) -> None:
         raise Damage("key_poses.stamp_ns does not ascend")
     floats(np.asarray(k.pose), "key_poses.pose", (n, 3), MAX_COORDINATE_M)
     floats(np.asarray(k.motion), "key_poses.motion", (n, 3), MAX_COORDINATE_M)
-    floats(np.asarray(k.tilt_rad), "key_poses.tilt_rad", (n, 2), MAX_COORDINATE_M)
+    floats(_direction(k), "key_poses.direction_rad", (n, 2), MAX_ANGLE_RAD)
     if np.any(np.isnan(k.motion_cov) | (k.motion_cov == -np.inf)):
         raise Damage("key_poses.motion_cov has a value that is neither finite nor unknown")
     known = np.all(np.isfinite(k.motion_cov), axis=(1, 2))
@@ -154,7 +160,8 @@ def kept(k: KeyPoses, keep: NDArray[np.bool_]) -> KeyPoses:
         pose=k.pose[which],
         motion=motion[which],
         motion_cov=cov[which],
-        tilt_rad=k.tilt_rad[which],
+        direction_rad=k.direction_rad[which],
+        direction_sigma_rad=k.direction_sigma_rad[which],
         view=number[k.view[seen]],
         xy_base_m=k.xy_base_m[seen],
         cov_base_m2=k.cov_base_m2[seen],
