@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
-.PHONY: soak bench-faults bench-place bench-latency bench-starved kill-test damage-matrix fuzz
+.PHONY: soak bench-faults bench-refine bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
@@ -25,6 +25,7 @@ help:
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
 	@echo "make soak              the daemon with faults and floods for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
+	@echo "make bench-refine      maps of buildings before and after refinement"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
 	@echo "make bench-arm         installs ceilvo on an emulated 64-bit ARM and compares every pose (root)"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
@@ -80,6 +81,9 @@ soak: $(VENV)/.installed-bench
 
 bench-faults: $(VENV)/.installed
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10) --resume
+
+bench-refine: $(VENV)/.installed-bench
+	$(BIN)/python -m ceilvo.bench.refine
 
 bench-place: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.place faults --count $(or $(COUNT),300) --seed $(or $(SEED),1000) --resume

@@ -21,6 +21,7 @@ PURE, IMPURE, SHARED, OUTSIDE, LINE = "#d8ecd8", "#fbe3c8", "#dce6f5", "#ececec"
 SAID = {
     "cli": "ceilvod and its words",
     "editing": "ceilvod map: looking at maps, editing, undoing",
+    "refinement": "a map made better from all that was seen",
     "doctor": "what is wrong with this installation?",
     "app": "process, estimator thread, outputs, requests, screen",
     "replay": "inputs, snapshot, recording, replay, trajectory, overlay",

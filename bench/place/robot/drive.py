@@ -125,9 +125,12 @@ class Drive:
         return np.asarray(se2.compose(self.map_from_room, self.room_pose))
 
     def at_truth(self) -> None:
-        """An empty map that begins where the robot is."""
+        """An empty map that begins where the robot is; it stands until its first picture."""
         self.estimator.reset(keep_map=False)
         self.pipeline.set_pose(Pose(self.pose), _SURE, "put here")
+        speed, self.conditions.speed = self.conditions.speed, 0.0
+        self.tick()
+        self.conditions.speed = speed
 
     def load(self, landmarks: Landmarks, axis_rad: float, pose: Array | None = None) -> None:
         """As the daemon begins with stored files; pose: (3,) stored, else the robot's own."""
