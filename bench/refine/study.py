@@ -17,10 +17,11 @@ from ceilvo.bench.refine.building import Hall, MapError, error, sweep
 from ceilvo.calibration import Calibration, in_base
 from ceilvo.config import Config
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Crossings, Estimate, Landmarks, Pose
+from ceilvo.types import Array, Crossings, Landmarks, Pose
 
 SPEED_MPS, RATE_HZ = 0.8, 15.0
 _SURE = np.diag([1e-6, 1e-6, 1e-6])
@@ -62,7 +63,6 @@ def drive(
     true: Calibration,
     rng: np.random.Generator,
     session: str,
-    on_pose: Callable[[Array, Estimate], None] = lambda _true, _estimate: None,
 ) -> KeyPoses:
     """One session through the daemon's own steps."""
     taker, base, before, before_ns = KeyPoseTaker(session), Base(rng), way[0], None
@@ -71,7 +71,6 @@ def drive(
         estimate = pipeline.step_crossings(stamp_ns, seen, base.between(before_ns, stamp_ns))
         before, before_ns = pose, stamp_ns
         taker.add(pipeline, estimate, seen)
-        on_pose(pose, estimate)
     return taker.taken()
 
 
@@ -120,11 +119,5 @@ def error_of(landmarks: Landmarks, features: Features) -> tuple[MapError, int]:
     for _ in range(_ROUNDS):
         off, nearest = tree.query(laid)
         used = off < _TRUE_M
-        laid = se2.transform(Pose(_motion(own[used], features.xy_map_m[nearest[used]])), own)
+        laid = se2.transform(rigid_motion(own[used], features.xy_map_m[nearest[used]]), own)
     return error(own[used], features.xy_map_m[nearest[used]]), int(np.count_nonzero(~used))
-
-
-def _motion(a: Array, b: Array) -> Array:
-    da, db = a - a.mean(axis=0), b - b.mean(axis=0)
-    angle = np.arctan2(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]), np.sum(da * db))
-    return np.append(b.mean(axis=0) - se2.rotation(float(angle)) @ a.mean(axis=0), angle)

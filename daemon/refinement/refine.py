@@ -12,11 +12,13 @@ from scipy.spatial import cKDTree
 
 from ceilvo.calibration import Calibration
 from ceilvo.crossing_types import LAMP
+from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.refinement.calibration_field import CalibrationField, CalibrationPrior, corrected
 from ceilvo.daemon.refinement.equations import ROBUST, Equations, Estimate, Terms, linearised, moved
 from ceilvo.daemon.refinement.solver import Solver
 from ceilvo.daemon.refinement.straightness import rows_of
 from ceilvo.daemon.refinement.survey import Anchors, Survey
+from ceilvo.se2 import transform
 from ceilvo.types import Array, Ints
 
 _ROUNDS = 20
@@ -196,8 +198,5 @@ def _about_neighbours(xy_m: Array, draws: Array) -> Array:
 
 
 def laid_on(xy_m: Array, onto_m: Array) -> Array:
-    """Points (N, 2) turned and shifted so that they lie best on others, by least squares (Umeyama 1991)."""
-    a, b = xy_m - xy_m.mean(axis=0), onto_m - onto_m.mean(axis=0)
-    angle = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return np.asarray(a @ turn.T + onto_m.mean(axis=0))
+    """Points (N, 2) turned and shifted so that they lie best on others, by least squares."""
+    return transform(rigid_motion(xy_m, onto_m), xy_m)

@@ -7,6 +7,7 @@ Views from one spot show the same things and err alike, so they count as one: th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -137,9 +138,10 @@ class PlaceBelief:
     def at_another_spot(self) -> bool:
         return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
 
-    def weigh(self, log_ratio: Array, unmapped: Array | None = None) -> None:
-        """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known, and (P,) how
-        much of what is seen lies on ground that is not known at each of them (None: nothing).
+    def weigh(self, log_ratio: Array, unmapped: Callable[[], Array] | None = None) -> None:
+        """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known, and what says
+        (P,) how much of what is seen lies on ground that is not known at each of them (None: nothing); it is asked only
+        where another place leads.
 
         What another place than the tracked one explains so well may be because ceilings are alike: then new ground
         would show the same, so it is no worse for that.
@@ -147,7 +149,7 @@ class PlaceBelief:
         best = int(np.argmax(self.log_weight + self.seen[:, 0] + log_ratio[:, 0]))
         if best > 0 and unmapped is not None:
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
-            share = max(_too_much(self.seen[best] + view) - _too_much(self.seen[best]), 0.0) * unmapped
+            share = max(_too_much(self.seen[best] + view) - _too_much(self.seen[best]), 0.0) * unmapped()
             share[best] = 0.0
             log_ratio = log_ratio + np.column_stack([share, np.zeros(len(self))])
         if not self.spot_views:

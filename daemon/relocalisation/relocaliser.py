@@ -248,7 +248,7 @@ class Relocaliser:
         if not self.sure and not s.belief.spot_views:
             self._search(view, pose)
         evidence.take(self._worth(view))
-        s.belief.weigh(self._log_ratio(evidence, pose), evidence.unmapped(rival_poses(s.belief.places, pose)))
+        s.belief.weigh(self._log_ratio(evidence, pose), lambda: evidence.unmapped(rival_poses(s.belief.places, pose)))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 

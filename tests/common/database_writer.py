@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import numpy as np
@@ -26,17 +24,6 @@ def of_save(n: int) -> Landmarks:
     at = np.arange(count) % 10 == n % 10
     seen = np.where(at, 1000 + n, 1)
     return replace(base, ids=np.arange(count), sightings=seen, expected=np.full(count, 10**9 + n))
-
-
-def start(path: Path) -> tuple[ForkServerProcess, Connection]:
-    """A writer, and where it tells the number of the save that it found, and then every save that was made."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["database_writer"])
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=write, args=(path, there))
-    process.start()
-    there.close()
-    return process, here
 
 
 def write(path: Path, to: Connection) -> None:

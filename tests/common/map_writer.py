@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import numpy as np
@@ -38,17 +36,6 @@ def estimate(n: int) -> Estimate:
         crossings=0,
         landmarks=0,
     )
-
-
-def start(folder: Path) -> tuple[ForkServerProcess, Connection]:
-    """A writer and where it tells what it found, how many files lie there, and every fourth save."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["map_writer"])
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=write, args=(folder, there))
-    process.start()
-    there.close()
-    return process, here
 
 
 def write(folder: Path, to: Connection) -> None:

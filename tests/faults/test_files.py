@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from map_writer import estimate, landmarks
 from patience import PATIENCE_S
+from writers import started
 
 from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_state
 from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME, Store
@@ -31,7 +32,7 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path) -> None:
     rng = random.Random(SEED)
     reached = 0
     for kill in range(KILLS):
-        process, said = map_writer.start(tmp_path)
+        process, said = started(map_writer.write, tmp_path)
         with said:
             found, files = said.recv()
             assert found >= reached, f"kill {kill}: an older state came back (seed {SEED})"

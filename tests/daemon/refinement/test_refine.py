@@ -140,6 +140,21 @@ def test_sessions_that_share_nothing_each_stay_where_they_are() -> None:
     assert np.all(np.abs(done.estimate.pose[starts] - survey.pose[starts]) < 1e-3)
 
 
+def test_two_marks_put_the_map_where_a_surveyor_has_it() -> None:
+    drive, survey = surveyed()
+    turn, shift = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([5.0, -3.0])
+    truth = drive.xy_m[survey.ids] @ turn.T + shift
+    start = replace(survey, xy_m=survey.xy_m @ turn.T + shift + 0.05, axis_rad=float(np.arctan2(0.8, 0.6)))
+    turned = np.column_stack([survey.pose[:, :2] @ turn.T + shift + 0.05, survey.pose[:, 2] + start.axis_rad])
+    mark = tape(drive, survey).between[0]
+    done = refine(
+        replace(start, pose=turned), anchors=Anchors(mark=mark, mark_xy_m=truth[mark], mark_sigma_m=np.full(2, 1e-3))
+    )
+    off = np.hypot(*(done.estimate.xy_m - truth).T)
+    print(f"off the surveyor's map by {1e3 * off.max():.2f} mm at most")
+    assert off.max() < 5e-3
+
+
 def test_no_landmark_seen_twice_is_said() -> None:
     drive, sessions, landmarks = driven()
     alone = replace(sessions[0], landmark=np.full(sessions[0].features, -1))

@@ -15,6 +15,7 @@ import small_disk
 from map_contents import same_landmarks
 from patience import PATIENCE_S
 from small_disk import SmallDisk
+from writers import started
 
 from ceilvo.daemon.map.database.copies import open_map
 
@@ -31,7 +32,7 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path, caplog: pytest.
     rng, path = random.Random(SEED), tmp_path / "map.db"
     reached, torn, copying = 0, 0, 0
     for kill in range(KILLS):
-        process, said = database_writer.start(path)
+        process, said = started(database_writer.write, path)
         with said:
             assert said.recv() in (reached, reached + 1), f"kill {kill} (seed {SEED})"
             threading.Event().wait(rng.uniform(0.0, LONGEST_S))
