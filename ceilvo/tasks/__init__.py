@@ -1,0 +1,1 @@
+"""Many things to do, the same for each: in this process, in several, or on a cluster."""
