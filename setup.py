@@ -2,19 +2,24 @@
 
 from setuptools import Extension, setup
 
-KERNEL = "daemon/vision/kernel"
+VISION, ODOMETRY = "daemon/vision/kernel", "daemon/odometry/kernel"
+KERNEL = (
+    *(f"{VISION}/{name}" for name in ("following", "joins", "lines", "pixels", "points", "spreads")),
+    *(f"{ODOMETRY}/{name}" for name in ("followed_lines", "homographies", "views")),
+)
 
 # optional: without a compiler the installation goes on, and the same loops run in NumPy
 setup(
     ext_modules=[
         Extension(
-            f"ceilvo.{KERNEL.replace('/', '.')}.{name}",
-            [f"{KERNEL}/{name}.pyx"],
+            f"ceilvo.{path.replace('/', '.')}",
+            [f"{path}.pyx"],
+            depends=[f"{VISION}/picture.pxi", f"{VISION}/solve.pxi"],
             # no fused multiply-add, which ARM has and the x86-64 of packages has not: the same figures on both
             extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off"],
             optional=True,
         )
-        for name in ("pixels", "points")
+        for path in KERNEL
     ],
     options={"build_ext": {"cython_c_in_temp": True}},  # no generated C between the sources
 )

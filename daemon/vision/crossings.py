@@ -10,6 +10,7 @@ from ceilvo.config import Features
 from ceilvo.crossing_types import crossing_type_of
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.angles import pixels
+from ceilvo.daemon.vision.kernel.arguments import Arm
 from ceilvo.types import Crossings, Lines
 
 Array = NDArray[np.float64]
@@ -47,19 +48,21 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
     first, second = np.flatnonzero(lines.axis == 0), np.flatnonzero(lines.axis == 1)
     view = calibration.level_view
     reach_px = max(pixels(config.crossing_reach_deg, view.focal_px, _LEAST_REACH_PX), _REACH_SPACINGS / lines.fraction)
-    covered = _covered(lines, first, 1, lines.offset_px[second], reach_px) & (
-        _covered(lines, second, 0, lines.offset_px[first], reach_px).T
+    normals = _normals(lines.psi_rad)
+    arm = _arm(lines, reach_px)
+    covered = _covered(lines, first, normals[1], lines.offset_px[second], arm) & (
+        _covered(lines, second, normals[0], lines.offset_px[first], arm).T
     )
     i, j = np.nonzero(covered)
     a, b = first[i], second[j]
-    normals = _normals(lines.psi_rad)
-    uv_rel = lines.offset_px[a, None] * normals[0] + lines.offset_px[b, None] * normals[1]
-    uv = uv_rel + np.array([view.camera.cx_px, view.camera.cy_px])
+    uv = np.column_stack([lines.offset_px[a], lines.offset_px[b]]) @ normals
+    uv += (view.camera.cx_px, view.camera.cy_px)
     metres_per_px = calibration.ceiling_height_m / view.focal_px
-    var_m2 = np.stack([lines.sigma_px[a] ** 2, lines.sigma_px[b] ** 2], axis=1) * metres_per_px**2
-    roll, pitch = calibration.ceiling_height_m * lines.tilt_sigma_rad
-    common = np.diag([pitch**2, roll**2])
-    cov = np.einsum("mk,ki,kj->mij", var_m2, normals, normals) + common
+    sigma_m = metres_per_px * np.column_stack([lines.sigma_px[a], lines.sigma_px[b]])
+    roll, pitch = (calibration.ceiling_height_m * lines.tilt_sigma_rad).tolist()
+    common = np.array([[pitch**2, 0.0], [0.0, roll**2]])
+    outer = (normals[:, :, None] * normals[:, None, :]).reshape(2, 4)
+    cov = (sigma_m**2 @ outer).reshape(-1, 2, 2) + common
     return Crossings(
         uv_px=uv,
         xy_base_m=to_ceiling(calibration.ceiling_from_level, uv),
@@ -85,32 +88,18 @@ def _normals(psi: float) -> Array:
     return np.array([[c, s], [-s, c]])
 
 
-def _covered(lines: Lines, ids: Ints, along_axis: int, at: Array, reach_px: float) -> NDArray[np.bool_]:
-    """(len(ids), len(at)): does the line have edge points along most of an arm that begins at a position?
-
-    One arm is enough: at the corner of a lamp both lines have but one.
-
-    Args:
-        along_axis: the axis whose normal points along the lines.
-        at: positions along the lines, px.
-    """
-    if len(ids) == 0 or len(at) == 0:
-        return np.zeros((len(ids), len(at)), bool)
-    row = np.full(len(lines.axis), -1, np.int32)
-    row[ids] = np.arange(len(ids), dtype=np.int32)
+def _arm(lines: Lines, reach_px: float) -> Arm:
     bin_px = _UNIFORM_BIN_SPACINGS / lines.fraction if lines.uniform else _BIN_PX
-    margin = reach_px + 2.0 * bin_px
-    low = float(at.min()) - margin
-    bins = int((float(at.max()) - low + margin) / bin_px) + 2
-    normal = _normals(lines.psi_rad)[along_axis]
-    hit = kernel.hits(
-        np.asarray(lines.points, np.float32), row[lines.point_line], normal, low, bin_px, (len(ids), bins)
-    )
-    total = np.concatenate([np.zeros((len(ids), 1), np.int64), np.cumsum(hit, axis=1)], axis=1)
-    cells = [((at + d - low) / bin_px).astype(np.int64) for d in (-reach_px, -_CORNER_PX, _CORNER_PX, reach_px)]
-    before = total[:, cells[2] + 1] - total[:, cells[0]]
-    after = total[:, cells[3] + 1] - total[:, cells[1]]
-    # expected of a line that is there: it has an edge point a pixel, of which the fraction `share` was kept
+    # expected of a line that is there: it has an edge point a pixel, of which the fraction was kept
     filled = 1.0 if lines.uniform else 1.0 - (1.0 - lines.fraction) ** bin_px
     need = _ARM_FRACTION * filled * reach_px / bin_px
-    return np.asarray(np.maximum(before, after) >= max(need, _MIN_BINS))
+    return Arm(reach_px, _CORNER_PX, bin_px, max(need, _MIN_BINS))
+
+
+def _covered(lines: Lines, ids: Ints, normal: Array, at_px: Array, arm: Arm) -> NDArray[np.bool_]:
+    """(len(ids), len(at_px)): as kernel.arms(), of the lines `ids`."""
+    row = np.full(len(lines.axis), -1, np.int32)
+    row[ids] = np.arange(len(ids), dtype=np.int32)
+    points, point_line = np.asarray(lines.points, np.float32), np.asarray(lines.point_line, np.int64)
+    covered: NDArray[np.bool_] = kernel.arms(points, point_line, row, normal, at_px, arm)
+    return covered

@@ -8,6 +8,7 @@ answer is None and the caller looks at the whole frame.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.edges import gradient, noise_samples
+from ceilvo.daemon.vision.edges import noise_samples, smoothed, thresholds
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
 from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
 from ceilvo.daemon.vision.line_fit import JointFit, Points
@@ -36,7 +37,7 @@ _CLOSE_STEP_PX, _CLOSE_REACH_PX = 2.0, 2.0
 """Close look: half of the edge points that a full detection finds, within its gates; chosen."""
 _EXTEND_PX = 15.0
 """An edge is looked for this far beyond the ends it had; chosen: new parts come into view at the rim."""
-_SHIFT_GATES_PX = (4.0, 2.5, 1.5)
+_SHIFT_GATES_PX = np.array([4.0, 2.5, 1.5])
 """Distance of a point from the common shift, turn and tilt, round by round; chosen to end near the close reach."""
 _SHIFTS_PX = np.arange(-_SPARSE_REACH_PX - 2.0, _SPARSE_REACH_PX + 3.0)
 """Centres of the bins that vote for a shift: 1 px wide, with 2 to spare at either end."""
@@ -60,6 +61,7 @@ _MIN_LOOKS = 4
 """An edge is in view where at least so many points of it are hoped for; chosen: fewer tell nothing."""
 _MIN_EDGES = 4
 """Fewest edges that must be there; chosen: two an axis."""
+_GROUPS = np.arange(4)
 _SHIFT_LIKELIHOOD = np.exp(-0.5 * (_SHIFTS_PX / _SHIFT_SIGMA_PX) ** 2)
 
 
@@ -107,13 +109,15 @@ class EdgeTracker:
             prior: for the final estimate of the tilt.
             readout: of a rolling shutter.
         """
-        dx, dy, floor, _ = gradient(self._view.reduced(gray), self._config, self._samples)
+        framed = smoothed(self._view.reduced(gray), self._config)
+        floor, _ = thresholds(framed, self._config, self._samples)
         rows = None if readout is None else readout.rows
         edges = _by_group(expected)
+        begins = np.searchsorted(_group(edges), _GROUPS)
 
         def look(edges: EdgeSet, tilt_rad: Array, look: Look) -> tuple[Points, Int32s, Ints]:
-            x, y, line, looked = kernel.follow(dx, dy, self._grids, _oriented(edges), tilt_rad, self._focal, look, rows)
-            return Points(x, y, _ends(line, edges), np.inf), line, looked
+            x, y, line, looked = kernel.follow(framed, self._grids, _oriented(edges), tilt_rad, self._focal, look, rows)
+            return Points(x, y, _ends(line, begins), np.inf), line, looked
 
         sparse = look(edges, last.tilt_rad, Look(_SPARSE_STEP_PX, _SPARSE_REACH_PX, floor, self._gate, True))
         if len(sparse[1]) < _MIN_SPARSE_POINTS:
@@ -175,20 +179,21 @@ def _by_group(edges: EdgeSet) -> EdgeSet:
     return replace(edges, **fields)
 
 
-def _ends(line: Int32s, edges: EdgeSet) -> Ends:
-    count = np.bincount(_group(edges)[line], minlength=4)
-    a, b, c, d, e = np.cumsum([0, *count]).tolist()
-    return a, b, c, d, e
+def _ends(line: Int32s, begins: Ints) -> Ends:
+    """Bounds of the groups of points, whose lines stand in the order of the edges; begins: (4,) of groups of edges."""
+    a, b, c, d = np.searchsorted(line, begins.astype(np.int32)).tolist()
+    return a, b, c, d, len(line)
 
 
 def _oriented(edges: EdgeSet) -> Array:
     """(E, 5) rows of kernel.follow: cos and sin of the direction in which brightness rises, offset, start, end."""
-    sign = np.where(edges.rising, 1.0, -1.0)
-    angle = edges.psi_rad + 0.5 * np.pi * edges.axis
-    start, end = (
-        np.where(edges.rising, a, -b) for a, b in ((edges.start_px, edges.end_px), (edges.end_px, edges.start_px))
-    )
-    return np.column_stack([sign * np.cos(angle), sign * np.sin(angle), sign * edges.offset_px, start, end])
+    c, s = math.cos(edges.psi_rad), math.sin(edges.psi_rad)
+    normals = np.array([[-c, -s], [c, s], [s, -c], [-s, c]])  # of each group, along which brightness rises
+    out, falling = np.empty((len(edges.axis), 5)), ~edges.rising
+    out[:, :2] = normals[_group(edges)]
+    out[:, 2], out[:, 3], out[:, 4] = edges.offset_px, edges.start_px, edges.end_px
+    out[falling, 2:] = -out[falling][:, [2, 4, 3]]
+    return out
 
 
 def _align(
@@ -196,50 +201,16 @@ def _align(
 ) -> tuple[EdgeSet, Array]:
     """The edges and the tilt, moved by the shift, turn and tilt (0 +- tilt_sigma_rad) that most points share."""
     half = points.ends[2]
-    rho, tangent = (v.astype(np.float64) for v in kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad))
-    off_px = rho * focal_px - edges.offset_px[line]
-    fitted, found = np.empty(len(line)), np.zeros(5)
-    model = np.zeros((len(line), 5))
-    for axis, part in enumerate((slice(0, half), slice(half, None))):
-        fitted[part] = _likely_shift(off_px[part])
-        model[part, axis] = 1.0
-        model[part, 2:] = _jacobian(edges.psi_rad + 0.5 * np.pi * axis, rho[part], tangent[part])
-    model[:, 2:] *= -focal_px
-    prior_info = np.diag([_SHIFT_INFO, _SHIFT_INFO, _TURN_SIGMA_RAD**-2, tilt_sigma_rad**-2, tilt_sigma_rad**-2])
-    for gate in _SHIFT_GATES_PX:
-        use = np.abs(off_px - fitted) < gate
-        m = model[use]
-        found = np.linalg.solve(m.T @ m + prior_info, m.T @ off_px[use])
-        fitted = model @ found
+    rho, tangent = kernel.project(points.x, points.y, half, edges.psi_rad, tilt_rad)
+    tilt_info = tilt_sigma_rad**-2
+    info = np.array([_SHIFT_INFO, _SHIFT_INFO, _TURN_SIGMA_RAD**-2, tilt_info, tilt_info])
+    offset_px, psi_rad = edges.offset_px, edges.psi_rad
+    found = kernel.align(
+        rho, tangent, line, half, offset_px, psi_rad, focal_px, info, _SHIFT_GATES_PX, _SHIFT_LIKELIHOOD
+    )
     shift = np.where(edges.axis == 0, found[0], found[1])
     moved = replace(edges, psi_rad=edges.psi_rad + float(found[2]), offset_px=edges.offset_px + shift)
     return moved, tilt_rad + found[3:]
-
-
-def _jacobian(angle_rad: float, rho: Array, tangent: Array) -> Array:
-    """(K, 3) how rho of a ray as a level robot sees it grows with the direction and with the tilt taken off it.
-
-    Args:
-        angle_rad: of the normal that rho is counted along.
-    """
-    nx, ny = np.cos(angle_rad), np.sin(angle_rad)
-    x, y = rho * nx - tangent * ny, rho * ny + tangent * nx
-    about_x = -nx * x * y - ny * (1.0 + y * y)
-    about_y = nx * (1.0 + x * x) + ny * x * y
-    return np.column_stack([tangent, about_x, about_y])
-
-
-def _likely_shift(off_px: Array) -> float:
-    """The shift that most points share; small ones are likelier beforehand."""
-    if len(off_px) == 0:
-        return 0.0
-    reach = len(_SHIFTS_PX) // 2
-    cell = np.clip(np.rint(off_px).astype(np.int64) + reach, 0, 2 * reach)
-    votes = np.bincount(cell, minlength=len(_SHIFTS_PX))
-    three = votes.copy()
-    three[1:] += votes[:-1]
-    three[:-1] += votes[1:]
-    return float(_SHIFTS_PX[np.argmax(three * _SHIFT_LIKELIHOOD)])
 
 
 def _enough(seen: Ints, hoped: Array) -> bool:

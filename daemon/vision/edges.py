@@ -12,9 +12,9 @@ from ceilvo.calibration import Calibration
 from ceilvo.camera import LevelView
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, Int16s
+from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.robust import MAD_TO_SIGMA, median
+from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Ints
 
 Array32 = NDArray[np.float32]
@@ -63,7 +63,9 @@ class EdgeDetector:
 
     def __call__(self, gray: NDArray[np.uint8], readout: Readout | None = None) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size, at the instant of its middle row."""
-        dx, dy, low, high = gradient(self._view.reduced(gray), self._config, self._samples)
+        framed = smoothed(self._view.reduced(gray), self._config)
+        dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(framed[1:-1, 1:-1]))
+        low, high = thresholds(framed, self._config, self._samples)
         mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
         edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
         limit, fraction = self._limit(cv2.countNonZero(edges))
@@ -89,17 +91,21 @@ def noise_samples(view: LevelView, max_view_deg: float) -> Ints:
     return np.asarray(at.reshape(-1), np.int64)
 
 
-def gradient(gray: NDArray[np.uint8], config: Features, samples: Ints) -> tuple[Int16s, Int16s, float, float]:
-    """(H, W) gradient along x and y of the smoothed frame, and the lower and upper threshold its noise asks for.
+def smoothed(gray: NDArray[np.uint8], config: Features) -> NDArray[np.uint8]:
+    """(H + 2, W + 2) the frame (H, W) without the finest noise, and around it a frame of one pixel."""
+    smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
+    return np.asarray(cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), np.uint8)
+
+
+def thresholds(framed: NDArray[np.uint8], config: Features, samples: Ints) -> tuple[float, float]:
+    """Lower and upper threshold of the gradient that a frame's noise asks for.
 
     Args:
+        framed: as of smoothed().
         samples: as of noise_samples().
     """
-    smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
-    dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(smooth))
-    noise = MAD_TO_SIGMA * median(np.abs(dx.reshape(-1)[samples]))
-    high = max(config.canny_sigmas * noise, config.canny_floor)
-    return dx, dy, config.canny_low_ratio * high, high
+    high = max(config.canny_sigmas * MAD_TO_SIGMA * kernel.median_slope(framed, samples), config.canny_floor)
+    return config.canny_low_ratio * high, high
 
 
 def _interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:

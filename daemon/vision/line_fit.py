@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel.arguments import Ends
+from ceilvo.daemon.vision.kernel.arguments import Ends, Step
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
-from ceilvo.robust import MAD_TO_SIGMA, median
+from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
 
 Array32 = NDArray[np.float32]
@@ -106,28 +106,27 @@ class JointFit:
         self.restart(starts)
         self.covariance = np.eye(3)
         self.noise_px = 1.0
-        self._project()
+        self.rho, self.tangent = kernel.project(self._x, self._y, self.ends[2], self.psi, self.tilt)
 
     @property
     def axis(self) -> Ints:
         return np.asarray(self.line_group // 2, np.int64)
 
-    def uv(self) -> Array32:
-        """(P, 2) px of the remaining points as a level robot would see them."""
-        half, c, s = self.ends[2], np.float32(np.cos(self.psi)), np.float32(np.sin(self.psi))
-        first, second = self.rho.copy(), self.tangent.copy()
-        first[half:], second[half:] = -self.tangent[half:], self.rho[half:]
-        uv = np.column_stack([c * first - s * second, s * first + c * second])
-        return np.asarray(uv * np.float32(self.focal_px), np.float32)
+    def picture(self, new_of_old: Ints) -> tuple[Array32, Ints]:
+        """(Q, 2) px of the remaining points as a level robot would see them, and (Q,) the new number of their lines.
+
+        Args:
+            new_of_old: (L,) of each line; -1 leaves its points out.
+        """
+        points, line = kernel.picture(
+            self.rho, self.tangent, self.line, self.ends[2], self.psi, self.focal_px, new_of_old
+        )
+        return points, line
 
     def extents(self) -> tuple[Array, Array]:
         """Where the points of every line (L,) begin and end along it, px."""
         low, high = kernel.extents(self.tangent, self.line, len(self.offset))
         return low * self.focal_px, high * self.focal_px
-
-    def _project(self) -> None:
-        """Turn the seen rays back by the robot's tilt."""
-        self.rho, self.tangent = kernel.project(self._x, self._y, self.ends[2], self.psi, self.tilt)
 
     def assign(self, gate_px: float) -> None:
         """Give every point the nearest line of its axis and polarity within the gate; drop points of no line."""
@@ -169,13 +168,11 @@ class JointFit:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
         self.line = line_of_point
         self.offset = expected_offset
-        self._project()
 
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
-        spread = np.abs(self.rho[::_SPREAD_STRIDE] * self.focal_px - self.offset[self.line[::_SPREAD_STRIDE]])
-        sigma = MAD_TO_SIGMA * median(spread)
-        return float(np.clip(_LAST_GATE_SIGMAS * sigma, *_LAST_GATE_PX))
+        sigma = MAD_TO_SIGMA * kernel.spread(self.rho, self.line, self.offset, self.focal_px, _SPREAD_STRIDE)
+        return min(max(_LAST_GATE_SIGMAS * sigma, _LAST_GATE_PX[0]), _LAST_GATE_PX[1])
 
     def solve(self, tilt: bool = True) -> None:
         """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line.
@@ -183,31 +180,15 @@ class JointFit:
         Args:
             tilt: False holds the tilt where it is.
         """
-        n = len(self.offset)
-        self.support, total, product = kernel.sums(self.rho, self.tangent, self.line, self.ends[2], n)
-        means = total / np.maximum(self.support, 1)[:, None]
-        # sums of products about every line's own mean
-        scatter = (product - total.T @ means) * self.focal_px**2
-        scatter_r, r_jac, info_jac = scatter[0, 0], scatter[0, 1:], scatter[1:, 1:]
-        mean_square = scatter_r / max(len(self.line), 1)
-        self.noise_px = max(float(np.sqrt(max(mean_square, 0.0))), _SIGMA_FLOOR_PX)
-        weight = 1.0 / (self.noise_px**2 * self.correlated)
         held = not (tilt and self._config.estimate_tilt)
-        prior = np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg)
-        turn = self._tilt_from_axes()
-        prior_info = np.zeros((3, 3))
-        prior_info[0, 0], prior_info[1, 1], prior_info[2, 2] = _DIRECTION_INFO, prior**-2, prior**-2
-        info = weight * info_jac + prior_info
-        gradient = weight * r_jac + np.array([0.0, *(np.zeros(2) if held else turn.T @ self.tilt / prior**2)])
-        covariance = np.asarray(np.linalg.inv(info))
-        step = -covariance @ gradient
-        to_base = np.eye(3)
-        to_base[1:, 1:] = turn
-        self.covariance = to_base @ covariance @ to_base.T
-        self.psi += float(step[0])
-        self.tilt = self.tilt + turn @ step[1:]
-        self._project()
-        self._update_offsets()
+        prior_rad = float(np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg))
+        step = Step(self.focal_px, self.correlated, _SIGMA_FLOOR_PX, _DIRECTION_INFO, prior_rad**-2, held)
+        self.support, self.noise_px, moved, self.covariance = kernel.fit(
+            self.rho, self.tangent, self.line, self.ends[2], len(self.offset), self.psi, self.tilt, step
+        )
+        self.psi += float(moved[0])
+        self.tilt = self.tilt + moved[1:]
+        self._settle()
 
     def _unbend(self, tilt: bool = True) -> None:
         """Take out what is wrong with the twist by which a rolling shutter's rows were brought to one instant.
@@ -232,8 +213,7 @@ class JointFit:
         wrong = np.linalg.solve(info, -product[1:, 0])[3:]
         self._x = (self._x + by_x @ wrong).astype(np.float32)
         self._y = (self._y + by_y @ wrong).astype(np.float32)
-        self._project()
-        self._update_offsets()
+        self._settle()
 
     def finish_held(self) -> None:
         """The last round with the tilt where it is."""
@@ -246,26 +226,24 @@ class JointFit:
     def apply_prior(self, prior: TiltPrior) -> None:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""
         off = prior.mean_rad - self.tilt
-        spread = self.covariance[1:, 1:] + np.diag(prior.sigma_rad**2)
-        if float(off @ np.linalg.solve(spread, off)) > _TILT_CHI2:
+        (a, b), (c, d) = self.covariance[1:, 1:].tolist()
+        sigma_x, sigma_y = prior.sigma_rad.tolist()
+        a, d = a + sigma_x**2, d + sigma_y**2
+        spread_inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
+        if float(off @ spread_inverse @ off) > _TILT_CHI2:
             return
-        gain = self.covariance[:, 1:] @ np.linalg.inv(spread)
+        gain = self.covariance[:, 1:] @ spread_inverse
         step = gain @ off
         self.covariance = self.covariance - gain @ self.covariance[1:, :]
         self.psi += float(step[0])
         self.tilt = self.tilt + step[1:]
-        self._project()
-        self._update_offsets()
+        self._settle()
 
-    def _update_offsets(self) -> None:
-        """Offsets as the means of their points."""
-        mean = kernel.means(self.rho, self.line, len(self.offset)) * self.focal_px
-        self.offset = np.where(self.support > 0, mean, self.offset)
-
-    def _tilt_from_axes(self) -> Array:
-        """(2, 2): tilt about base x and y from tilt about the two line normals."""
-        c, s = np.cos(self.psi), np.sin(self.psi)
-        return np.array([[c, -s], [s, c]])
+    def _settle(self) -> None:
+        """Turn the seen rays back by the robot's tilt, with offsets as the means of their points."""
+        self.rho, self.tangent, self.offset = kernel.settle(
+            self._x, self._y, self.line, self.ends[2], self.psi, self.tilt, self.focal_px, self.offset
+        )
 
     def finish(self) -> TiltPrior:
         """The last round; returns the tilt of this frame alone."""

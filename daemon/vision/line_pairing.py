@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Features
+from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.angles import pixels
+from ceilvo.daemon.vision.kernel.arguments import Widths
 from ceilvo.daemon.vision.line_fit import JointFit
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
-from ceilvo.types import Array, Ints, LineKind, Lines
+from ceilvo.types import Array, Ints, Lines
 
 _SAME_LINE_PX = 3.0
 """Edges of one polarity closer than this are one; chosen: a lamp and its frame are often within 2 (docs/bench.md)."""
@@ -61,39 +63,23 @@ def pair_edges(
     Returns:
         The lines and the edges under them; None when fewer than two edges have enough points.
     """
-    need = _SUPPORT_RATIO * fraction * pixels(config.min_line_deg, fit.focal_px)
-    keep = np.flatnonzero(fit.support >= max(need, _MIN_SUPPORT))
-    if len(keep) < 2:
+    least = max(_SUPPORT_RATIO * fraction * pixels(config.min_line_deg, fit.focal_px), _MIN_SUPPORT)
+    widths = Widths(_SAME_LINE_PX, pixels(config.groove_deg, fit.focal_px, BLURRED_PX), _NARROW_PX)
+    order, new_of_old, axis, offset, sigma, kind, support = kernel.join(
+        fit.offset, fit.sigma_px(), fit.line_group, fit.support, least, widths
+    )
+    if not len(order):
         return None
-    order = keep[np.lexsort((fit.offset[keep], fit.axis[keep]))]
-    order = order[_distinct(fit, order)]
-    offset, group = fit.offset[order], fit.line_group[order]
-    axis, own = group // 2, np.arange(len(order))
-    support = fit.support[order]
-    partner = _pairs(offset, axis, group % 2, support, pixels(config.groove_deg, fit.focal_px, BLURRED_PX))
-    paired = partner >= 0
-    other = np.where(paired, partner, own)
-    first = other >= own  # one entry a pair
-    new_of_old = np.full(len(fit.offset), -1, np.int64)
-    index = np.cumsum(first) - 1
-    new_of_old[order] = index[np.minimum(other, own)]
-    edge_kind = np.where(group % 2 == 1, LineKind.RISING, LineKind.FALLING)
-    sigma = fit.sigma_px()[order]
-    joined = np.where(paired, 0.5 * (offset + offset[other]), offset)
-    joined_sigma = np.where(paired, 0.5 * np.hypot(sigma, sigma[other]), sigma)
-    points, point_line = fit.uv(), new_of_old[fit.line]
-    if len(order) < len(new_of_old):
-        used = point_line >= 0
-        points, point_line = points[used], point_line[used]
+    points, point_line = fit.picture(new_of_old)
     psi, turned = fold_direction(fit.psi)
     lines = Lines(
         psi_rad=psi,
         psi_sigma_rad=float(np.sqrt(fit.covariance[0, 0])),
-        axis=axis[first],
-        offset_px=joined[first],
-        sigma_px=joined_sigma[first],
-        kind=np.where(paired, LineKind.GROOVE, edge_kind)[first].astype(np.int64),
-        support=np.where(paired, support + support[other], support)[first],
+        axis=axis,
+        offset_px=offset,
+        sigma_px=sigma,
+        kind=kind,
+        support=support,
         tilt_rad=fit.tilt,
         tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
         free_tilt_rad=free.mean_rad,
@@ -113,40 +99,10 @@ def _edge_set(fit: JointFit, order: Ints, fraction: float) -> EdgeSet:
     return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start, end, coverage, fit.noise_px)
 
 
-def _distinct(fit: JointFit, order: Ints) -> NDArray[np.bool_]:
-    """False for an edge close to a stronger one of its own axis and polarity.
-
-    Args:
-        order: edges by axis and offset.
-    """
-    good = np.ones(len(order), bool)
-    for g in range(4):
-        ids = np.flatnonzero(fit.line_group[order] == g)
-        close = np.flatnonzero(np.diff(fit.offset[order[ids]]) < _SAME_LINE_PX)
-        for k in close:
-            a, b = ids[k], ids[k + 1]
-            good[a if fit.support[order[a]] < fit.support[order[b]] else b] = False
-    return good
-
-
-def _pairs(offset: Array, axis: Ints, rising: Ints, support: Ints, groove_px: float) -> Ints:
-    """Index of every line's partner, or -1: neighbours of opposite polarity, narrow and well supported pairs first.
-
-    Where three edges could pair in two ways, the gap alone must not decide: where both are alike it would flip from
-    frame to frame, and the line would jump.
-    """
-    partner = np.full(len(offset), -1, np.int64)
-    gap = np.diff(offset)
-    fits = (np.diff(axis) == 0) & (np.diff(rising) != 0) & (gap < groove_px)
-    score = np.minimum(support[1:], support[:-1]) / np.maximum(gap, _NARROW_PX)
-    for k in np.argsort(-score, kind="stable"):
-        if fits[k] and partner[k] < 0 and partner[k + 1] < 0:
-            partner[k], partner[k + 1] = k + 1, k
-    return partner
-
-
 def turn_axes(lines: Lines, turned: int) -> Lines:
     """Rename the axes after psi was folded by `turned` quarter turns (clockwise)."""
+    if turned % 4 == 0:
+        return lines
     axis, offset, kind = lines.axis, lines.offset_px, lines.kind
     for _ in range(turned % 4):
         # psi was taken a quarter turn back: old axis 0 is new axis 1, old axis 1 is new axis 0 reversed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.crossings import squares_with
 from ceilvo.types import Crossings
 
@@ -24,9 +25,8 @@ def thinned(crossings: Crossings, focal_px: float) -> Crossings:
     Whole fields are left out, not some of their crossings: which of them remain would change from frame to frame.
     """
     xy = crossings.xy_base_m.astype(np.float32)
-    off2 = np.square(xy[:, None, 0] - xy[:, 0]) + np.square(xy[:, None, 1] - xy[:, 1])
-    alone = np.count_nonzero(off2 < _NEAR_M**2, axis=1) - 1 <= _NEIGHBOURS
-    if np.count_nonzero(~alone) < _MANY:
+    alone = kernel.crowd(xy, _NEAR_M) <= _NEIGHBOURS
+    if len(alone) - np.count_nonzero(alone) < _MANY:
         return crossings
     others = crossings.of(alone)
     return others if squares_with(others, focal_px) >= _SQUARES else crossings

@@ -9,15 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
+from ceilvo.camera import LevelView
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX
 from ceilvo.types import Array
 
+Bools = NDArray[np.bool_]
 Gray = NDArray[np.uint8]
 
 _STEEPEST_DEG = 55.0
 """Off the vertical; chosen: a groove of 8 mm is a third as wide there as overhead, and the picture stays small."""
 _INVERTIBLE_PX = 0.5
 """A lens is invertible where a level pixel comes back to within this; chosen: folds are off by far more."""
+_CELL_PX = 4
+"""Every so many pixels a lens is asked whether it is invertible; chosen: folds are broad, and the question is slow."""
 _BRIGHT = 240
 """Grey level from which a pixel is of a lamp; chosen: below what saturates, for lenses and compression soften it."""
 _GLARE_DEG = 0.7
@@ -52,19 +56,15 @@ class LevelPicture:
         low, high = (np.rint(f(seen, axis=(0, 1))).astype(np.int64) for f in (np.nanmin, np.nanmax))
         self._low, self._high = low.astype(np.float64), high.astype(np.float64)
         x, y = (np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True))
-        grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        centre = np.array([view.camera.cx_px, view.camera.cy_px])
-        raw = view.to_raw(grid + centre)
-        back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre
-        known = np.hypot(*(back - grid).T) < _INVERTIBLE_PX
-        known &= np.hypot(*grid.T) < self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
-        at = view.reduced_px(raw)
+        grid = np.stack(np.meshgrid(x, y), -1)
+        raw = view.to_raw(grid.reshape(-1, 2) + np.array([view.camera.cx_px, view.camera.cy_px]))
+        at = view.reduced_px(raw).reshape(grid.shape)
         height, width = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
-        known &= np.all((at > 1.0) & (at < [width - 2.0, height - 2.0]), axis=1)
+        known = _invertible(view, grid) & np.all((at > 1.0) & (at < [width - 2.0, height - 2.0]), axis=2)
+        known &= np.hypot(x, y[:, None]) < self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
         at[~known] = -1.0
-        shape = len(y), len(x)
-        self._known = known.reshape(shape).astype(np.uint8) * 255
-        table = at.reshape(*shape, 2).astype(np.float32)
+        self._known = known.astype(np.uint8) * 255
+        table = at.astype(np.float32)
         self._maps = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
         side = 2 * round(np.radians(_GLARE_DEG) * self.focal_px) + 1
         self._glare = np.ones((side, side), np.uint8)
@@ -95,6 +95,16 @@ class LevelPicture:
             psi_rad,
             tilt_rad,
         )
+
+
+def _invertible(view: LevelView, grid: Array) -> Bools:
+    """(H, W) whether the lens is, at level pixels (H, W, 2): looked up at every _CELL_PX-th and so for those beside."""
+    centre = np.array([view.camera.cx_px, view.camera.cy_px])
+    some = grid[::_CELL_PX, ::_CELL_PX]
+    raw = view.to_raw(some.reshape(-1, 2) + centre)
+    back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre
+    known = (np.hypot(*(back - some.reshape(-1, 2)).T) < _INVERTIBLE_PX).reshape(some.shape[:2])
+    return np.asarray(known.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)[: grid.shape[0], : grid.shape[1]])
 
 
 def rays_from_aligned(psi_rad: float, tilt_rad: Array) -> Array:

@@ -180,12 +180,11 @@ def _lines(fit: JointFit, seen: _Seen, free: TiltPrior) -> Lines | None:
         return None
     new = np.full(len(fit.offset), -1)
     new[keep] = np.arange(len(keep))
-    point_line = np.repeat(new[fit.line], STRETCH_PX)
-    used = point_line >= 0
+    uv, number = fit.picture(new)
     spread = np.arange(STRETCH_PX) - 0.5 * (STRETCH_PX - 1)
-    line_axis = seen.line_axis[fit.line]
-    tangent = np.column_stack([-np.sin(fit.psi + 0.5 * np.pi * line_axis), np.cos(fit.psi + 0.5 * np.pi * line_axis)])
-    points = (fit.uv()[:, None, :] + spread[None, :, None] * tangent[:, None, :]).reshape(-1, 2)
+    angle = fit.psi + 0.5 * np.pi * seen.line_axis[keep[number]]
+    tangent = np.column_stack([-np.sin(angle), np.cos(angle)])
+    points = (uv[:, None, :] + spread[None, :, None] * tangent[:, None, :]).reshape(-1, 2)
     return Lines(
         psi_rad=fit.psi,
         psi_sigma_rad=float(np.sqrt(fit.covariance[0, 0])),
@@ -198,6 +197,6 @@ def _lines(fit: JointFit, seen: _Seen, free: TiltPrior) -> Lines | None:
         tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
         free_tilt_rad=free.mean_rad,
         free_tilt_sigma_rad=free.sigma_rad,
-        points=points[used].astype(np.float32),
-        point_line=point_line[used],
+        points=points.astype(np.float32),
+        point_line=np.repeat(number, STRETCH_PX),
     )

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
@@ -15,7 +14,7 @@ from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.daemon.vision.thinning import thinned
-from ceilvo.types import Array, Crossings, Frame, Lines
+from ceilvo.types import Array, Crossings, Frame, Ints, Lines
 
 _SAMPLES_A_SIDE = 32
 """Of the picture's sample; chosen: 1024 grey levels tell noise from none, and are a fifth of what crossings take."""
@@ -44,6 +43,7 @@ class CrossingFinder:
         self._calibration = calibration
         self._lines = LineFinder(calibration, config)
         self._points = PointFinder(calibration, config.max_view_deg) if config.points else None
+        self._raster = _raster(calibration.camera.height_px, calibration.camera.width_px)
         self.view: View | None = None
 
     @property
@@ -74,13 +74,13 @@ class CrossingFinder:
         if self._points is not None:
             crossings = self._points(frame.gray, crossings, self._lines.tilt_prior())
         if crossings is not None:
-            crossings = replace(crossings, sample_gray=_sample(frame.gray))
+            crossings = replace(crossings, sample_gray=frame.gray.take(self._raster))
         on_stage_done("crossings")
         self.view = View(frame, lines, crossings)
         return crossings
 
 
-def _sample(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(_SAMPLES_A_SIDE^2,) grey levels on an even raster, the same places of every picture."""
-    rows, columns = (np.linspace(0, n - 1, _SAMPLES_A_SIDE + 2)[1:-1].astype(np.int64) for n in gray.shape)
-    return gray[np.ix_(rows, columns)].ravel()
+def _raster(height: int, width: int) -> Ints:
+    """(_SAMPLES_A_SIDE^2,) pixels of an even raster, counted row after row."""
+    rows, columns = (np.linspace(0, n - 1, _SAMPLES_A_SIDE + 2)[1:-1].astype(np.int64) for n in (height, width))
+    return np.add.outer(width * rows, columns).ravel()

@@ -55,6 +55,43 @@ class Look(NamedTuple):
     strongest: bool
 
 
+class Step(NamedTuple):
+    """How one step of the joint least squares is weighed.
+
+    Attributes:
+        correlated: points that share one error.
+        least_noise_px: standard deviation of points at the least.
+        direction_info, tilt_info: inverse variances beforehand, rad^-2.
+        held: the tilt stays where it is.
+    """
+
+    focal_px: float
+    correlated: float
+    least_noise_px: float
+    direction_info: float
+    tilt_info: float
+    held: bool
+
+
+class Widths(NamedTuple):
+    """Edges of one polarity closer than same_px are one; of two, closer than groove_px, the sides of a groove; gaps
+    below narrow_px count alike."""
+
+    same_px: float
+    groove_px: float
+    narrow_px: float
+
+
+class Arm(NamedTuple):
+    """A line reaches a crossing where, of the bins between corner_px beyond and reach_px before it, so many as `need`
+    hold a point."""
+
+    reach_px: float
+    corner_px: float
+    bin_px: float
+    need: float
+
+
 def check_length(name: str, found: int, expected: int) -> None:
     if found != expected:
         raise ValueError(f"{name} has {found} items, expected {expected}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,8 +110,7 @@ def _shift_along(at: Int64s, step: Int64s, gx: Array32, gy: Array32, dx: Int16s,
 
 
 def follow(
-    dx: Int16s,
-    dy: Int16s,
+    framed: NDArray[np.uint8],
     grids: Grids,
     lines: Array,
     tilt_rad: Array,
@@ -121,7 +121,7 @@ def follow(
     """Edge points (P,), (P,) as rays, line after line, near where straight edges should be.
 
     Args:
-        dx, dy: (H, W) gradient.
+        framed: (H + 2, W + 2) the smoothed picture with a frame of one pixel, for Sobel's gradient.
         lines: (L, 5) cos and sin of the normal along which brightness rises, offset, start and end (counted along the
             normal turned by +90 deg), px of a level robot.
         tilt_rad: (2,) of the robot.
@@ -130,8 +130,9 @@ def follow(
     Returns:
         x, y, the line of every point, and at how many places each line was looked for (L,).
     """
-    height, width = dx.shape
+    height, width = framed.shape[0] - 2, framed.shape[1] - 2
     check_search(grids, look, (height, width))
+    dx, dy = slopes(framed)
     check_rows(None if rows is None else rows.shape, height)
     line, raw, across = _places(grids, lines, tilt_rad, focal_px, look.stride_px, rows)
     horizontal = np.abs(across[:, 0]) >= np.abs(across[:, 1])
@@ -161,6 +162,12 @@ def follow(
     known = np.isfinite(uv).all(axis=1)
     x, y = np.ascontiguousarray(uv[known, 0], np.float32), np.ascontiguousarray(uv[known, 1], np.float32)
     return x, y, line[known].astype(np.int32), looked
+
+
+def slopes(framed: NDArray[np.uint8]) -> tuple[Int16s, Int16s]:
+    """(H, W) each: Sobel's gradient of a picture with a frame of one pixel (H + 2, W + 2)."""
+    dx, dy = (np.ascontiguousarray(d[1:-1, 1:-1], np.int16) for d in cv2.spatialGradient(framed))
+    return dx, dy
 
 
 def _places(

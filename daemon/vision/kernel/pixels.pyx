@@ -1,62 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""The loops of in_picture.py, compiled; see points.pyx."""
+"""level_points of in_picture.py, compiled; see points.pyx."""
 
 import cv2
 import numpy as np
 
-from ceilvo.daemon.vision.kernel import arguments
-
-from libc.math cimport NAN, ceil, ceilf, fabsf, isfinite, sqrtf
-from libc.stdint cimport UINT16_MAX, UINT32_MAX, int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
+from libc.math cimport fabsf, sqrtf
+from libc.stdint cimport UINT16_MAX, int16_t, int32_t, uint8_t, uint16_t, uint64_t
 from libc.string cimport memcpy
 
-cdef enum:
-    STEP = 2  # LOOKUP_STEP_PX; fixed, because division is slow
-    FAR = 1000000  # as MOST_PLACES; also px, beyond any picture: what is less may be made an integer
-
-if (STEP, FAR) != (arguments.LOOKUP_STEP_PX, arguments.MOST_PLACES):
-    raise ImportError("built with other constants")
-
-cdef double SEGMENT_PX = arguments.SEGMENT_PX
-
-
-cdef struct Picture:
-    Py_ssize_t height, width, columns  # columns of the look-up
-    const int16_t *dx
-    const int16_t *dy
-    const float *lookup
-    const float *rows  # NULL where all are of one instant
-
-
-cdef struct Place:
-    float[2] uv, along_x, along_y
-
-
-cdef struct RawOfLevel:
-    const float *table
-    Py_ssize_t rows, columns
-    float x, y, scale, about_x, about_y, per_cell
-
-
-cdef struct Search:
-    double stride
-    float per_focal, reach, gate2
-    uint32_t least
-    bint strongest
-
-
-cdef struct Segment:
-    float[2] begin, by
-    float ux, uy, slope, narrow  # brightness should rise along (ux, uy)
-    bint horizontal
-    Py_ssize_t most_major, most, beside, onward
-
-
-cdef struct Found:
-    float *x
-    float *y
-    int32_t *line
-    Py_ssize_t count, room
+include "picture.pxi"
 
 
 cdef check_pixels(str name, Py_ssize_t height, Py_ssize_t width, const Picture *p):
@@ -71,7 +23,7 @@ cdef Picture picture_of(
     p.height, p.width, p.columns = dx.shape[0], dx.shape[1], lookup.shape[1]
     check_pixels("dy", dy.shape[0], dy.shape[1], &p)
     arguments.check_length("a cell of the look-up", lookup.shape[2], 2)
-    arguments.check_rows(None if rows is None else (rows.shape[0], rows.shape[1]), p.height)
+    check_rows(rows, p.height)
     p.dx, p.dy, p.lookup, p.rows = &dx[0, 0], &dy[0, 0], &lookup[0, 0, 0], NULL if rows is None else &rows[0, 0]
     return p
 
@@ -96,53 +48,13 @@ cdef inline float magnitude(const Picture *p, Py_ssize_t at) noexcept nogil:
     return sqrtf(x * x + y * y)
 
 
-cdef inline uint32_t square(const Picture *p, Py_ssize_t at) noexcept nogil:
-    cdef int32_t x = p.dx[at], y = p.dy[at]
-    return <uint32_t>(x * x) + <uint32_t>(y * y)
-
-
-cdef inline void to_one_instant(const float *row, float shift_y, Place *to) noexcept nogil:
-    """Move a point, shift_y off its row, and its changes per raw pixel, from the row's time to the picture's."""
-    cdef float c = row[0], s = row[1], u = to.uv[0], v = to.uv[1]
-    cdef float along = (row[4] - c) * u - (row[5] - s) * v + row[6] - row[2]
-    cdef float across = (row[5] - s) * u + (row[4] - c) * v + row[7] - row[3]
-    to.uv[0], to.uv[1] = c * u - s * v + row[2] + shift_y * along, s * u + c * v + row[3] + shift_y * across
-    u, v = to.along_x[0], to.along_x[1]
-    to.along_x[0], to.along_x[1] = c * u - s * v, s * u + c * v
-    u, v = to.along_y[0], to.along_y[1]
-    to.along_y[0], to.along_y[1] = c * u - s * v + along, s * u + c * v + across
-
-
-cdef inline void locate(const Picture *p, Py_ssize_t x, Py_ssize_t y, bint horizontal, Place *to) noexcept nogil:
-    """Level pixel of the peak of the gradient at (x, y) along x or y, and how it changes along either."""
-    cdef float one = 1, half = 0.5, two = 2, per_step = one / <float>STEP
-    cdef Py_ssize_t at = y * p.width + x, beside = p.width + horizontal * (1 - p.width)
-    cdef float by_x = <float>horizontal, by_y = one - by_x
-    cdef float here = magnitude(p, at), before = magnitude(p, at - beside), after = magnitude(p, at + beside)
-    cdef float bend = two * here - before - after, least = <float>1e-3
-    cdef float shift = half * (after - before) / (bend if bend > least else least)
-    shift = -half if shift < -half else half if shift > half else shift
-    cdef const float *low = p.lookup + 2 * ((y // STEP) * p.columns + x // STEP)
-    cdef const float *up = low + 2 * p.columns
-    cdef float fx = <float>(x & (STEP - 1)) * per_step, fy = <float>(y & (STEP - 1)) * per_step
-    cdef float right, right_up, level
-    cdef int k
-    for k in range(2):
-        right, right_up = low[k + 2] - low[k], up[k + 2] - up[k]
-        to.along_x[k] = ((one - fy) * right + fy * right_up) * per_step
-        to.along_y[k] = ((one - fx) * (up[k] - low[k]) + fx * (up[k + 2] - low[k + 2])) * per_step
-        level = (one - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up)
-        to.uv[k] = level + shift * (by_x * to.along_x[k] + by_y * to.along_y[k])
-    if p.rows != NULL:
-        to_one_instant(p.rows + 4 * y, shift * by_y, to)
-
-
 cdef Py_ssize_t points_of(
     const Picture *p, const uint8_t *mask, const uint16_t *rank, Py_ssize_t limit, float *uv, float *phi, Py_ssize_t room
 ) noexcept nogil:
-    cdef Py_ssize_t x, y, at, out = 0
+    cdef Py_ssize_t x, y, at, out = 0, beside
     cdef uint64_t eight
     cdef float gx, gy
+    cdef bint horizontal
     cdef Place place
     for y in range(1, p.height - 1):  # a neighbour on every side
         x = 0
@@ -160,7 +72,11 @@ cdef Py_ssize_t points_of(
             if limit < UINT16_MAX and rank[at] >= limit:
                 continue
             gx, gy = p.dx[at], p.dy[at]
-            locate(p, x, y, fabsf(gx) >= fabsf(gy), &place)
+            horizontal = fabsf(gx) >= fabsf(gy)
+            beside = p.width + horizontal * (1 - p.width)
+            locate(
+                p, x, y, horizontal, magnitude(p, at - beside), magnitude(p, at), magnitude(p, at + beside), &place
+            )
             uv[2 * out], uv[2 * out + 1] = place.uv[0], place.uv[1]
             phi[out] = degrees(
                 place.along_x[0] * gy - place.along_y[0] * gx, place.along_y[1] * gx - place.along_x[1] * gy
@@ -185,165 +101,3 @@ def level_points(
     with nogil:
         n = points_of(&p, &mask[0, 0], &rank[0, 0], limit, &uv[0, 0], &phi[0], room)
     return uv_px[:n], phi_deg[:n]
-
-
-cdef inline void raw_at(const RawOfLevel *t, float gx, float gy, float *raw) noexcept nogil:
-    """Raw pixel at a cell of the look-up; nan outside."""
-    cdef float one = 1
-    raw[0] = raw[1] = NAN
-    if not (gx >= 0 and gy >= 0 and gx < <float>(t.columns - 1) and gy < <float>(t.rows - 1)):
-        return
-    cdef Py_ssize_t i = <Py_ssize_t>gx, j = <Py_ssize_t>gy
-    cdef float fx = gx - <float>i, fy = gy - <float>j, right, right_up
-    cdef const float *low = t.table + 2 * (j * t.columns + i)
-    cdef const float *up = low + 2 * t.columns
-    cdef int k
-    for k in range(2):
-        right, right_up = low[k + 2] - low[k], up[k + 2] - up[k]
-        raw[k] = (one - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up)
-
-
-cdef inline void to_raw(const RawOfLevel *t, const Picture *p, float x, float y, float *raw) noexcept nogil:
-    """Raw pixel of a ray as a level robot would see it; nan outside. A row's own time hardly changes the row."""
-    cdef Py_ssize_t at
-    cdef float one = 1, z = t.scale / (one - t.about_x * y + t.about_y * x), u, v
-    cdef float gx = (x - t.about_y) * z, gy = (y + t.about_x) * z
-    raw_at(t, gx - t.x, gy - t.y, raw)
-    if p.rows != NULL and raw[1] >= 0 and raw[1] < <float>p.height:
-        at = 4 * <Py_ssize_t>raw[1]
-        u, v = gx - p.rows[at + 2] * t.per_cell, gy - p.rows[at + 3] * t.per_cell
-        raw_at(t, p.rows[at] * u + p.rows[at + 1] * v - t.x, p.rows[at] * v - p.rows[at + 1] * u - t.y, raw)
-
-
-cdef inline bint straight(
-    const Picture *p, const Search *s, const float *begin, const float *end, float places, Segment *g
-) noexcept nogil:
-    """The segment from begin to end; False where the look-up does not reach."""
-    g.begin[0], g.begin[1] = begin[0], begin[1]
-    g.by[0], g.by[1] = (end[0] - begin[0]) / places, (end[1] - begin[1]) / places
-    g.ux, g.uy = g.by[1], -g.by[0]
-    if not isfinite(g.ux) or not isfinite(g.uy):
-        return False
-    g.horizontal = fabsf(g.ux) >= fabsf(g.uy)
-    g.slope = g.uy / g.ux if g.horizontal else g.ux / g.uy
-    g.narrow = s.gate2 * (g.ux * g.ux + g.uy * g.uy)
-    g.most_major = (p.height if g.horizontal else p.width) - 2
-    g.most = (p.width if g.horizontal else p.height) - 2
-    g.beside, g.onward = (1 if g.horizontal else p.width), (p.width if g.horizontal else 1)
-    return True
-
-
-cdef inline Py_ssize_t peak(
-    const Picture *p, const Search *s, const Segment *g, Py_ssize_t major, float centre, Py_ssize_t begin, Py_ssize_t end
-) noexcept nogil:
-    """Where in [begin, end] across the edge the gradient has its best local maximum, -1 without any."""
-    cdef Py_ssize_t at = major * g.onward + (begin - 1) * g.beside, best = -1, i
-    cdef uint32_t before, here = square(p, at), after = square(p, at + g.beside)
-    cdef float one = 1, best_score = 0, score, rise
-    for i in range(begin, end + 1):
-        at += g.beside
-        before, here, after = here, after, square(p, at + g.beside)
-        if (here < s.least) | (here < before) | (here <= after):
-            continue
-        rise = <float>p.dx[at] * g.ux + <float>p.dy[at] * g.uy
-        if (rise <= 0) | (rise * rise < g.narrow * <float>here):
-            continue
-        score = <float>here if s.strongest else s.reach + one - fabsf(<float>i - centre)
-        if score > best_score:
-            best, best_score = i, score
-    return best
-
-
-cdef inline Py_ssize_t follow_segment(
-    const Picture *p, const Search *s, const Segment *g, Py_ssize_t places, Py_ssize_t *last, int32_t line, Found *found
-) noexcept nogil:
-    """Add the points along a segment; at how many places it was looked for."""
-    cdef Py_ssize_t looked = 0, k, major, begin, end, best
-    cdef float fixed, free, centre, half = 0.5
-    cdef Place place
-    for k in range(places):
-        fixed = g.begin[g.horizontal] + <float>k * g.by[g.horizontal]
-        free = g.begin[not g.horizontal] + <float>k * g.by[not g.horizontal]
-        if not (fixed > 0 and fixed < FAR):
-            continue
-        major = <Py_ssize_t>(fixed + half)
-        centre = free - (<float>major - fixed) * g.slope
-        if not (centre > s.reach and centre < FAR):
-            continue
-        begin, end = <Py_ssize_t>ceilf(centre - s.reach), <Py_ssize_t>(centre + s.reach)
-        if major < 1 or major > g.most_major or begin < 1 or end > g.most:
-            continue
-        if 2 * major + g.horizontal == last[0]:
-            continue  # one point of a row or column is enough
-        last[0] = 2 * major + g.horizontal
-        looked += 1
-        best = peak(p, s, g, major, centre, begin, end)
-        if best < 0:
-            continue
-        locate(p, best if g.horizontal else major, major if g.horizontal else best, g.horizontal, &place)
-        if isfinite(place.uv[0]) and isfinite(place.uv[1]) and found.count < found.room:
-            found.x[found.count], found.y[found.count] = place.uv[0] * s.per_focal, place.uv[1] * s.per_focal
-            found.line[found.count] = line
-            found.count += 1
-    return looked
-
-
-cdef inline Py_ssize_t places_along(const double *line, double stride) noexcept nogil:
-    cdef double length = (line[4] - line[3]) / stride
-    return <Py_ssize_t>length if length > 0 and length < FAR else 0
-
-
-cdef inline Py_ssize_t follow_line(
-    const Picture *p, const RawOfLevel *t, const Search *s, const double *l, int32_t line, Found *found
-) noexcept nogil:
-    """Add the points near a predicted edge; at how many places it was looked for."""
-    cdef Py_ssize_t count = places_along(l, s.stride), looked = 0, last = -1, k = 0
-    cdef Py_ssize_t per = <Py_ssize_t>(SEGMENT_PX / s.stride) if s.stride < SEGMENT_PX else 1
-    cdef float c = <float>l[0], s_ = <float>l[1], offset = <float>l[2] * s.per_focal, along
-    cdef float first = <float>(l[3] + 0.5 * s.stride) * s.per_focal, step = <float>s.stride * s.per_focal
-    cdef float[2] begin, end
-    cdef Segment g
-    to_raw(t, p, offset * c - first * s_, offset * s_ + first * c, end)
-    while k < count:
-        begin[0], begin[1], along = end[0], end[1], first + step * <float>(k + per)
-        to_raw(t, p, offset * c - along * s_, offset * s_ + along * c, end)
-        if straight(p, s, begin, end, <float>per, &g):
-            looked += follow_segment(p, s, &g, min(count - k, per), &last, line, found)
-        k += per
-    return looked
-
-
-def follow(
-    const int16_t[:, ::1] dx not None, const int16_t[:, ::1] dy not None, grids, const double[:, ::1] lines not None,
-    const double[:] tilt_rad not None, double focal_px, look, const float[:, ::1] rows=None
-):
-    cdef const float[:, :, ::1] lookup = grids.lookup, table = grids.raw_of_level
-    if lookup is None or table is None:
-        raise TypeError("a look-up is None, expected an array")
-    cdef Picture p = picture_of(dx, dy, lookup, rows)
-    arguments.check_search(grids, look, (p.height, p.width))
-    for name, size, expected in (("a cell of raw_of_level", table.shape[2], 2), ("a row of lines", lines.shape[1], 5)):
-        arguments.check_length(name, size, expected)
-    arguments.check_length("tilt_rad", tilt_rad.shape[0], 2)
-    cdef double cell = grids.cell_px, low_x = grids.low_px[0], low_y = grids.low_px[1]
-    cdef RawOfLevel t = RawOfLevel(
-        &table[0, 0, 0], table.shape[0], table.shape[1], <float>(low_x / cell), <float>(low_y / cell),
-        <float>(focal_px / cell), <float>tilt_rad[0], <float>tilt_rad[1], <float>(1.0 / cell),
-    )
-    cdef double gate = look.gate, least = ceil(look.floor * look.floor)
-    cdef Search s = Search(
-        look.stride_px, <float>(1.0 / focal_px), look.reach_px, <float>(gate * gate),
-        <uint32_t>least if least < UINT32_MAX else UINT32_MAX, look.strongest,
-    )
-    cdef Py_ssize_t n = lines.shape[0], k, room = 0
-    for k in range(n):
-        room += places_along(&lines[k, 0], s.stride)
-    xy, line_out, looked_out = np.empty((2, room), np.float32), np.empty(room, np.int32), np.empty(n, np.int64)
-    cdef float[:, ::1] places = xy
-    cdef int32_t[::1] line = line_out
-    cdef int64_t[::1] looked = looked_out
-    cdef Found found = Found(&places[0, 0], &places[1, 0], &line[0], 0, room)
-    with nogil:
-        for k in range(n):
-            looked[k] = follow_line(&p, &t, &s, &lines[k, 0], <int32_t>k, &found)
-    return xy[0, : found.count], xy[1, : found.count], line_out[: found.count], looked_out

@@ -13,8 +13,8 @@ import numpy as np
 
 from ceilvo.daemon.vision.kernel.arguments import check_length
 
-from libc.math cimport INFINITY, NAN, fabs, fabsf, rintf
-from libc.stdint cimport int8_t, int32_t, int64_t, uint8_t
+from libc.math cimport INFINITY, fabs, fabsf, rintf
+from libc.stdint cimport int8_t, int32_t, int64_t
 
 cdef int8_t[4] GROUP_OF_QUARTER = [1, 3, 0, 2]
 
@@ -171,10 +171,10 @@ cdef void give(
                 k += 1
             while k > first[g] and offset[k] - r >= r - offset[k - 1]:
                 k -= 1
-            if fabs(r - offset[k]) < gate:
-                x[n], y[n], rho[n], tangent[n] = points.x[i], points.y[i], r, points.tangent[i]
-                line[n] = <int32_t>k
-                n += 1
+            # written in any case: a branch would be guessed wrong as often as points are left out
+            x[n], y[n], rho[n], tangent[n] = points.x[i], points.y[i], r, points.tangent[i]
+            line[n] = <int32_t>k
+            n += fabs(r - offset[k]) < gate
         kept[g + 1] = n
 
 
@@ -208,52 +208,6 @@ def assign(
     return x_out, y_out, rho_out, tangent_out, line_out[: kept[4]], (0, kept[1], kept[2], kept[3], kept[4])
 
 
-cdef Py_ssize_t add_up(
-    const float *rho, const float *tangent, const int32_t[::1] line, Py_ssize_t half, int64_t[::1] count,
-    double[:, ::1] total, double[:, ::1] product
-) noexcept nogil:
-    """The first point of a line that is not there, else how many points there are."""
-    cdef Py_ssize_t i, k
-    cdef int u, v
-    cdef double r, t, across, own
-    cdef double[4] row
-    cdef double[16] p
-    for u in range(16):
-        p[u] = 0
-    for i in range(line.shape[0]):
-        k = line[i]
-        if k < 0 or k >= count.shape[0]:
-            return i
-        r, t = rho[i], tangent[i]
-        across, own = r * t, 1 + r * r
-        row[0], row[1], row[2], row[3] = r, t, (-across if i < half else -own), (own if i < half else -across)
-        count[k] += 1
-        for u in range(4):
-            total[k, u] += row[u]
-            for v in range(u, 4):
-                p[4 * u + v] += row[u] * row[v]
-    for u in range(4):
-        for v in range(4):
-            product[u, v] = p[4 * min(u, v) + max(u, v)]
-    return line.shape[0]
-
-
-def sums(
-    const float[::1] rho not None, const float[::1] tangent not None, const int32_t[::1] line not None, Py_ssize_t half,
-    Py_ssize_t lines
-):
-    cdef Py_ssize_t done
-    check_length("rho", rho.shape[0], line.shape[0])
-    check_length("tangent", tangent.shape[0], line.shape[0])
-    count, total, product = np.zeros(lines, np.int64), np.zeros((lines, 4)), np.empty((4, 4))
-    cdef int64_t[::1] count_of = count
-    cdef double[:, ::1] total_of = total, product_of = product
-    with nogil:
-        done = add_up(&rho[0], &tangent[0], line, half, count_of, total_of, product_of)
-    check_lines(done, line, lines)
-    return count, total, product
-
-
 cdef Py_ssize_t widen(const float *tangent, const int32_t[::1] line, double[:, ::1] extent) noexcept nogil:
     cdef Py_ssize_t i, k
     for k in range(extent.shape[1]):
@@ -280,58 +234,37 @@ def extents(const float[::1] tangent not None, const int32_t[::1] line not None,
     return out[0], out[1]
 
 
-cdef Py_ssize_t average(const float *rho, const int32_t[::1] line, int64_t[::1] count, double[::1] mean) noexcept nogil:
-    cdef Py_ssize_t i, k
-    for i in range(line.shape[0]):
-        k = line[i]
+cdef Py_ssize_t average(
+    const float *rho, const int32_t[::1] line, double focal, const double[::1] before, int64_t[::1] count, double[::1] mean
+) noexcept nogil:
+    cdef Py_ssize_t i = 0, begin, k
+    cdef double total
+    while i < line.shape[0]:
+        k, begin, total = line[i], i, 0
         if k < 0 or k >= count.shape[0]:
             return i
-        count[k] += 1
-        mean[k] += rho[i]
+        while i < line.shape[0] and line[i] == k:
+            total += rho[i]
+            i += 1
+        count[k] += i - begin
+        mean[k] += total
     for k in range(count.shape[0]):
-        mean[k] = mean[k] / <double>count[k] if count[k] else <double>NAN
+        mean[k] = mean[k] / <double>count[k] * focal if count[k] else before[k]
     return line.shape[0]
 
 
-def means(const float[::1] rho not None, const int32_t[::1] line not None, Py_ssize_t lines):
-    cdef Py_ssize_t done
-    check_length("rho", rho.shape[0], line.shape[0])
-    out = np.zeros(lines)
-    cdef int64_t[::1] count = np.zeros(lines, np.int64)
-    cdef double[::1] mean = out
-    with nogil:
-        done = average(&rho[0], line, count, mean)
-    check_lines(done, line, lines)
-    return out
-
-
-cdef Py_ssize_t mark(
-    const float *points, const int32_t[::1] row, float x, float y, float low, uint8_t[:, ::1] hit
-) noexcept nogil:
-    cdef Py_ssize_t i, k
-    cdef float along, bins = <float>hit.shape[1]
-    for i in range(row.shape[0]):
-        k = row[i]
-        if k >= hit.shape[0]:
-            return i
-        along = x * points[2 * i] + y * points[2 * i + 1] - low
-        if k >= 0 and along >= 0 and along < bins:
-            hit[k, <Py_ssize_t>along] = 1
-    return row.shape[0]
-
-
-def hits(
-    const float[:, ::1] points not None, const int32_t[::1] row not None, const double[:] normal not None, double low,
-    double bin_px, tuple shape not None
+def settle(
+    const float[::1] x not None, const float[::1] y not None, const int32_t[::1] line not None, Py_ssize_t half,
+    double psi_rad, const double[:] tilt_rad not None, double focal_px, const double[::1] offset_px not None
 ):
     cdef Py_ssize_t done
-    check_length("points", points.shape[0], row.shape[0])
-    check_length("a point", points.shape[1], 2)
-    check_length("normal", normal.shape[0], 2)
-    out = np.zeros(shape, np.uint8)
-    cdef uint8_t[:, ::1] hit = out
-    cdef float x = <float>(normal[0] / bin_px), y = <float>(normal[1] / bin_px)
+    rho, tangent = project(x, y, half, psi_rad, tilt_rad)
+    check_length("line", line.shape[0], x.shape[0])
+    cdef const float[::1] across = rho
+    offset = np.zeros(offset_px.shape[0])
+    cdef int64_t[::1] count = np.zeros(offset_px.shape[0], np.int64)
+    cdef double[::1] mean = offset
     with nogil:
-        done = mark(&points[0, 0], row, x, y, <float>(low / bin_px), hit)
-    check_lines(done, row, hit.shape[0])
-    return out.view(np.bool_)
+        done = average(&across[0], line, focal_px, offset_px, count, mean)
+    check_lines(done, line, offset_px.shape[0])
+    return rho, tangent, offset

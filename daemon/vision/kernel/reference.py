@@ -5,12 +5,32 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ceilvo.daemon.vision.kernel.arguments import Array32, Bools, Ends, Int32s, Int64s
-from ceilvo.daemon.vision.kernel.in_picture import follow, level_points
+from ceilvo.daemon.vision.kernel.arguments import Array32, Ends, Int32s, Int64s
+from ceilvo.daemon.vision.kernel.in_picture import follow, level_points, slopes
+from ceilvo.daemon.vision.kernel.of_lines import align, arms, fit, join, picture
+from ceilvo.robust import median
 from ceilvo.types import Array
 
-__all__ = ["assign", "extents", "follow", "hits", "level_points", "means", "project", "split", "sums", "vote"]
+__all__ = [
+    "align",
+    "arms",
+    "assign",
+    "crowd",
+    "extents",
+    "fit",
+    "follow",
+    "join",
+    "level_points",
+    "median_slope",
+    "picture",
+    "project",
+    "settle",
+    "split",
+    "spread",
+    "vote",
+]
 
 
 def split(uv: Array32, phi: Array32, psi_deg: float, gate_deg: float, scale: float) -> tuple[Array32, Array32, Ends]:
@@ -83,24 +103,34 @@ def assign(
     return x[at], y[at], rho[at], tangent[at], np.concatenate(line).astype(np.int32), _ends(np.array(new_ends))
 
 
-def sums(rho: Array32, tangent: Array32, line: Int32s, half: int, lines: int) -> tuple[Int64s, Array, Array]:
-    """Points of every line (L,), sums (L, 4) and products (4, 4) of rho, tangent, d rho / d tilt about either normal.
+def settle(
+    x: Array32, y: Array32, line: Int32s, half: int, psi_rad: float, tilt_rad: Array, focal_px: float, offset_px: Array
+) -> tuple[Array32, Array32, Array]:
+    """project(), and the lines' offsets (L,) as the means of their points; as they were of lines without any."""
+    rho, tangent = project(x, y, half, psi_rad, tilt_rad)
+    count = np.bincount(line, minlength=len(offset_px))
+    mean_px = np.bincount(line, rho, len(offset_px)) / np.maximum(count, 1) * focal_px
+    return rho, tangent, np.where(count > 0, mean_px, offset_px)
 
-    A ray r seen by a tilted robot moves by -w x r, for small w about the normal of axis 0 and of axis 1.
+
+def spread(rho: Array32, line: Int32s, offset_px: Array, focal_px: float, stride: int) -> float:
+    """Upper median distance of every stride-th point from its line, px; 0 without points."""
+    return median(np.abs(rho[::stride] * focal_px - offset_px[line[::stride]]))
+
+
+def median_slope(framed: NDArray[np.uint8], samples: Int64s) -> float:
+    """Upper median of |d/dx| (Sobel) of a picture's pixels `samples`, counted row after row; 0 without any.
+
+    Args:
+        framed: as for follow().
     """
-    r, t = rho.astype(np.float64), tangent.astype(np.float64)
-    across, own = r * t, 1.0 + r * r
-    about_0 = np.concatenate([-across[:half], -own[half:]])
-    about_1 = np.concatenate([own[:half], -across[half:]])
-    rows = np.stack([r, t, about_0, about_1])
-    total: Array = np.stack([np.bincount(line, row, lines) for row in rows], axis=1).astype(np.float64)
-    return np.bincount(line, minlength=lines).astype(np.int64), total, np.asarray(rows @ rows.T)
+    return median(np.abs(slopes(framed)[0].reshape(-1)[samples]))
 
 
-def means(rho: Array32, line: Int32s, lines: int) -> Array:
-    """(L,) mean rho of every line's points, nan without any."""
-    with np.errstate(invalid="ignore"):
-        return np.bincount(line, rho, lines) / np.bincount(line, minlength=lines)
+def crowd(xy: Array32, within: float) -> Int64s:
+    """(M,) how many other points are nearer than that to each of (M, 2)."""
+    off2 = np.square(xy[:, None, 0] - xy[:, 0]) + np.square(xy[:, None, 1] - xy[:, 1])
+    return np.asarray(np.count_nonzero(off2 < within**2, axis=1) - 1, np.int64)
 
 
 def extents(tangent: Array32, line: Int32s, lines: int) -> tuple[Array, Array]:
@@ -109,17 +139,6 @@ def extents(tangent: Array32, line: Int32s, lines: int) -> tuple[Array, Array]:
     np.minimum.at(low, line, tangent)
     np.maximum.at(high, line, tangent)
     return low, high
-
-
-def hits(points: Array32, row: Int32s, normal: Array, low: float, bin_px: float, shape: tuple[int, int]) -> Bools:
-    """(rows, bins) which bins of floor((normal . point - low) / bin_px) hold a point of a row; row -1 is none."""
-    rows, bins = shape
-    mine = np.flatnonzero(row >= 0)
-    along = points[mine] @ (normal / bin_px).astype(np.float32) - np.float32(low / bin_px)
-    inside = (along >= 0) & (along < bins)
-    out = np.zeros(rows * bins, bool)
-    out[row[mine[inside]] * bins + along[inside].astype(np.int64)] = True
-    return out.reshape(shape)
 
 
 def _ends(ends: Int64s) -> Ends:

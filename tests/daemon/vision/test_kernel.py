@@ -41,7 +41,7 @@ def test_without_the_compiled_one_numpy_takes_over() -> None:
         "import sys; sys.modules['ceilvo.daemon.vision.kernel.points'] = None\n"
         "from ceilvo.daemon.vision import kernel\n"
         "from ceilvo.daemon.vision.kernel import reference\n"
-        "assert not kernel.COMPILED and kernel.sums is reference.sums"
+        "assert not kernel.COMPILED and kernel.settle is reference.settle"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ))
     assert done.returncode == 0, done.stderr
@@ -70,10 +70,10 @@ def looks(rng: np.random.Generator, h: int, w: int) -> tuple[Any, ...]:
 def test_predicted_edges_are_followed_alike(seed: int) -> None:
     rng = np.random.default_rng(seed)
     h, w = int(rng.integers(3, 60)), int(rng.integers(3, 80))
-    dx, dy = rng.integers(-900, 900, (2, h, w)).astype(np.int16)
+    framed = rng.integers(0, 256, (h + 2, w + 2)).astype(np.uint8)
     args = looks(rng, h, w)
-    x, y, line, looked = reference.follow(dx, dy, *args)
-    x_c, y_c, line_c, looked_c = kernel.follow(dx, dy, *args)
+    x, y, line, looked = reference.follow(framed, *args)
+    x_c, y_c, line_c, looked_c = kernel.follow(framed, *args)
     # a place that rounds to the next pixel in one of the two changes a point, no more
     assert np.abs(looked - looked_c).sum() <= 2
     assert abs(len(line) - len(line_c)) <= 2
@@ -98,10 +98,10 @@ def test_a_predicted_edge_is_found_where_it_is(k: ModuleType, rising: bool, off_
     seen = (calibration.level_view.from_raw(uv) - [camera.cx_px, camera.cy_px]) / focal
     rho, _ = reference.project(*seen.T.astype(np.float32), len(seen), psi, tilt)
     sign = 1.0 if rising else -1.0
-    picture = (128 + sign * 80 * np.tanh((focal * rho - offset) / 1.2)).reshape(120, 160).astype(np.float32)
-    dx, dy = (cv2.Sobel(picture, cv2.CV_16S, a, 1 - a, ksize=3).astype(np.int16) for a in (1, 0))
+    picture = (128 + sign * 80 * np.tanh((focal * rho - offset) / 1.2)).reshape(120, 160)
+    framed = np.pad(np.rint(picture).astype(np.uint8), 1, "reflect")
     line = np.array([[sign * np.cos(psi), sign * np.sin(psi), sign * (offset + off_px), -60.0, 60.0]])
-    x, y, index, looked = k.follow(dx, dy, grids, line, tilt, focal, Look(2.0, 6.0, 20.0, 0.98, False))
+    x, y, index, looked = k.follow(framed, grids, line, tilt, focal, Look(2.0, 6.0, 20.0, 0.98, False))
     assert looked[0] > 40
     assert len(x) > 0.95 * looked[0]
     assert np.all(index == 0)
@@ -109,20 +109,20 @@ def test_a_predicted_edge_is_found_where_it_is(k: ModuleType, rising: bool, off_
     assert abs(float(np.mean(found)) * focal - offset) < 0.03
     assert np.abs(found * focal - offset).max() < 0.3
     line[:, :3] *= -1.0  # the other polarity is another edge
-    assert len(k.follow(dx, dy, grids, line, tilt, focal, Look(2.0, 6.0, 20.0, 0.98, False))[0]) == 0
+    assert len(k.follow(framed, grids, line, tilt, focal, Look(2.0, 6.0, 20.0, 0.98, False))[0]) == 0
 
 
 @BOTH
 def test_follow_refuses_what_is_too_small(k: ModuleType) -> None:
-    dx = np.zeros((40, 60), np.int16)
+    framed = np.zeros((42, 62), np.uint8)
     grids, lines, tilt, focal, look = looks(np.random.default_rng(1), 40, 60)
     for picture, tables, how in (
-        (dx[:2], grids, look),
-        (dx, grids._replace(raw_of_level=grids.raw_of_level[:, :1].copy()), look),
-        (dx, grids, look._replace(stride_px=0.0)),
+        (framed[:4], grids, look),
+        (framed, grids._replace(raw_of_level=grids.raw_of_level[:, :1].copy()), look),
+        (framed, grids, look._replace(stride_px=0.0)),
     ):
         with pytest.raises(ValueError, match="expected at least 3 x 3, 2 x 2 and a stride above 0"):
-            k.follow(picture, picture, tables, lines, tilt, focal, how)
+            k.follow(picture, tables, lines, tilt, focal, how)
 
 
 @BOTH
@@ -135,10 +135,11 @@ def test_all_corners_of_a_pixel_must_be_in_the_look_up(k: ModuleType, h: int, w:
     rng = np.random.default_rng(0)
     dx, dy = rng.integers(-900, 900, (2, h, w)).astype(np.int16)
     mask, rank = np.full((h, w), 255, np.uint8), np.zeros((h, w), np.uint16)
+    framed = rng.integers(0, 256, (h + 2, w + 2)).astype(np.uint8)
     grids, *how = looks(rng, h, w)
 
     def run(lookup: NDArray[np.float32]) -> NDArray[np.float32]:
-        k.follow(dx, dy, grids._replace(lookup=lookup), *how)
+        k.follow(framed, grids._replace(lookup=lookup), *how)
         return np.asarray(k.level_points(mask, dx, dy, lookup, rank, 65535)[0])
 
     for lookup in (beyond, beyond[:need_h, :need_w].copy()):
@@ -148,7 +149,7 @@ def test_all_corners_of_a_pixel_must_be_in_the_look_up(k: ModuleType, h: int, w:
         with pytest.raises(ValueError, match="look-up of"):
             k.level_points(mask, dx, dy, lookup, rank, 65535)
         with pytest.raises(ValueError, match="look-up of"):
-            k.follow(dx, dy, grids._replace(lookup=lookup), *how)
+            k.follow(framed, grids._replace(lookup=lookup), *how)
 
 
 @given(SEEDS)
@@ -255,32 +256,43 @@ def test_points_get_the_nearest_line(seed: int) -> None:
 
 @given(SEEDS)
 @settings(max_examples=30, deadline=None)
-def test_sums_means_extents_and_hits_are_the_same(seed: int) -> None:
-    rng, rho, tangent, ends = scene(seed)
-    line = rng.integers(0, 7, len(rho)).astype(np.int32)
-    for a, b in zip(
-        reference.sums(rho, tangent, line, ends[2], 8), kernel.sums(rho, tangent, line, ends[2], 8), strict=True
-    ):
-        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(kernel.means(rho, line, 8), reference.means(rho, line, 8), rtol=1e-6, atol=1e-7)
-    for a, b in zip(reference.extents(tangent, line, 8), kernel.extents(tangent, line, 8), strict=True):
-        np.testing.assert_array_equal(b, a)
-    points = rng.integers(-100, 100, (300, 2)).astype(np.float32)
-    row = rng.integers(-1, 5, 300).astype(np.int32)
-    arguments = (points, row, np.array([1.0, 0.0]), -90.5, 2.0, (5, 80))
-    np.testing.assert_array_equal(kernel.hits(*arguments), reference.hits(*arguments))
+def test_offsets_are_the_means_of_level_points_and_extents_their_ends(seed: int) -> None:
+    rng, x, y, ends = scene(seed)
+    line, before = rng.integers(0, 7, len(x)).astype(np.int32), rng.uniform(-200, 200, 8)
+    tilt = rng.normal(0, 0.03, 2)
+    for k in (reference, kernel):
+        rho, tangent = k.project(x, y, ends[2], 0.3, tilt)
+        again, along, offset = k.settle(x, y, line, ends[2], 0.3, tilt, 400.0, before)
+        np.testing.assert_array_equal(again, rho)
+        np.testing.assert_array_equal(along, tangent)
+        expected = [400.0 * rho[line == n].astype(float).mean() if n in line else before[n] for n in range(8)]
+        np.testing.assert_allclose(offset, expected, rtol=1e-9, atol=1e-9)
+        low, high = k.extents(tangent, line, 8)
+        assert all(low[n] == tangent[line == n].min() and high[n] == tangent[line == n].max() for n in set(line))
 
 
-@BOTH
-def test_tilt_columns_are_the_derivatives_of_rho(k: ModuleType) -> None:
-    _, x, y, ends = scene(5)
-    half, h = ends[2], 1e-4
-    line = np.arange(len(x), dtype=np.int32)  # a line each: totals are the rows themselves
-    rho, tangent = k.project(x, y, half, 0.0, np.zeros(2))
-    _, total, _ = k.sums(rho, tangent, line, half, len(x))
-    for axis, column in ((0, 2), (1, 3)):
-        up, down = (k.project(x, y, half, 0.0, np.eye(2)[axis] * d)[0].astype(np.float64) for d in (h, -h))
-        np.testing.assert_allclose(total[:, column], (up - down) / (2 * h), atol=3e-3)
+@given(SEEDS, st.integers(1, 5))
+@settings(max_examples=30, deadline=None)
+def test_the_spread_is_the_median_distance(seed: int, stride: int) -> None:
+    rng, rho, _, _ = scene(seed, int(np.random.default_rng(seed).integers(1, 60)))
+    line, offset = rng.integers(0, 3, len(rho)).astype(np.int32), rng.uniform(-200, 200, 3)
+    for k in (reference, kernel):
+        found = k.spread(rho, line, offset, 400.0, stride)
+        assert abs(found - median(np.abs(rho * 400.0 - offset[line])[::stride])) < 1e-4
+        framed, samples = rng.integers(0, 256, (9, 11)).astype(np.uint8), rng.integers(0, 63, 20)
+        slope = cv2.Sobel(framed, cv2.CV_16S, 1, 0)[1:-1, 1:-1].ravel()
+        assert k.median_slope(framed, samples) == median(np.abs(slope[samples]))
+    assert kernel.median_slope(framed, samples[:0]) == 0.0
+    assert kernel.spread(rho[:0], line[:0], offset, 400.0, stride) == 0.0
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_crowds_are_counted(seed: int) -> None:
+    xy = np.random.default_rng(seed).uniform(0, 1, (60, 2)).astype(np.float32)
+    true = [np.count_nonzero(np.hypot(*(xy - p).T) < 0.2) - 1 for p in xy]
+    for k in (reference, kernel):
+        np.testing.assert_array_equal(k.crowd(xy, 0.2), true)
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))

@@ -14,10 +14,20 @@ import numpy as np
 import pytest
 
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel.arguments import Grids, Look
+from ceilvo.daemon.vision.kernel.arguments import Arm, Grids, Look, Step, Widths
 
 pytestmark = pytest.mark.skipif(not kernel.COMPILED, reason="ceilvo was installed without a compiler")
-LOOPS = ("level_points", "follow", "split", "vote", "project", "assign", "sums", "extents", "means", "hits")
+LOOPS = (
+    *("level_points", "follow", "split", "vote", "project", "assign", "settle", "spread", "extents", "crowd"),
+    "median_slope",
+    *("align", "fit", "picture", "join", "arms"),
+)
+ANY_LENGTH = {
+    *(("follow", 2), ("settle", 7), ("spread", 2), ("crowd", 0), ("align", 4), ("align", 8), ("picture", 6)),
+    *(("median_slope", 0), ("follow", 0), ("median_slope", 1)),
+    *(("arms", 2), ("arms", 4)),
+}
+"""Loops and arguments: lines, edges and positions, of which there may be any number."""
 
 
 def calls(height: int, width: int, points: int) -> dict[str, tuple[Any, ...]]:
@@ -27,6 +37,7 @@ def calls(height: int, width: int, points: int) -> dict[str, tuple[Any, ...]]:
     """
     rng = np.random.default_rng(0)
     dx, dy = rng.integers(-900, 900, (2, height, width)).astype(np.int16)
+    framed = rng.integers(0, 256, (height + 2, width + 2)).astype(np.uint8)
     cells = np.stack(np.meshgrid(np.arange(0, width + 2, 2), np.arange(0, height + 2, 2)), -1).astype(np.float32)
     grids = Grids(cells, cells, (0.0, 0.0), 2.0)  # level pixels are raw ones
     lines = np.tile([1.0, 0.0, 0.5 * width, 0.0, height], (1 + points // 1000, 1))
@@ -35,15 +46,21 @@ def calls(height: int, width: int, points: int) -> dict[str, tuple[Any, ...]]:
     uv, line = np.column_stack([x, y]), np.zeros(points, np.int32)
     return {
         "level_points": (np.full(dx.shape, 255, np.uint8), dx, dy, cells, np.zeros(dx.shape, np.uint16), 65535),
-        "follow": (dx, dy, grids, lines, np.zeros(2), 100.0, Look(2.0, 2.0, 50.0, 0.5, False)),
+        "follow": (framed, grids, lines, np.zeros(2), 100.0, Look(2.0, 2.0, 50.0, 0.5, False)),
         "split": (uv, np.abs(x) * 360, 0.0, 10.0, 1.0),
         "vote": (x, y, ends, (0.0, 1.5), 10.0, 10),
         "project": (x, y, ends[2], 0.1, np.zeros(2)),
         "assign": (x, y, x, y, ends, np.zeros(4), np.ones(4, np.int64), 0.1),
-        "sums": (x, y, line, ends[2], 3),
+        "settle": (x, y, line, ends[2], 0.1, np.zeros(2), 100.0, np.zeros(3)),
+        "spread": (x, line, np.zeros(3), 100.0, 1),
         "extents": (x, line, 3),
-        "means": (x, line, 3),
-        "hits": (uv, line, np.array([1.0, 0.0]), -1.0, 0.1, (3, 20)),
+        "median_slope": (framed, np.zeros(points, np.int64)),
+        "crowd": (uv[:3000], 0.1),
+        "align": (x, y, line, ends[2], np.zeros(3), 0.1, 100.0, np.ones(5), np.full(3, 9.0), np.ones(25)),
+        "fit": (x, y, line, ends[2], 3, 0.1, np.zeros(2), Step(100.0, 9.0, 0.1, 1e-3, 1.0, False)),
+        "picture": (x, y, line, ends[2], 0.1, 100.0, np.arange(3)),
+        "join": (np.arange(float(points)), x.astype(float), line.astype(int), line.astype(int), 0.0, Widths(2, 6, 1)),
+        "arms": (uv, line.astype(int), line[:3], np.array([1.0, 0.0]), np.zeros(20), Arm(0.5, 0.1, 0.1, 2.0)),
     }
 
 
@@ -60,7 +77,7 @@ def test_an_array_of_another_shape_type_or_layout_is_refused(name: str) -> None:
             (TypeError, "must not be None", None),
             (TypeError, "bytes-like object is required", argument.tolist()),
         ]
-        if (name, i) != ("follow", 3):  # any number of lines may be looked for
+        if (name, i) not in ANY_LENGTH:
             wrong.append((ValueError, "expected", argument[: len(argument) // 2]))
         if argument.dtype != np.float64:  # two or three numbers need not stand side by side
             wrong.append((ValueError, "ndarray is not C-contiguous", np.repeat(argument, 2, axis=-1)[..., ::2]))
@@ -70,7 +87,7 @@ def test_an_array_of_another_shape_type_or_layout_is_refused(name: str) -> None:
 
 
 def test_look_ups_of_another_shape_or_type_are_refused() -> None:
-    dx, dy, grids, *rest = calls(8, 10, 40)["follow"]
+    framed, grids, *rest = calls(8, 10, 40)["follow"]
     for key in ("lookup", "raw_of_level"):
         table = getattr(grids, key)
         for error, match, bad in (
@@ -80,18 +97,24 @@ def test_look_ups_of_another_shape_or_type_are_refused() -> None:
             (TypeError, "a look-up is None", None),
         ):
             with pytest.raises(error, match=match):
-                kernel.follow(dx, dy, grids._replace(**{key: bad}), *rest)
+                kernel.follow(framed, grids._replace(**{key: bad}), *rest)
 
 
 def test_indices_beyond_their_array_are_refused() -> None:
     good = calls(8, 10, 40)
-    x, y, line, half, _ = good["sums"]
-    points, row, *rest = good["hits"]
+    x, y, line, half, _, *step = good["fit"]
+    points, lines, *rest = good["arms"]
     for match, loop, arguments in (
-        ("line 7 of 3", kernel.sums, (x, y, line + 7, half, 3)),
-        ("line -1 of 3", kernel.means, (x, line - 1, 3)),
+        ("line 7 of 3", kernel.fit, (x, y, line + 7, half, 3, *step)),
+        ("line -1 of 3", kernel.settle, (*good["settle"][:2], line - 1, *good["settle"][3:])),
         ("line 3 of 3", kernel.extents, (x, line + 3, 3)),
-        ("line 5 of 3", kernel.hits, (points, row + 5, *rest)),
+        ("line 4 of 3", kernel.spread, (x, line + 4, *good["spread"][2:])),
+        ("line 3 of 3", kernel.align, (x, y, line + 3, *good["align"][3:])),
+        ("line 3 of 3", kernel.picture, (x, y, line + 3, *good["picture"][3:])),
+        ("line 5 of 3", kernel.arms, (points, lines + 5, *rest)),
+        ("pixel 80 of 80", kernel.median_slope, (good["median_slope"][0], np.array([80]))),
+        ("expected 1 at least", kernel.spread, (*good["spread"][:4], 0)),
+        ("expected one at least, an odd number", kernel.align, (*good["align"][:9], np.ones(4))),
         ("99 of 40 points belong to axis 0", kernel.project, (x, y, 99, 0.0, np.zeros(2))),
         ("expected 1 at least", kernel.vote, (*good["vote"], 0)),
     ):
