@@ -12,6 +12,7 @@ from ceilvo.daemon.editing.regions import Mark
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.daemon.map.database.key_pose_rows import kept
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.map.transitions import Side
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import compose, rotation, transform, wrap
 from ceilvo.types import NO_LANDMARK, Array
@@ -38,8 +39,7 @@ def without(content: MapContent, holds: Holds) -> MapContent:
 
 def _within(k: KeyPoses, holds: Holds, ids: NDArray[np.int64]) -> KeyPoses:
     k = kept(k, holds(k.pose[:, :2]))
-    at = np.empty((0, 2)) if not k.features else _in_map(k)
-    seen = holds(at)
+    seen = holds(k.xy_map_m)
     there = np.isin(k.landmark[seen], ids)
     return replace(
         k,
@@ -49,12 +49,6 @@ def _within(k: KeyPoses, holds: Holds, ids: NDArray[np.int64]) -> KeyPoses:
         crossing_type=k.crossing_type[seen],
         landmark=np.where(there, k.landmark[seen], NO_LANDMARK),
     )
-
-
-def _in_map(k: KeyPoses) -> Array:
-    """(O, 2) where the features of the views are."""
-    base = np.column_stack([k.xy_base_m, np.zeros(k.features)])
-    return np.asarray(compose(k.pose[k.view], base)[:, :2])
 
 
 def moved(content: MapContent, there_from_here: Array) -> MapContent:
@@ -71,7 +65,8 @@ def moved(content: MapContent, there_from_here: Array) -> MapContent:
     )
     poses = tuple(replace(k, pose=np.asarray(compose(there_from_here, k.pose))) for k in content.key_poses)
     axis = wrap(content.axis_rad + float(there_from_here[2]))
-    return replace(content, landmarks=landmarks, axis_rad=axis, key_poses=poses)
+    sides = tuple(Side.at(s.name, s.kind, compose(there_from_here, np.array(s.pose))) for s in content.sides)
+    return replace(content, landmarks=landmarks, axis_rad=axis, key_poses=poses, sides=sides)
 
 
 def turn_about(centre_m: Array, angle_rad: float) -> Array:

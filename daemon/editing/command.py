@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ceilvo.config.arguments import command
-from ceilvo.daemon.editing import looking, sources
+from ceilvo.daemon.editing import looking, sources, transitions
 from ceilvo.daemon.editing.changes import alignment, moved, only, turn_about, without
 from ceilvo.daemon.editing.editor import Where, apply, show
 from ceilvo.daemon.editing.joining import matches_by_id, merged
@@ -30,16 +30,18 @@ _SIGMAS = 3.0
 """That a landmark moves beyond before `diff` says so, unless told; chosen: 1 % of those that did not move do."""
 
 
-def add(commands: Commands) -> None:
-    """`map` and what follows it."""
+def add(commands: Commands) -> Commands:
+    """`map` and what follows it; returned for words of other rooms."""
     p = command(commands, "map", "look at maps, edit them, take edits back", "ceilvod map show map.db --png map.png")
-    words = p.add_subparsers(title="commands", required=True)
+    words: Commands = p.add_subparsers(title="commands", required=True)
     _add_exchange(words)
     _add_looking(words)
     _add_regions(words)
     _add_motions(words)
     _add_merge(words)
     _add_undo(words)
+    transitions.add(words)
+    return words
 
 
 def _one(words: Commands, name: str, text: str, example: str, do: Any, file: str = "FILE") -> argparse.ArgumentParser:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ceilvo.daemon.map.database.key_pose_rows import rows_of_key_poses
 from ceilvo.daemon.map.database.rows import LATEST_S
 from ceilvo.daemon.map.document import document_of
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.map.transitions import Side
 from ceilvo.json_values import json_value
 from ceilvo.types import MAX_ANGLE_RAD, MAX_ID, Array, Landmarks
 
@@ -25,6 +27,8 @@ _MAP, _LANDMARK, _KEY_POSE = "map", "landmark", "key pose"
 _NUMBERS = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "first_seen_s", "last_seen_s")
 _COUNTS = ("id", "kind", "sightings", "expected")
 _PLACE = ("x_m", "y_m")
+_COUNT_KEYS = {"added", "faded", "refused"}
+"""Of a session; older exports lack them."""
 _POSE_KEYS = {"session", "stamp_ns", "pose", "motion", "motion_cov", "direction_rad", "direction_sigma_rad", "view"}
 _FEATURE_KEYS = {"x_m", "y_m", *_NUMBERS[:3], "kind", "landmark"}
 _SESSION_KEYS = {"name", "begun_s", "last_s", "saves"}
@@ -41,14 +45,16 @@ def from_json(body: Any, version: int) -> MapContent:
     Raises:
         Damage: a value that no map may have; names it.
     """
-    keys(body, {"floor", "map_axis_rad", "landmarks", "sessions", "key_poses"}, "content")
+    own = {"floor", "map_axis_rad", "landmarks", "sessions", "key_poses"}
+    keys(body, own | ({"transitions"} & body.keys() if isinstance(body, dict) else set()), "content")
     landmarks, seen_s = _landmarks(_list(body["landmarks"], "landmarks"))
     sessions = tuple(_session(s) for s in _list(body["sessions"], "sessions"))
     key_poses = tuple(_key_poses(_list(body["key_poses"], "key_poses")))
     if unknown := {k.session for k in key_poses} - {s.name for s in sessions}:
         raise Damage(f"key_poses are of {shown(min(unknown))}, which is none of the sessions")
     axis = float(floats(body["map_axis_rad"], "map_axis_rad", (), MAX_ANGLE_RAD))
-    return MapContent(landmarks, seen_s, axis, key_poses, sessions, _text(body["floor"], "floor"))
+    sides = tuple(_side(s) for s in _list(body.get("transitions", []), "transitions"))
+    return MapContent(landmarks, seen_s, axis, key_poses, sessions, _text(body["floor"], "floor"), sides)
 
 
 def to_geojson(content: MapContent) -> str:
@@ -109,9 +115,8 @@ def _body(content: MapContent) -> dict[str, Any]:
         "floor": content.floor,
         "map_axis_rad": float(content.axis_rad),
         "landmarks": list(_table(content)),
-        "sessions": [
-            {"name": s.name, "begun_s": s.begun_s, "last_s": s.last_s, "saves": s.saves} for s in content.sessions
-        ],
+        "sessions": [asdict(s) for s in content.sessions],
+        "transitions": [asdict(s) for s in content.sides],
         "key_poses": [pose for k in content.key_poses for pose in _poses(k)],
     }
 
@@ -149,11 +154,17 @@ def _landmarks(rows: list[Any]) -> tuple[Landmarks, Array]:
     return landmarks.of(order), seen_s[order]
 
 
+def _side(value: Any) -> Side:
+    keys(value, {"name", "kind", "x_m", "y_m", "theta_rad"}, "transitions")
+    pose = floats([value[k] for k in ("x_m", "y_m", "theta_rad")], "transitions.x_m, y_m, theta_rad", (3,), MAX_ID)
+    return Side.at(_text(value["name"], "transitions.name"), _text(value["kind"], "transitions.kind"), pose)
+
+
 def _session(value: Any) -> Session:
-    keys(value, _SESSION_KEYS, "sessions")
+    keys(value, _SESSION_KEYS | (_COUNT_KEYS if _COUNT_KEYS & value.keys() else set()), "sessions")
     begun_s, last_s = floats([value["begun_s"], value["last_s"]], "sessions.begun_s, last_s", (2,), LATEST_S).tolist()
-    saves = int(ints([value["saves"]], "sessions.saves", 0, MAX_ID)[0])
-    return Session(_text(value["name"], "sessions.name"), begun_s, last_s, saves)
+    counts = {k: int(ints([value.get(k, 0)], f"sessions.{k}", 0, MAX_ID)[0]) for k in ("saves", *_COUNT_KEYS)}
+    return Session(_text(value["name"], "sessions.name"), begun_s, last_s, **counts)
 
 
 def _poses(k: KeyPoses) -> Iterator[dict[str, Any]]:

@@ -115,7 +115,7 @@ def merged(a: MapContent, b: MapContent) -> tuple[MapContent, Matches]:
     m = matches_by_place(a.landmarks, theirs, GATE_CHI2)
     fused = _fused(a.landmarks, theirs, m)
     new = theirs.of(m.only_b)
-    ids = _free_ids(new.ids, a.landmarks.ids)
+    ids = free_ids(new.ids, a.landmarks.ids)
     both = [(fused, a.landmarks.ids), (new, ids)]
     landmarks = Landmarks(
         ids=np.concatenate([i for _, i in both]),
@@ -126,19 +126,20 @@ def merged(a: MapContent, b: MapContent) -> tuple[MapContent, Matches]:
         expected=np.concatenate([x.expected for x, _ in both]),
     )
     seen_s = a.seen_s.copy()
-    seen_s[m.a] = _both_times(a.seen_s[m.a], b.seen_s[m.b])
+    seen_s[m.a] = both_times(a.seen_s[m.a], b.seen_s[m.b])
     order = np.argsort(landmarks.ids, kind="stable")
     name = dict(zip(theirs.ids[m.b].tolist(), a.landmarks.ids[m.a].tolist(), strict=True))
     name |= dict(zip(new.ids.tolist(), ids.tolist(), strict=True))
     turns = quarter_turns(b.axis_rad, a.axis_rad)
     taken = {s.name for s in a.sessions}
-    poses = tuple(_renamed(k, name, turns) for k in b.key_poses if k.session not in taken)
+    poses = tuple(renamed(k, name, turns) for k in b.key_poses if k.session not in taken)
     content = replace(
         a,
         landmarks=landmarks.of(order),
         seen_s=np.concatenate([seen_s, b.seen_s[m.only_b]])[order],
         key_poses=(*a.key_poses, *poses),
         sessions=(*a.sessions, *(s for s in b.sessions if s.name not in taken)),
+        sides=(*a.sides, *(s for s in b.sides if s.name not in {own.name for own in a.sides})),
     )
     return content, m
 
@@ -157,7 +158,7 @@ def _fused(a: Landmarks, b: Landmarks, m: Matches) -> Landmarks:
     return replace(a, xy_map_m=xy, cov_m2=cov, sightings=sightings, expected=expected)
 
 
-def _both_times(a_s: Array, b_s: Array) -> Array:
+def both_times(a_s: Array, b_s: Array) -> Array:
     """(P, 2) first and last seen by either; 0 says nothing."""
     first = np.where(
         (a_s[:, 0] > 0) & (b_s[:, 0] > 0), np.minimum(a_s[:, 0], b_s[:, 0]), np.maximum(a_s[:, 0], b_s[:, 0])
@@ -165,13 +166,14 @@ def _both_times(a_s: Array, b_s: Array) -> Array:
     return np.column_stack([first, np.maximum(a_s[:, 1], b_s[:, 1])])
 
 
-def _free_ids(wanted: Ints, taken: Ints) -> Ints:
-    """Their own where free, else beyond all that are in use."""
+def free_ids(wanted: Ints, taken: Ints, above: int = -1) -> Ints:
+    """Their own where free, else beyond all that are in use and beyond another number."""
     clash = np.isin(wanted, taken)
-    first = int(max(np.max(wanted, initial=-1), np.max(taken, initial=-1))) + 1
+    first = int(max(np.max(wanted, initial=above), np.max(taken, initial=above))) + 1
     return np.where(clash, first + np.cumsum(clash) - 1, wanted)
 
 
-def _renamed(k: KeyPoses, name: dict[int, int], turns: int) -> KeyPoses:
+def renamed(k: KeyPoses, name: dict[int, int], turns: int) -> KeyPoses:
+    """With other names for the landmarks, NO_LANDMARK where there is none, and axes so many quarter turns further."""
     landmark = np.array([name.get(i, NO_LANDMARK) for i in k.landmark.tolist()], np.int64)
     return replace(k, landmark=landmark, crossing_type=turned_type(k.crossing_type, turns))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +77,7 @@ def stats(options: argparse.Namespace) -> int:
     print(f"seen         {_when(s['first_seen_s'])} to {_when(s['last_seen_s'])}")
     print(f"key poses    {s['key_poses']} with {s['key_pose_features']} features")
     for session in s["sessions"]:
-        print(f"session      {printable(session['name'])}: {_when(session['begun_s'])}, {session['saves']} saves")
+        print(f"session      {_session(session)}")
     if "hash" in s:
         print(f"version      {s['version']}, hash {s['hash'][:12]}, {s['edits']} edits can be undone")
     return 0
@@ -104,14 +106,23 @@ def diff(options: argparse.Namespace) -> int:
 
 
 def history(options: argparse.Namespace) -> int:
-    """Edits that can be undone."""
+    """What made the map: drives, and edits that can be undone, in their order."""
     with open_map(options.file, options.floor) as db:
-        log = db.history()
-    for edit in log:
-        print(f"{_when(edit.at_s)}  {edit.landmarks} landmarks, {edit.key_poses} key poses  {printable(edit.what)}")
+        log, sessions = db.history(), db.content().sessions
+    lines = [(s.begun_s, f"{_when(s.begun_s)}  drive  {_session(asdict(s))}") for s in sessions]
+    for e in log:
+        did = f"{e.landmarks} landmarks, {e.key_poses} key poses  {printable(e.what)}"
+        lines.append((e.at_s, f"{_when(e.at_s)}  {did}"))
+    for _, line in sorted(lines):
+        print(line)
     if not log:
         print(f"{options.file}: no edits")
     return 0
+
+
+def _session(s: dict[str, Any]) -> str:
+    did = f"{s['added']} landmarks added, {s['faded']} faded, {s['refused']} refused"
+    return f"{printable(s['name'])}: {_when(s['begun_s'])} to {_when(s['last_s'])}, {s['saves']} saves, {did}"
 
 
 def export(options: argparse.Namespace) -> int:

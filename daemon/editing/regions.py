@@ -77,6 +77,15 @@ def point(text: str) -> Array:
     return np.array(_numbers(text, 2, "x,y"))
 
 
+def place_on_floor(text: str) -> tuple[str, Array]:
+    """The type of an option: FLOOR=X,Y,DEG; the pose is (3,) [m, m, rad]."""
+    floor, equals, pose = text.rpartition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"{text}: expected FLOOR=X,Y,DEG")
+    x, y, deg = _numbers(pose, 3, "FLOOR=X,Y,DEG")
+    return floor, np.array([x, y, math.radians(deg)])
+
+
 def angle_deg(text: str) -> float:
     """The type of an option: degrees, a full turn either way at most."""
     value = _number(text)

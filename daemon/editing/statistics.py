@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -36,9 +37,7 @@ def statistics(content: MapContent) -> dict[str, Any]:
         "last_seen_s": float(np.max(content.seen_s[:, 1], initial=0.0)),
         "key_poses": sum(map(len, content.key_poses)),
         "key_pose_features": content.features,
-        "sessions": [
-            {"name": s.name, "begun_s": s.begun_s, "last_s": s.last_s, "saves": s.saves} for s in content.sessions
-        ],
+        "sessions": [asdict(s) for s in content.sessions],
     }
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ceilvo.se2 import compose
 from ceilvo.types import Array, Ints
 
 
@@ -48,6 +49,12 @@ class KeyPoses:
     def features(self) -> int:
         """O, of all views."""
         return len(self.view)
+
+    @property
+    def xy_map_m(self) -> Array:
+        """(O, 2) where the features of all views are."""
+        base = np.column_stack([self.xy_base_m, np.zeros(self.features)])
+        return np.asarray(compose(self.pose[self.view], base)[:, :2])
 
     def __post_init__(self) -> None:
         k, o = len(self.stamp_ns), len(self.view)

@@ -24,9 +24,9 @@ from ceilvo.types import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID, Landmarks, Pos
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
-MAP_VERSION, STATE_VERSION = 2, 2
+MAP_VERSION, STATE_VERSION = 2, 3
 """docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected. A state of
-version 1 does not say how likely the robot was elsewhere."""
+version 1 does not say how likely the robot was elsewhere, one of version 2 not which map it is on."""
 MAX_MAP_BYTES = 256 * 2**20
 """Largest map file that is read; the most that filter.max_landmarks allows take 183 MiB."""
 MAX_STATE_BYTES = 64 * 2**10
@@ -42,8 +42,11 @@ _COLUMNS = {
     "expected": ("<i8", 1),
 }
 """Of a map: type of the numbers and how many a landmark has."""
-_STATE_KEYS = {"pose_map_from_base", "cov", "state", "stamp_ns", "elsewhere"}
-_NOT_IN_1 = {"expected", "elsewhere"}
+_STATE_KEYS = {"pose_map_from_base", "cov", "state", "stamp_ns"}
+_LATER_KEYS = {"elsewhere": 2, "frame": 3}
+"""Of a state, and the version that brought them."""
+_FRAME_CHARS = 80
+"""Of a frame's name; one has some 40."""
 _REMEDY = {
     _MAP_FORMAT: "restore a backup, or go on with an earlier map or a new one",
     _STATE_FORMAT: "without it the robot is searched for on all of the map",
@@ -66,6 +69,7 @@ class StoredState:
 
     Attributes:
         elsewhere: probability that the robot was at another place.
+        frame: of the map that the pose is on, as in MapDatabase; None where that is not known.
     """
 
     pose: Pose
@@ -73,6 +77,7 @@ class StoredState:
     state: State
     stamp_ns: int
     elsewhere: float = 0.0
+    frame: str | None = None
 
 
 def save_map(path: Path, landmarks: Landmarks, map_axis_rad: float) -> None:
@@ -105,7 +110,9 @@ def load_map(path: Path) -> StoredMap | None:
     return _load(path, _MAP_FORMAT, _read_map, MAX_MAP_BYTES)
 
 
-def save_state(path: Path, pose: Array, cov: Array, state: State, stamp_ns: int, elsewhere: float = 0.0) -> None:
+def save_state(
+    path: Path, pose: Array, cov: Array, state: State, stamp_ns: int, elsewhere: float = 0.0, frame: str | None = None
+) -> None:
     """Replace the state file; raises as save_map."""
     content = {
         "pose_map_from_base": {"x_m": float(pose[0]), "y_m": float(pose[1]), "theta_rad": float(pose[2])},
@@ -113,6 +120,7 @@ def save_state(path: Path, pose: Array, cov: Array, state: State, stamp_ns: int,
         "state": state.name,
         "stamp_ns": int(stamp_ns),
         "elsewhere": float(elsewhere),
+        "frame": frame,
     }
     _save(path, _STATE_FORMAT, content, _read_state, MAX_STATE_BYTES)
 
@@ -151,7 +159,7 @@ def _load(path: Path, kind: str, read: Callable[[Any, int], _T], limit: int) -> 
 def _read_map(content: Any, version: int) -> StoredMap:
     keys(content, {"map_axis_rad", "landmarks"}, "content")
     table = content["landmarks"]
-    keys(table, _COLUMNS.keys() - (_NOT_IN_1 if version == 1 else set()), "landmarks")
+    keys(table, _COLUMNS.keys() - ({"expected"} if version == 1 else set()), "landmarks")
     if version > 1:
         table = {k: _from_text(table[k], f"landmarks.{k}", *_COLUMNS[k]) for k in _COLUMNS}
     if version == 1:
@@ -161,7 +169,7 @@ def _read_map(content: Any, version: int) -> StoredMap:
 
 
 def _read_state(content: Any, version: int) -> StoredState:
-    keys(content, _STATE_KEYS - (_NOT_IN_1 if version == 1 else set()), "content")
+    keys(content, _STATE_KEYS | {k for k, since in _LATER_KEYS.items() if version >= since}, "content")
     pose = content["pose_map_from_base"]
     keys(pose, {"x_m", "y_m", "theta_rad"}, "pose_map_from_base")
     values = floats([pose["x_m"], pose["y_m"], pose["theta_rad"]], "pose_map_from_base", (3,), MAX_COORDINATE_M)
@@ -174,7 +182,10 @@ def _read_state(content: Any, version: int) -> StoredState:
     elsewhere = 0.0 if version == 1 else float(floats(content["elsewhere"], "elsewhere", (), 1.0))
     if elsewhere < 0.0:
         raise Damage(f"elsewhere is {elsewhere}, expected a probability")
-    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere)
+    frame = content.get("frame")
+    if frame is not None and not (isinstance(frame, str) and len(frame) <= _FRAME_CHARS):
+        raise Damage(f"frame is {shown(frame)}, expected the name of a map's frame")
+    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere, frame)
 
 
 def _as_text(column: NDArray[Any], dtype: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.map.transitions import Side
 from ceilvo.types import Array, Landmarks
 
 
@@ -18,12 +19,18 @@ class Session:
         name: as in KeyPoses.
         begun_s, last_s: wall-clock time of its first and last save, s since 1970.
         saves: their number.
+        added: landmarks that came to the map by it.
+        faded: those that went: no longer there, or found to be another one.
+        refused: what it saw and the map did not take: never seen again, or no room.
     """
 
     name: str
     begun_s: float
     last_s: float
     saves: int = 0
+    added: int = 0
+    faded: int = 0
+    refused: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +44,7 @@ class MapContent:
         key_poses: of every session that has any.
         sessions: all of them, by name.
         floor: its name, "" for the only one.
+        sides: where lifts and ramps to other floors are on this one, by name.
     """
 
     landmarks: Landmarks
@@ -45,6 +53,7 @@ class MapContent:
     key_poses: tuple[KeyPoses, ...] = ()
     sessions: tuple[Session, ...] = ()
     floor: str = field(default="")
+    sides: tuple[Side, ...] = ()
 
     @staticmethod
     def of(landmarks: Landmarks, axis_rad: float, seen_s: float = 0.0) -> MapContent:

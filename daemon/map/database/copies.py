@@ -9,10 +9,11 @@ import os
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 from ceilvo.daemon.map.database import schema
 from ceilvo.daemon.map.database.database import MapDatabase
-from ceilvo.daemon.map.database.faults import DamagedError
+from ceilvo.daemon.map.database.faults import DamagedError, HeldError, reading
 from ceilvo.errors import FileFormatError
 from ceilvo.files import set_aside
 
@@ -47,7 +48,7 @@ def open_map(path: Path, floor: str | None = None, create: bool = False, views: 
     except DamagedError as e:
         if not copy_of(path).exists():
             raise
-        _take_copy(path, e)
+        _take_copy(path, floor, e)
     return MapDatabase(path, floor)
 
 
@@ -83,27 +84,53 @@ def keep_copy(db: MapDatabase) -> None:
         _remove(beside)
 
 
-def _take_copy(path: Path, damage: DamagedError) -> None:
-    """The copy stays a copy; what is damaged is set aside with its log, which must not be applied to the copy."""
-    beside = _beside(path)
+def _take_copy(path: Path, floor: str | None, damage: DamagedError) -> None:
+    """The copy stays a copy."""
     try:
-        shutil.copyfile(copy_of(path), beside)
-        with MapDatabase(beside) as good:
-            held = f"{len(good.content().landmarks)} landmarks, version {good.version}"
-        _flush(beside)
+        held = _held_by(copy_of(path), floor)
         made = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(copy_of(path).stat().st_mtime))
-        aside = _set_aside(path)
-        beside.replace(path)
-    except (OSError, DamagedError) as e:
+        aside = put_in_place(copy_of(path), path)
+    except HeldError:
+        raise
+    except (OSError, FileFormatError) as e:
         raise DamagedError(f"{damage}; the last good copy {copy_of(path).name} is of no use, either: {e}") from e
-    finally:
-        _remove(beside)
     _log.warning("%s%s", damage, f"; set aside as {aside.name}" if aside else "")
     _log.warning("%s: the last good copy, %s of %s, is used: %s", path, copy_of(path).name, made, held)
 
 
-def _set_aside(path: Path) -> Path | None:
-    """None where there is nothing but a log, perhaps."""
+def _held_by(path: Path, floor: str | None) -> str:
+    """What a database holds, for people; all of it is read.
+
+    Raises:
+        FileFormatError: as open_map; its copy is not looked at.
+    """
+    with MapDatabase(path, floor) as db:
+        return f"{len(db.content().landmarks)} landmarks, version {db.version}"
+
+
+def put_in_place(source: Path, path: Path) -> Path | None:
+    """Make a copy of a database the one at `path`; what lies there is set aside, None where there is nothing.
+
+    Raises:
+        OSError: it cannot be written; what lies there stays.
+    """
+    beside = _beside(path)
+    try:
+        shutil.copyfile(source, beside)
+        _flush(beside)
+        aside = set_aside_with_log(path)
+        beside.replace(path)
+    finally:
+        _remove(beside)
+    return aside
+
+
+def set_aside_with_log(path: Path) -> Path | None:
+    """As files.set_aside, with the log, which must not be applied to another database; None where there is nothing.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
     log, shared = (path.with_name(path.name + end) for end in (LOG, SHARED))
     shared.unlink(missing_ok=True)
     aside = set_aside(path) if os.path.lexists(path) else None
@@ -112,6 +139,42 @@ def _set_aside(path: Path) -> Path | None:
     elif log.exists():
         log.replace(aside.with_name(aside.name + LOG))
     return aside
+
+
+def floors_in(path: Path) -> tuple[str, ...]:
+    """Names of the maps in a database.
+
+    Raises:
+        FileFormatError: as schema.connect.
+    """
+    return tuple(_column(path, "floor"))
+
+
+def same_maps(a: Path, b: Path) -> bool:
+    """Whether two databases say the same by their hashes, however often they were written."""
+    try:
+        return _column(a, "hash") == _column(b, "hash")
+    except FileFormatError:
+        return False
+
+
+def is_ahead(copy: Path, path: Path) -> bool:
+    """Whether a copy has what a database does not have any more: a map that went another way, or a later one.
+
+    False where the copy is of no use.
+    """
+    try:
+        frames, theirs = _column(path, "frame"), _column(copy, "frame")
+        versions, of_copy = _column(path, "version"), _column(copy, "version")
+    except FileFormatError:
+        return False
+    return any(frames.get(floor) != theirs[floor] or versions[floor] < of_copy[floor] for floor in theirs)
+
+
+def _column(path: Path, name: str) -> dict[str, Any]:
+    """By floors."""
+    with contextlib.closing(schema.connect(path)) as db, reading(path):
+        return dict(db.execute(f"SELECT floor, {name} FROM maps ORDER BY id").fetchall())
 
 
 def _beside(path: Path) -> Path:

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from ceilvo.daemon.map.checks import Damage
 from ceilvo.daemon.map.database import edits, schema, tables
 from ceilvo.daemon.map.database.content import MapContent, Session
 from ceilvo.daemon.map.database.edits import Edit
-from ceilvo.daemon.map.database.faults import reading, writing
+from ceilvo.daemon.map.database.faults import expect, reading, writing
 from ceilvo.daemon.map.database.held import (
     Held,
     floors,
@@ -26,14 +26,16 @@ from ceilvo.daemon.map.database.held import (
     read_places,
     read_rows,
     read_sessions,
+    read_sides,
+    read_verified,
 )
-from ceilvo.daemon.map.database.key_pose_rows import SPACE_M, spaced
+from ceilvo.daemon.map.database.key_pose_rows import spaced
 from ceilvo.daemon.map.database.rows import landmarks_of_rows
-from ceilvo.daemon.map.database.spatial import cells, spatial_of
+from ceilvo.daemon.map.database.spatial import spatial_of
 from ceilvo.daemon.map.database.tables import Written
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap
-from ceilvo.errors import FileFormatError, one_line
+from ceilvo.errors import FileFormatError
 from ceilvo.types import Array, Landmarks
 
 _log = logging.getLogger("ceilvo.store")
@@ -66,17 +68,20 @@ class MapDatabase:
                 self._index_is_good = False
                 self._inode = path.stat().st_ino
                 with self._snapshot():
-                    problem = str(self._db.execute("PRAGMA quick_check(1)").fetchone()[0])
-                    if problem != "ok":
-                        raise Damage(f"quick_check says {one_line(problem)}")
-                    self._held = self._choose(floor)
+                    self._held = read_verified(path, self._db, floor)
                     self._seen_version = schema.pragma(self._db, "data_version")
         except BaseException:
             self._db.close()
             raise
 
     def close(self) -> None:
-        """What is in the log goes into the file, which is whole without it then."""
+        """What is in the log goes into the file, which is whole without it then.
+
+        SQLite leaves the log where the file was replaced meanwhile, and would apply it to the new one.
+        """
+        if not self.in_place:
+            with contextlib.suppress(sqlite3.Error):
+                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self._db.close()
 
     def __enter__(self) -> MapDatabase:
@@ -92,6 +97,12 @@ class MapDatabase:
         return self._held.floor
 
     @property
+    def floors(self) -> tuple[str, ...]:
+        """Of all maps of the file, by their age."""
+        with reading(self.path):
+            return tuple(floors(self._db))
+
+    @property
     def version(self) -> int:
         """How often the map was written; 0: there is none yet."""
         return self._held.version
@@ -100,6 +111,37 @@ class MapDatabase:
     def hash(self) -> str:
         """Of all that the map says, in hexadecimal; sessions and the undo log aside."""
         return self._held.hash
+
+    @property
+    def seen_s(self) -> Array:
+        """(L, 2) when each landmark of load() was first and last seen, s since 1970; 0 where nobody knows."""
+        return self._held.seen_s
+
+    def follow(self) -> bool:
+        """Read anew where another program wrote; whether the map is another one then.
+
+        Raises:
+            FileFormatError: as when it is opened.
+        """
+        before = self.hash
+        with reading(self.path), self._snapshot():
+            self._follow()
+        return self.hash != before
+
+    @property
+    def frame(self) -> str:
+        """Poses on the map stay right while it is the same; an edit that moves the map, or a new one, changes it."""
+        return self._held.frame
+
+    @property
+    def in_place(self) -> bool:
+        """Whether the file is still the one that was opened."""
+        return schema.is_same(self.path, self._inode)
+
+    @property
+    def provisional(self) -> bool:
+        """Whether it must be opened again to save: its disk was full or read-only."""
+        return schema.is_provisional(self._db)
 
     def load(self) -> StoredMap | None:
         """Landmarks and axis as of the last reading or saving; None where there is no map yet."""
@@ -115,8 +157,9 @@ class MapDatabase:
             self._follow()
             key_poses = read_key_poses(self._db, self._held.number)
             sessions = read_sessions(self._db, self._held.number)
+            sides = read_sides(self._db, self._held.number)
         held = self._held
-        return MapContent(held.landmarks, held.seen_s, held.axis_rad, key_poses, sessions, held.floor)
+        return MapContent(held.landmarks, held.seen_s, held.axis_rad, key_poses, sessions, held.floor, sides)
 
     def within(self, low_m: Array, high_m: Array) -> Landmarks:
         """Landmarks in a box with corners (2,) and (2,), by ascending id, read from the file.
@@ -140,21 +183,38 @@ class MapDatabase:
 
     # -- what changes it
 
-    def save(self, landmarks: Landmarks, map_axis_rad: float, session: str = "", now_s: float | None = None) -> Written:
+    def save(
+        self,
+        landmarks: Landmarks,
+        map_axis_rad: float,
+        session: str = "",
+        now_s: float | None = None,
+        found: str = "",
+        refused: int = 0,
+        anew: bool = False,
+    ) -> Written:
         """Write what is other than what was last written or read.
 
         Args:
             session: of the drive, as in KeyPoses; "" for none.
             now_s: wall-clock time, s since 1970; None: the clock's.
+            found: hash of the map that these landmarks began with; "" where that does not matter.
+            refused: that the session saw and the map did not take, since its last save.
+            anew: first forget all that the map was, sessions and the undo log, too.
 
         Raises:
+            SupersededError: the map is another one than was found: one that was refined, say.
             FileFormatError: the values are no map, or the file cannot be written; it holds what it held.
         """
         at_s = time.time() if now_s is None else now_s
         with self._change() as held:
+            expect(self.path, held.hash, found)
+            if anew:
+                tables.wipe(self._db, held)
             written = tables.write_landmarks(self._db, held, landmarks, at_s=at_s)
             if session:
-                self._count_save(held, session, at_s)
+                done = Session(session, at_s, at_s, 1, written.added, written.removed, refused)
+                tables.count_save(self._db, held, done)
             tables.write_map(self._db, held, map_axis_rad)
         return written
 
@@ -168,10 +228,7 @@ class MapDatabase:
         with self._change() as held:
             if not held.version:
                 raise Damage("key poses come before their map")
-            if key_poses.session not in {s.name for s in read_sessions(self._db, held.number)}:
-                tables.write_session(self._db, held, Session(key_poses.session, at_s, at_s))
-            count = tables.add_key_poses(self._db, held, key_poses)
-            count += tables.thin_out(self._db, held, set(cells(key_poses.pose[:, :2], SPACE_M).tolist()))
+            count = tables.add_key_poses(self._db, held, key_poses, at_s)
             tables.write_map(self._db, held, held.axis_rad)
         return count
 
@@ -188,9 +245,31 @@ class MapDatabase:
         at_s = time.time() if now_s is None else now_s
         after = replace(after, key_poses=spaced(after.key_poses))
         with self._change() as held:
-            if found not in ("", held.hash):
-                raise Damage("another program has written to it meanwhile; try again")
+            expect(self.path, held.hash, found)
             return edits.write_edit(self._db, held, after, what, at_s)
+
+    def edit_floors(
+        self, after: Mapping[str, tuple[MapContent, str]], what: str, now_s: float | None = None
+    ) -> dict[str, Written]:
+        """edit() of several floors, all or none.
+
+        Args:
+            after: by the floor's name what it becomes, and the hash of the map that it was made of.
+
+        Raises:
+            FileFormatError: as save.
+        """
+        at_s = time.time() if now_s is None else now_s
+        with self._change() as own:
+            there, written = floors(self._db), {}
+            for name, (content, found) in after.items():
+                if name not in there:
+                    raise Damage(f"floor {name!r} is not there any more")
+                held = own if name == own.floor else read_map(self._db, there[name])
+                expect(self.path, held.hash, found)
+                content = replace(content, key_poses=spaced(content.key_poses))
+                written[name] = edits.write_edit(self._db, held, content, what, at_s)
+        return written
 
     def undo(self) -> Edit:
         """Put the map back to before the last edit.
@@ -199,17 +278,11 @@ class MapDatabase:
             FileFormatError: there is none, or the map has changed since; DamagedError where the log is not what was
                 written. Nothing is changed then.
         """
-        log = self.history()
-        if not log:
-            raise FileFormatError(f"{self.path}: no edit to undo; 'ceilvod map history' shows those that there are")
+        last = edits.last_of(self.path, self.history())
         with self._change() as held:
-            if held.hash != log[0].hash_after:
-                raise FileFormatError(
-                    f"{self.path}: changed since '{one_line(log[0].what)}': its hash is {held.hash[:12]}, expected "
-                    f"{log[0].hash_after[:12]}; a robot has saved, so undoing would mix two maps: import a copy instead"
-                )
-            self._held = edits.undo(self._db, held, log[0])
-        return log[0]
+            edits.expect_unchanged(self.path, held, last)
+            self._held = edits.undo(self._db, held, last)
+        return last
 
     def mend_index(self) -> bool:
         """Make the index of places anew where it does not say where landmarks are; whether that was so."""
@@ -218,9 +291,8 @@ class MapDatabase:
         if self._index_is_good:
             return False
         with self._change():
-            keys, xy_m = read_places(self._db)
             spatial_of(self._db).clear()
-            spatial_of(self._db).put(keys, xy_m)
+            spatial_of(self._db).put(*read_places(self._db))
         self._index_is_good = True
         return True
 
@@ -237,15 +309,6 @@ class MapDatabase:
             self._db.backup(target)
 
     # -- how
-
-    def _choose(self, floor: str | None) -> Held:
-        """Read the map that was asked for, and see that the others are whole, too."""
-        there = floors(self._db)
-        if floor is None and len(there) > 1:
-            raise FileFormatError(f"{self.path}: holds the floors {one_line(', '.join(there))}; say which with --floor")
-        name = next(iter(there), "") if floor is None else floor
-        all_of_them = {n: read_map(self._db, number) for n, number in there.items()}
-        return all_of_them[name] if name in there else Held.new(name, 0)
 
     def _follow(self) -> None:
         """What another program wrote becomes what is known."""
@@ -267,7 +330,7 @@ class MapDatabase:
     @contextmanager
     def _change(self) -> Iterator[Held]:
         """One transaction: all of it or nothing, also of what is known here."""
-        if not is_same(self.path, self._inode):
+        if not self.in_place:
             raise FileFormatError(
                 f"{self.path}: replaced or removed while it was open; nothing was written, open it again"
             )
@@ -285,16 +348,3 @@ class MapDatabase:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
-
-    def _count_save(self, held: Held, session: str, at_s: float) -> None:
-        known = next((s for s in read_sessions(self._db, held.number) if s.name == session), None)
-        saves, begun_s = (0, at_s) if known is None else (known.saves, known.begun_s)
-        tables.write_session(self._db, held, Session(session, begun_s, at_s, saves + 1))
-
-
-def is_same(path: Path, inode: int) -> bool:
-    """Whether the file is still the one that was opened."""
-    try:
-        return path.stat().st_ino == inode
-    except OSError:
-        return False

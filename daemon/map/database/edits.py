@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ceilvo.daemon.map.checks import Damage
 from ceilvo.daemon.map.database.content import MapContent
-from ceilvo.daemon.map.database.held import Held, gathered, read_sessions
+from ceilvo.daemon.map.database.held import Held, gathered, read_sessions, read_sides
 from ceilvo.daemon.map.database.spatial import spatial_of
-from ceilvo.daemon.map.database.tables import Written, write_key_poses, write_landmarks, write_map, write_session
+from ceilvo.daemon.map.database.tables import (
+    Written,
+    write_key_poses,
+    write_landmarks,
+    write_map,
+    write_session,
+    write_sides,
+)
+from ceilvo.daemon.map.transitions import Side
+from ceilvo.errors import FileFormatError, one_line
 
 MOST_EDITS = 20
 """That can be undone, of one map; chosen: each holds what it changed, all of the map where it was turned."""
@@ -48,9 +61,14 @@ def write_edit(db: sqlite3.Connection, held: Held, after: MapContent, what: str,
     for session in after.sessions:
         if session.name not in known:
             write_session(db, held, session, number)
+    axis_before, sides = held.axis_rad, read_sides(db, held.number)
+    if number is not None:
+        text = json.dumps([astuple(s) for s in sides])
+        db.execute("UPDATE edits SET sides_before = ? WHERE id = ?", (text.encode(), number))
+    write_sides(db, held, after.sides)
     written = write_landmarks(db, held, after.landmarks, after.seen_s, edit=number)
     key_poses = write_key_poses(db, held, after.key_poses, number)
-    write_map(db, held, after.axis_rad)
+    write_map(db, held, after.axis_rad, same_frame=not written.changed and after.axis_rad == axis_before)
     db.execute("UPDATE edits SET hash_after = ? WHERE id = ?", (held.hash, number))
     old = "SELECT id FROM edits WHERE map = ? ORDER BY id DESC LIMIT -1 OFFSET ?"
     db.execute(f"DELETE FROM edits WHERE id IN ({old})", (held.number, MOST_EDITS))
@@ -73,6 +91,30 @@ def history(db: sqlite3.Connection, number: int) -> tuple[Edit, ...]:
     return tuple(Edit(*row) for row in db.execute(f"{query} WHERE map = ? ORDER BY id DESC", (number,)))
 
 
+def last_of(path: Path, log: Sequence[Edit]) -> Edit:
+    """The edit that is undone first.
+
+    Raises:
+        FileFormatError: there is none.
+    """
+    if not log:
+        raise FileFormatError(f"{path}: no edit to undo; 'ceilvod map history' shows those that there are")
+    return log[0]
+
+
+def expect_unchanged(path: Path, held: Held, last: Edit) -> None:
+    """See that nobody saved since an edit.
+
+    Raises:
+        FileFormatError: somebody did.
+    """
+    if held.hash != last.hash_after:
+        raise FileFormatError(
+            f"{path}: changed since '{one_line(last.what)}': its hash is {held.hash[:12]}, expected "
+            f"{last.hash_after[:12]}; a robot has saved, so undoing would mix two maps: import a copy instead"
+        )
+
+
 def undo(db: sqlite3.Connection, held: Held, edit: Edit) -> Held:
     """Put back what the last edit found; the map as it is then.
 
@@ -92,6 +134,9 @@ def undo(db: sqlite3.Connection, held: Held, edit: Edit) -> Held:
     spatial.remove(removed)
     _put_again(db, put)
     axis = db.execute("SELECT axis_before FROM edits WHERE id = ?", (edit.number,)).fetchone()[0]
+    (text,) = db.execute("SELECT sides_before FROM edits WHERE id = ?", (edit.number,)).fetchone()
+    if text is not None:  # one of version 1 has none
+        write_sides(db, held, _sides(text))
     db.execute("DELETE FROM sessions WHERE edit = ?", (edit.number,))
     db.execute("DELETE FROM edits WHERE id = ?", (edit.number,))
     back = gathered(db, held.number, held.floor, held.version)
@@ -99,6 +144,13 @@ def undo(db: sqlite3.Connection, held: Held, edit: Edit) -> Held:
     if back.hash != edit.hash_before:
         raise Damage(f"the undo log leads to {back.hash}, expected {edit.hash_before}")
     return back
+
+
+def _sides(text: Any) -> list[Side]:
+    try:
+        return [Side(*row) for row in json.loads(text)]
+    except (TypeError, ValueError, RecursionError) as e:
+        raise Damage(f"transitions in the undo log: {e}") from e
 
 
 def _restored_keys(db: sqlite3.Connection, edit: int) -> tuple[list[int], list[int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sqlite3
 import stat
 from collections.abc import Iterator
@@ -33,19 +34,41 @@ class DamagedError(FileFormatError):
     """The file is no map any more, or none yet; the last good copy takes its place."""
 
 
+class SupersededError(FileFormatError):
+    """The map is not the one that a change was made of; nothing was changed."""
+
+
+class HeldError(FileFormatError):
+    """Another program holds the file; nothing is wrong with it."""
+
+
+def expect(path: Path, is_hash: str, found: str) -> None:
+    """See that a map is still the one that a change was made of; found: its hash then, "" where that does not matter.
+
+    Raises:
+        SupersededError: it is another one.
+    """
+    if found not in ("", is_hash):
+        raise SupersededError(
+            f"{path}: nothing was written: another program has written to it since it was read, its hash is "
+            f"{is_hash[:12]}, expected {found[:12]}; run it again"
+        )
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Whatever SQLite or the checks of values find wrong becomes one line.
 
     Raises:
-        FileFormatError: it cannot be read now; DamagedError where it never will.
+        FileFormatError: it cannot be read now; HeldError for another program; DamagedError where it never will.
     """
     try:
         yield
     except (sqlite3.Error, OverflowError, UnicodeError) as e:  # the last of a message that quotes what is damaged
         for word, remedy in _NOT_READ.items():
             if isinstance(e, sqlite3.OperationalError) and word in str(e):
-                raise FileFormatError(f"{path}: cannot be read: {e}; {remedy}") from e
+                kind = HeldError if word == "locked" else FileFormatError
+                raise kind(f"{path}: cannot be read: {e}; {remedy}") from e
         raise damaged(path, f"damaged: {one_line(e)}") from e
     except Damage as e:
         raise damaged(path, f"damaged: {e}") from e
@@ -86,6 +109,8 @@ def look_at(path: Path) -> None:
         what = f"a link to {path.readlink()}, which is not there" if path.is_symlink() else "no such file"
         raise damaged(path, f"{what}, expected a database of maps") from e
     except (OSError, ValueError) as e:
+        if isinstance(e, OSError) and e.errno == errno.ELOOP:
+            raise damaged(path, "a link to itself, expected a database of maps") from e
         why = (e.strerror or str(e)) if isinstance(e, OSError) else str(e)
         raise FileFormatError(f"{path}: cannot be read: {why}; check its name and its owner") from e
     if head != MAGIC:

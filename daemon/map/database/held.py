@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Container
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ceilvo.daemon.map.database.rows import (
     ROW,
     Rows,
     as_blob,
-    digest,
+    digest_of,
     hash_of,
     landmarks_of_rows,
     rows_from,
@@ -26,14 +26,16 @@ from ceilvo.daemon.map.database.rows import (
     total,
 )
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.map.transitions import Side
+from ceilvo.errors import FileFormatError, one_line
 from ceilvo.types import MAX_ANGLE_RAD, Array, Ints, Landmarks
 
 _LANDMARKS = f"SELECT key, {', '.join(NAMES)} FROM landmarks WHERE map = ? ORDER BY id"
+SESSION = "name, begun_s, last_s, saves, added, faded, refused"
+"""Columns, as Session has them."""
 _SOME = 900
 """Keys in one statement; every SQLite takes 999."""
-_KEY_POSES = (
-    "SELECT stamp_ns, x, y, theta, cell, motion, views, digest FROM key_poses WHERE session = ? ORDER BY stamp_ns"
-)
+_KEY_POSES = "SELECT stamp_ns, x, y, theta, cell, motion, views, digest FROM key_poses WHERE session = ?"
 
 
 @dataclass
@@ -47,6 +49,7 @@ class Held:
         seen_s: (L, 2) when each was first and last seen.
         keys: (L,) of their rows.
         landmark_sum, key_pose_sum: of the digests of all rows.
+        frame: see MapDatabase.
     """
 
     number: int
@@ -58,6 +61,7 @@ class Held:
     keys: Ints
     landmark_sum: int
     key_pose_sum: int
+    frame: str = ""
 
     @staticmethod
     def new(floor: str, number: int) -> Held:
@@ -73,15 +77,38 @@ def floors(db: sqlite3.Connection) -> dict[str, int]:
     return {str(name): int(number) for number, name in db.execute("SELECT id, floor FROM maps ORDER BY id")}
 
 
+def read_verified(path: Path, db: sqlite3.Connection, floor: str | None) -> Held:
+    """The map that was asked for, of a file that is whole: SQLite says so, and the others are as they were written.
+
+    Args:
+        floor: None: the only one, or "" where there is none yet.
+
+    Raises:
+        Damage: it is not whole.
+        FileFormatError: there are several maps, and no floor was said.
+    """
+    problem = str(db.execute("PRAGMA quick_check(1)").fetchone()[0])
+    if problem != "ok":
+        raise Damage(f"quick_check says {one_line(problem)}")
+    if orphan := db.execute("PRAGMA foreign_key_check").fetchone():
+        raise Damage(f"a row of {shown(orphan[0])} belongs to nothing that is there")
+    there = floors(db)
+    if floor is None and len(there) > 1:
+        raise FileFormatError(f"{path}: holds the floors {one_line(', '.join(there))}; say which with --floor")
+    name = next(iter(there), "") if floor is None else floor
+    all_of_them = {n: read_map(db, number) for n, number in there.items()}
+    return all_of_them[name] if name in there else Held.new(name, 0)
+
+
 def read_map(db: sqlite3.Connection, number: int) -> Held:
     """One map; in a transaction, so that nobody writes between its hash and its rows.
 
     Raises:
         Damage: what was read is not what was written.
     """
-    columns = "floor, version, hash, axis, landmark_sum, key_pose_sum"
+    columns = "floor, version, hash, axis, landmark_sum, key_pose_sum, frame"
     row = db.execute(f"SELECT {columns} FROM maps WHERE id = ?", (number,)).fetchone()
-    floor, version, written, axis, landmark_sum, key_pose_sum = row
+    floor, version, written, axis, landmark_sum, key_pose_sum, frame = row
     if type(version) is not int or version < 1:
         raise Damage(f"version of the map is {shown(version)}, expected a whole number from 1 up")
     held = gathered(db, number, str(floor), version)
@@ -91,6 +118,9 @@ def read_map(db: sqlite3.Connection, number: int) -> Held:
         raise Damage(f"{which} of map {floor!r} are not what was written")
     if held.hash != written:
         raise Damage(f"hash of map {floor!r} is {held.hash}, expected {shown(written)}")
+    if not isinstance(frame, str) or not frame:
+        raise Damage(f"frame of map {floor!r} is {shown(frame)}, expected a name")
+    held.frame = frame
     return held
 
 
@@ -132,16 +162,40 @@ def read_places(db: sqlite3.Connection) -> tuple[list[int], Array]:
     return [r[0] for r in rows], np.array([r[1:] for r in rows], np.float64).reshape(-1, 2)
 
 
-def read_key_poses(db: sqlite3.Connection, number: int, only: Container[str] | None = None) -> tuple[KeyPoses, ...]:
-    """Of every session that has any, or of those that are named, the oldest first.
+def read_key_poses(db: sqlite3.Connection, number: int) -> tuple[KeyPoses, ...]:
+    """Of every session that has any, the oldest first.
 
     Raises:
         Damage: what was read is not what was written.
     """
     sessions = db.execute("SELECT id, name FROM sessions WHERE map = ? ORDER BY id", (number,)).fetchall()
-    wanted = ((key, str(name)) for key, name in sessions if only is None or name in only)
-    found = (key_poses_of(name, db.execute(_KEY_POSES, (key,))) for key, name in wanted)
+    found = (key_poses_of(str(name), db.execute(f"{_KEY_POSES} ORDER BY stamp_ns", (key,))) for key, name in sessions)
     return tuple(k for k in found if len(k))
+
+
+def read_some_key_poses(db: sqlite3.Connection, session: int, stamps_ns: list[int]) -> KeyPoses:
+    """Those of one session with these stamps, which ascend.
+
+    Raises:
+        Damage: what was read is not what was written.
+    """
+    (name,) = db.execute("SELECT name FROM sessions WHERE id = ?", (session,)).fetchone()
+    rows = (db.execute(f"{_KEY_POSES} AND stamp_ns = ?", (session, s)).fetchone() for s in stamps_ns)
+    return key_poses_of(str(name), rows)
+
+
+def read_sides(db: sqlite3.Connection, number: int) -> tuple[Side, ...]:
+    """Where transitions are on one floor, by name.
+
+    Raises:
+        Damage: what was read is not what was written.
+    """
+    query = "SELECT name, kind, x, y, theta, digest FROM transitions WHERE map = ? ORDER BY name"
+    rows = db.execute(query, (number,)).fetchall()
+    for *values, written in rows:
+        if written != digest_of(*values):
+            raise Damage(f"transition {shown(values[0])} is not what was written")
+    return tuple(Side(*row[:-1]) for row in rows)
 
 
 def read_sessions(db: sqlite3.Connection, number: int) -> tuple[Session, ...]:
@@ -150,15 +204,10 @@ def read_sessions(db: sqlite3.Connection, number: int) -> tuple[Session, ...]:
     Raises:
         Damage: what was read is not what was written.
     """
-    query = "SELECT name, begun_s, last_s, saves, digest FROM sessions WHERE map = ? ORDER BY id"
+    query = f"SELECT {SESSION}, digest FROM sessions WHERE map = ? ORDER BY id"
     rows = db.execute(query, (number,)).fetchall()
     for *values, written in rows:
-        if written != session_digest(*values):
+        if written != digest_of(*values):
             raise Damage(f"session {shown(values[0])} is not what was written")
         floats(values[1:3], "sessions.begun_s, last_s", (2,), LATEST_S)
     return tuple(Session(*row[:-1]) for row in rows)
-
-
-def session_digest(*values: Any) -> bytes:
-    """Of name, times and saves."""
-    return digest(repr(values).encode("utf-8", "surrogatepass"))

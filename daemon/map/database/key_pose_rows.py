@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES
-from ceilvo.daemon.map.checks import Damage, covariance, floats, ints
+from ceilvo.daemon.map.checks import Damage, covariance, floats, ints, shown
 from ceilvo.daemon.map.database.rows import digest
 from ceilvo.daemon.map.database.spatial import cells
 from ceilvo.daemon.map.key_poses import KeyPoses
@@ -78,7 +78,7 @@ def key_poses_of(session: str, rows: Iterable[tuple[Any, ...]]) -> KeyPoses:
     table = list(rows)
     for row in table:
         if row[-1] != _digest(session, row[:-1]):
-            raise Damage(f"key pose {str(row[0])[:20]} of session {session[:40]!r} is not what was written")
+            raise Damage(f"key pose {shown(row[0])} of session {shown(session)} is not what was written")
     try:
         k = _from_table(session, table)
     except ValueError as e:

@@ -169,6 +169,11 @@ def digest(data: bytes) -> bytes:
     return hashlib.blake2b(data, digest_size=DIGEST_BYTES).digest()
 
 
+def digest_of(*values: Any) -> bytes:
+    """Of numbers and texts."""
+    return digest(repr(values).encode("utf-8", "surrogatepass"))
+
+
 def total(digests: Iterable[bytes]) -> int:
     return sum(int.from_bytes(d, "little") for d in digests) % (1 << 8 * DIGEST_BYTES)
 

@@ -122,6 +122,6 @@ class Grid:
 
     def misplaced(self) -> bool:
         rows = self._db.execute("SELECT l.x, l.y, c.cell FROM landmarks AS l LEFT JOIN landmark_cells AS c USING (key)")
-        table = np.array([(x, y, -1 if cell is None else cell) for x, y, cell in rows], object).reshape(-1, 3)
+        table = np.array([(x, y, cell if type(cell) is int else -1) for x, y, cell in rows], object).reshape(-1, 3)
         wrong = cells(table[:, :2].astype(np.float64), CELL_M) != table[:, 2].astype(np.int64)
         return bool(np.any(wrong))

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from ceilvo.daemon.map.checks import Damage, floats, shown
 from ceilvo.daemon.map.database.content import Session
-from ceilvo.daemon.map.database.held import Held, read_key_poses, session_digest
-from ceilvo.daemon.map.database.key_pose_rows import MOST_IN_SPACE, KeyPoseRow, kept, rows_of_key_poses
+from ceilvo.daemon.map.database.held import SESSION, Held, read_sessions, read_some_key_poses
+from ceilvo.daemon.map.database.key_pose_rows import MOST_IN_SPACE, SPACE_M, KeyPoseRow, kept, rows_of_key_poses
 from ceilvo.daemon.map.database.rows import (
     NAMES,
     Rows,
     as_blob,
     changed,
     dated,
+    digest_of,
     landmarks_of_rows,
     ordered,
     pairs_of,
@@ -26,8 +27,9 @@ from ceilvo.daemon.map.database.rows import (
     sum_of,
     total,
 )
-from ceilvo.daemon.map.database.spatial import spatial_of
+from ceilvo.daemon.map.database.spatial import cells, spatial_of
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.map.transitions import Side
 from ceilvo.types import MAX_ANGLE_RAD, Array, Ints, Landmarks
 
 _COLUMNS = ", ".join(NAMES)
@@ -124,14 +126,23 @@ def keep_before(db: sqlite3.Connection, edit: int, table: str, there: list[int],
 
 
 def write_session(db: sqlite3.Connection, held: Held, session: Session, edit: int | None = None) -> None:
-    """A session's times and saves; a new one, or in the place of what is there of that name."""
-    values = (session.name, float(session.begun_s) + 0.0, float(session.last_s) + 0.0, session.saves)
+    """What a session did so far; a new one, or in the place of what is there of that name."""
+    values = astuple(replace(session, begun_s=float(session.begun_s) + 0.0, last_s=float(session.last_s) + 0.0))
+    columns = SESSION.split(", ")[1:]
     db.execute(
-        "INSERT INTO sessions (map, name, begun_s, last_s, saves, edit, digest) VALUES (?, ?, ?, ?, ?, ?, ?)"
-        " ON CONFLICT (map, name) DO UPDATE SET begun_s = excluded.begun_s, last_s = excluded.last_s,"
-        " saves = excluded.saves, digest = excluded.digest",
-        (held.number, *values, edit, session_digest(*values)),
+        f"INSERT INTO sessions ({SESSION}, map, edit, digest) VALUES ({', '.join('?' * (len(values) + 3))})"
+        f" ON CONFLICT (map, name) DO UPDATE SET {', '.join(f'{c} = excluded.{c}' for c in (*columns, 'digest'))}",
+        (*values, held.number, edit, digest_of(*values)),
     )
+
+
+def count_save(db: sqlite3.Connection, held: Held, done: Session) -> None:
+    """Add what a save did to what its session did before."""
+    known = next((s for s in read_sessions(db, held.number) if s.name == done.name), None)
+    if known is not None:
+        counts = {n: getattr(known, n) + getattr(done, n) for n in ("saves", "added", "faded", "refused")}
+        done = replace(done, begun_s=known.begun_s, **counts)
+    write_session(db, held, done)
 
 
 def write_key_poses(
@@ -156,11 +167,15 @@ def write_key_poses(
     return count
 
 
-def add_key_poses(db: sqlite3.Connection, held: Held, key_poses: KeyPoses) -> int:
-    """Add to a session that is there, or put in the place of those of the same stamp; how many rows changed."""
+def add_key_poses(db: sqlite3.Connection, held: Held, key_poses: KeyPoses, at_s: float) -> int:
+    """Add to a session, or put in the place of those of the same stamp, and thin out; how many rows changed."""
+    if key_poses.session not in {s.name for s in read_sessions(db, held.number)}:
+        write_session(db, held, Session(key_poses.session, at_s, at_s))
     query = "SELECT id FROM sessions WHERE map = ? AND name = ?"
     (session,) = db.execute(query, (held.number, key_poses.session)).fetchone()
-    return _write_session_rows(db, held, session, {r.stamp_ns: r for r in rows_of_key_poses(key_poses)}, None, False)
+    rows = {r.stamp_ns: r for r in rows_of_key_poses(key_poses)}
+    count = _write_session_rows(db, held, session, rows, None, others_go=False)
+    return count + thin_out(db, held, set(cells(key_poses.pose[:, :2], SPACE_M).tolist()))
 
 
 def _write_session_rows(
@@ -172,7 +187,11 @@ def _write_session_rows(
     others_go: bool = True,
 ) -> int:
     query = "SELECT key, stamp_ns, digest FROM key_poses WHERE session = ?"
-    old = {stamp: (key, digest) for key, stamp, digest in db.execute(query, (session,))}
+    if others_go:
+        found = db.execute(query, (session,)).fetchall()
+    else:
+        found = [r for s in rows for r in db.execute(f"{query} AND stamp_ns = ?", (session, s))]
+    old = {stamp: (key, digest) for key, stamp, digest in found}
     going = [stamp for stamp in old if stamp not in rows] if others_go else []
     other = [r for stamp, r in rows.items() if stamp in old and old[stamp][1] != r.digest]
     added = [r for stamp, r in rows.items() if stamp not in old]
@@ -196,21 +215,53 @@ def _write_session_rows(
 def thin_out(db: sqlite3.Connection, held: Held, cells: set[int]) -> int:
     """Key poses in these cells beyond MOST_IN_SPACE go, the oldest first; how many rows that changed."""
     query = (
-        "SELECT s.name, k.stamp_ns FROM key_poses AS k JOIN sessions AS s ON s.id = k.session"
-        " WHERE k.map = ? AND k.cell = ? ORDER BY k.key DESC LIMIT -1 OFFSET ?"
+        "SELECT session, stamp_ns, key, digest FROM key_poses WHERE map = ? AND cell = ?"
+        " ORDER BY key DESC LIMIT -1 OFFSET ?"
     )
-    gone: dict[str, set[int]] = {}
+    gone: dict[int, dict[int, tuple[int, bytes]]] = {}
     for cell in cells:
-        for name, stamp_ns in db.execute(query, (held.number, cell, MOST_IN_SPACE)):
-            gone.setdefault(name, set()).add(stamp_ns)
-    if not gone:
-        return 0
-    crowded = (k for k in read_key_poses(db, held.number, tuple(gone)) if k.session in gone)
-    thinner = [kept(k, np.array([s not in gone[k.session] for s in k.stamp_ns.tolist()])) for k in crowded]
-    return write_key_poses(db, held, thinner, others_go=False)
+        for session, stamp_ns, key, digest in db.execute(query, (held.number, cell, MOST_IN_SPACE)):
+            gone.setdefault(session, {})[stamp_ns] = key, digest
+    return sum(_thin_out_session(db, held, session, rows) for session, rows in gone.items())
 
 
-def write_map(db: sqlite3.Connection, held: Held, axis_rad: float) -> None:
+def _thin_out_session(db: sqlite3.Connection, held: Held, session: int, gone: dict[int, tuple[int, bytes]]) -> int:
+    """Only what is beside those that go is read: the motion to the next one is added up over them."""
+    beside = {stamp_ns for s in gone for stamp_ns in _neighbours(db, session, s)}
+    while new := {n for s in beside & gone.keys() for n in _neighbours(db, session, s)} - beside:
+        beside |= new
+    k = read_some_key_poses(db, session, sorted(beside | gone.keys()))
+    rows = {r.stamp_ns: r for r in rows_of_key_poses(kept(k, np.array([s not in gone for s in k.stamp_ns.tolist()])))}
+    db.executemany("DELETE FROM key_poses WHERE key = ?", ((key,) for key, _ in gone.values()))
+    held.key_pose_sum -= total(digest for _, digest in gone.values())
+    return len(gone) + _write_session_rows(db, held, session, rows, None, others_go=False)
+
+
+def _neighbours(db: sqlite3.Connection, session: int, stamp_ns: int) -> list[int]:
+    """The key poses of a session before one and after it."""
+    before = "SELECT max(stamp_ns) FROM key_poses WHERE session = ? AND stamp_ns < ?"
+    after = "SELECT min(stamp_ns) FROM key_poses WHERE session = ? AND stamp_ns > ?"
+    found = (db.execute(query, (session, stamp_ns)).fetchone()[0] for query in (before, after))
+    return [s for s in found if s is not None]
+
+
+def write_sides(db: sqlite3.Connection, held: Held, sides: Sequence[Side]) -> None:
+    """Make where transitions are on one floor what `sides` say.
+
+    Raises:
+        Damage: two of one name.
+    """
+    if len({s.name for s in sides}) != len(sides):
+        raise Damage("two transitions of one name")
+    db.execute("DELETE FROM transitions WHERE map = ?", (held.number,))
+    rows = (astuple(side) for side in sides)
+    db.executemany(
+        "INSERT INTO transitions (name, kind, x, y, theta, map, digest) VALUES (?, ?, ?, ?, ?, ?, ?)",
+        ((*row, held.number, digest_of(*row)) for row in rows),
+    )
+
+
+def write_map(db: sqlite3.Connection, held: Held, axis_rad: float, same_frame: bool = True) -> None:
     """The map's own row, last in a transaction.
 
     Raises:
@@ -218,11 +269,22 @@ def write_map(db: sqlite3.Connection, held: Held, axis_rad: float) -> None:
     """
     held.axis_rad = float(floats(float(axis_rad), "map_axis_rad", (), MAX_ANGLE_RAD)) + 0.0
     held.version += 1
+    held.frame = held.frame if held.frame and same_frame else f"{held.hash}.{held.version}"
     blobs = as_blob(held.landmark_sum), as_blob(held.key_pose_sum)
     db.execute(
-        "UPDATE maps SET version = ?, hash = ?, axis = ?, landmark_sum = ?, key_pose_sum = ? WHERE id = ?",
-        (held.version, held.hash, held.axis_rad, *blobs, held.number),
+        "UPDATE maps SET version = ?, hash = ?, axis = ?, landmark_sum = ?, key_pose_sum = ?, frame = ? WHERE id = ?",
+        (held.version, held.hash, held.axis_rad, *blobs, held.frame, held.number),
     )
+
+
+def wipe(db: sqlite3.Connection, held: Held) -> None:
+    """Forget all of a map but its floor and how often it was written; `held` follows."""
+    spatial_of(db).remove(held.keys.tolist())
+    for table in ("landmarks", "key_poses", "sessions", "edits", "transitions"):
+        db.execute(f"DELETE FROM {table} WHERE map = ?", (held.number,))
+    empty = Held.new(held.floor, held.number)
+    held.landmarks, held.seen_s, held.keys = empty.landmarks, empty.seen_s, empty.keys
+    held.landmark_sum, held.key_pose_sum, held.frame = 0, 0, ""
 
 
 def make_map(db: sqlite3.Connection, floor: str) -> Held:

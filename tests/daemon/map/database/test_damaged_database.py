@@ -10,7 +10,9 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from kept_maps import as_version_1
 from map_contents import content, landmarks, same_content
 
 from ceilvo.daemon.map.database import schema
@@ -63,9 +65,9 @@ NOT_OURS: dict[str, tuple[Callable[[Path], object], str]] = {
     "no version": (lambda p: raw(p, "PRAGMA user_version = 0"), "user_version is 0, expected a whole number from 1 to"),
     "a trigger": (
         lambda p: raw(p, "CREATE TRIGGER t AFTER UPDATE ON maps BEGIN DELETE FROM landmarks; END"),
-        "tables are not those of version 1: t",
+        "tables are not those of version 2: t",
     ),
-    "a table less": (lambda p: raw(p, "DROP TABLE edits"), "tables are not those of version 1: edits"),
+    "a table less": (lambda p: raw(p, "DROP TABLE edits"), "tables are not those of version 2: edits"),
     "a place": (
         lambda p: raw(p, "UPDATE landmarks SET x = x + 1e-9 WHERE key = 5"),
         "landmarks of map '' are not what",
@@ -138,7 +140,7 @@ def test_a_newer_ceilvos_is_refused_and_left_alone(path: Path) -> None:
     raw(path, f"PRAGMA user_version = {schema.SCHEMA_VERSION + 1}")
     before = path.read_bytes()
     with pytest.raises(
-        FileFormatError, match=r"tables of version 2 were written by a newer ceilvo, .* up to 1; update it"
+        FileFormatError, match=r"tables of version 3 were written by a newer ceilvo, .* up to 2; update it"
     ):
         open_map(path)
     assert path.read_bytes() == before
@@ -220,3 +222,58 @@ def test_bytes_changed_anywhere_give_the_same_map_the_copy_or_an_error(whole: Pa
     print(f"\n{DAMAGES} damages: {found}")
     assert found["copy"] > DAMAGES // 4
     assert found["refused"] < DAMAGES // 20, "of a version that a newer ceilvo may have written"
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        (
+            "INSERT INTO landmarks (key, map, id, x) VALUES (9999, 7, 1, 'text')",
+            "a row of 'landmarks' belongs to nothing",
+        ),
+        (
+            "INSERT INTO key_poses (key, map, session, stamp_ns) VALUES (9999, 1, 77, 1)",
+            "a row of 'key_poses' belongs to",
+        ),
+        ("UPDATE key_poses SET stamp_ns = char(27) || '[2J' WHERE key = 1", "of session 'hall-3/a' is not what was"),
+        ("UPDATE maps SET frame = ''", "frame of map '' is '', expected a name"),
+        ("UPDATE sessions SET faded = 3", "session 'hall-3/a' is not what was written"),
+    ],
+)
+def test_rows_that_nobody_wrote(path: Path, statement: str, said: str) -> None:
+    copy_of(path).unlink()
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        db.execute(statement)
+        db.commit()
+    with pytest.raises(DamagedError, match=said) as caught:
+        open_map(path)
+    assert str(caught.value).isprintable()
+
+
+def test_an_index_of_places_that_holds_text_is_made_anew(tmp_path: Path) -> None:
+    path = tmp_path / "map.db"
+    schema.create(path, rtree=False)
+    with MapDatabase(path, "") as db:
+        db.edit(content(50), "begin")
+    raw(path, "UPDATE landmark_cells SET cell = '' WHERE key = 3")
+    with MapDatabase(path) as db:
+        assert len(db.within(np.array([-1e3, -1e3]), np.array([1e3, 1e3]))) == 50
+
+
+def test_a_database_of_version_1_is_brought_up_to_date(path: Path) -> None:
+    as_version_1(path)
+    with open_map(path) as db:
+        assert same_content(db.content(), content(200))
+        assert db.frame == db.hash
+        assert [(s.added, s.faded, s.refused) for s in db.content().sessions] == [(0, 0, 0)] * 2
+        db.save(landmarks(201), 0.25, "hall-3/b", 1.9e9)
+    with open_map(path) as db:
+        assert db.content().sessions[1].added == 1
+
+
+def test_what_is_damaged_in_version_1_stays_so(path: Path) -> None:
+    copy_of(path).unlink()
+    as_version_1(path)
+    raw(path, "UPDATE sessions SET saves = 99")
+    with pytest.raises(DamagedError, match="session 'hall-3/a' is not what was written"):
+        open_map(path)

@@ -179,7 +179,7 @@ def test_an_edit_of_a_map_that_was_written_meanwhile_is_refused(path: Path) -> N
         db.save(landmarks(30), 0.1)
         before, found = db.content(), db.hash
         robot.save(landmarks(31), 0.1)
-        with pytest.raises(FileFormatError, match="another program has written to it meanwhile; try again"):
+        with pytest.raises(FileFormatError, match="another program has written to it since it was read"):
             db.edit(before, "nothing", found)
         assert len(db.content().landmarks) == 31
 

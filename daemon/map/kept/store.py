@@ -11,16 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ceilvo.daemon.map.generations import Generations
-from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_state
-from ceilvo.daemon.map.map_slot import MapSlot
-from ceilvo.daemon.map.usable import usable
+from ceilvo.daemon.map.kept.kept_map import OLD_NAME, Found, KeptMap
+from ceilvo.daemon.map.kept.smaller_map import SmallerMap, is_much_smaller
+from ceilvo.daemon.map.kept.usable import usable
+from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_state, save_state
 from ceilvo.errors import CeilvoError
 from ceilvo.types import Array, Estimate, Landmarks
 
 _log = logging.getLogger("ceilvo.store")
 
-MAP_NAME, STATE_NAME = "map.json", "state.json"
+MAP_NAME, STATE_NAME = "map.db", "state.json"
 BESIDE_NAME = "map.smaller.json"
 """A map that is much smaller than the one that is kept."""
 VAGUE_M, VAGUE_RAD = 100.0, np.pi
@@ -46,21 +47,21 @@ class Kept:
 
 
 class Store:
-    """Map and state files of one robot; without a folder nothing is kept. Problems are logged, once each. Thread-safe.
+    """Map and last pose of one robot; without a folder nothing is kept. Problems are logged, once each. Thread-safe.
 
     A file that cannot be used is set aside before it would be overwritten. Maps of earlier runs stay as generations,
     and a map never gives way to a much smaller one.
     """
 
-    def __init__(self, folder: Path | None, generations: int = 5) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path | None, generations: int = 5, session: str = "robot", floor: str = "") -> None:
+        """session: names the drive, as in KeyPoses; floor: of the map, "" for the only one or the first."""
+        self._folder, self._session = folder, session
         self._complained = ""
-        self._written = False
         self._in_use = False
         self._lock = threading.Lock()
         at = Path() if folder is None else folder
-        self._map, self._beside = MapSlot(at / MAP_NAME), MapSlot(at / BESIDE_NAME)
-        self._generations = Generations(self._map.path, generations)
+        self._map = KeptMap(at / MAP_NAME, generations, session, floor)
+        self._beside = SmallerMap(at / BESIDE_NAME)
 
     @property
     def error(self) -> str:
@@ -68,41 +69,39 @@ class Store:
         return self._complained
 
     @staticmethod
-    def choose(configured: str, generations: int) -> Store:
+    def choose(configured: str, generations: int, session: str = "robot", floor: str = "") -> Store:
         """service.state_dir, else the directory that systemd made, else none."""
         name = configured or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-        return Store(Path(name) if name else None, generations)
+        return Store(Path(name) if name else None, generations, session, floor)
 
     def load(self) -> Kept | None:
         """The map of an earlier run and its last pose; None where no map can be used."""
         if self._folder is None:
             return None
         self._sweep(self._folder)
-        stored, name = self._map.read(), MAP_NAME
+        with self._lock:
+            found = self._map.read()
         state = usable(self._folder / STATE_NAME, load_state)
-        if stored is None:
-            stored, name = self._earlier()
-        if stored is None:
+        if found is None:
             return None
-        self._map.landmarks, self._in_use = len(stored.landmarks), True
-        said = "its last pose is a hypothesis until landmarks confirm it"
-        if state is None or _is_vague(state.cov) or _is_off(state.pose, stored.landmarks):
+        self._in_use = True
+        landmarks, said = found.map.landmarks, "its last pose is a hypothesis until landmarks confirm it"
+        if state is not None and state.frame not in (None, found.frame):
+            state, said = None, "its last pose was on another map: the robot is searched for on all of it"
+        elif state is None or _is_vague(state.cov) or _is_off(state.pose, landmarks):
             state, said = None, "without a pose: the robot is searched for on all of it"
-        which = "stored map loaded" if name == MAP_NAME else f"an earlier map loaded, {name}"
-        return Kept(_bounded(stored), state, f"{which}, {len(stored.landmarks)} landmarks; {said}")
+        return Kept(_bounded(found.map), state, f"{_which(found)}, {len(landmarks)} landmarks; {said}")
 
-    def _earlier(self) -> tuple[StoredMap | None, str]:
-        """The newest generation that can be used, and its name."""
-        for path in self._generations.paths():
-            stored = usable(path, load_map)
-            if stored is not None:
-                return stored, path.name
-        return None, ""
+    def close(self) -> None:
+        """At the end: what was saved is in the good copy then, too, and the database is whole without its log."""
+        self.keep_copy()
+        with self._lock:
+            self._map.close()
 
     @staticmethod
     def _sweep(folder: Path) -> None:
         """What a process left that was killed while it wrote."""
-        for name in (MAP_NAME, STATE_NAME, BESIDE_NAME):
+        for name in (STATE_NAME, BESIDE_NAME):
             with contextlib.suppress(OSError):  # of the folder, too: it may not be looked into
                 for left in folder.glob(f".*{name}.*.tmp"):
                     left.unlink(missing_ok=True)
@@ -113,41 +112,44 @@ class Store:
         if self._folder is None:
             return False
         with self._lock:
-            self._written, self._in_use = False, False
+            self._in_use = False
             try:
-                self._generations.keep(whatever_the_age=True)
-            except OSError as e:
-                self._map.give_up(kept=False)
+                return self._map.give_up()
+            except (CeilvoError, OSError) as e:
                 return self._complain(f"map not kept as a generation: {e}")
-            self._map.give_up(kept=True)
-            return bool(self._generations.paths())
 
     def save(
-        self, landmarks: Landmarks, map_axis_rad: float | None, estimate: Estimate, elsewhere: float = 0.0
+        self,
+        landmarks: Landmarks,
+        map_axis_rad: float | None,
+        estimate: Estimate,
+        elsewhere: float = 0.0,
+        key_poses: KeyPoses | None = None,
+        refused: int = 0,
     ) -> bool:
-        """Write both files; False when they were not, with the reason in the log.
+        """Write map and pose; False when they were not, with the reason in the log.
 
         The map goes first: a state without its map would be a pose in another map.
 
         Args:
             elsewhere: probability that the robot is at another place.
+            key_poses: of this session, that were not saved yet.
+            refused: landmarks that the map did not take since it was last saved.
         """
         if self._folder is None or map_axis_rad is None:
             return False
         with self._lock:
             try:
                 self._map.look()
-                if self._map.is_better_than(len(landmarks)):
+                if is_much_smaller(len(landmarks), self._map.landmarks):
                     return self._save_beside(landmarks, map_axis_rad)
-                if not self._written or self._map.unkept:
-                    self._generations.keep(whatever_the_age=self._map.unkept)
-                self._map.write(landmarks, map_axis_rad)
+                self._map.write(landmarks, map_axis_rad, key_poses, refused)
                 self._write_pose(self._folder, estimate, elsewhere)
             except (CeilvoError, OSError) as e:
                 return self._complain(f"{_NOT_SAVED}: {e}")
             if self._complained:
                 _log.info("map and pose are saved again")
-            self._complained, self._written, self._in_use = "", True, True
+            self._complained, self._in_use = "", True
             return True
 
     def save_pose(self, estimate: Estimate, elsewhere: float = 0.0) -> bool:
@@ -164,18 +166,23 @@ class Store:
                 return self._complain(f"{_NOT_SAVED}: {e}")
             return True
 
-    @staticmethod
-    def _write_pose(folder: Path, e: Estimate, elsewhere: float) -> None:
+    def keep_copy(self) -> None:
+        """Make the last good copy of the map what was saved since; trouble is logged."""
+        with self._lock:
+            try:
+                self._map.keep_copy()
+            except (CeilvoError, OSError) as e:
+                _log.warning("%s", e)
+
+    def _write_pose(self, folder: Path, e: Estimate, elsewhere: float) -> None:
         cov = _VAGUE_COV if _is_vague(e.cov) else e.cov
-        save_state(folder / STATE_NAME, e.pose, cov, e.state, e.stamp_ns, elsewhere)
+        save_state(folder / STATE_NAME, e.pose, cov, e.state, e.stamp_ns, elsewhere, self._map.frame)
 
     def _save_beside(self, landmarks: Landmarks, map_axis_rad: float) -> bool:
-        """Where a smaller map of another run lies that is itself better than this one, nothing is written."""
-        self._beside.look()
-        there = f"{BESIDE_NAME} of an earlier run has more, too, and stays"
-        if not self._beside.is_better_than(len(landmarks)):
-            self._beside.write(landmarks, map_axis_rad)
+        if self._beside.write(landmarks, map_axis_rad):
             there = f"that one is in {BESIDE_NAME}"
+        else:
+            there = f"{BESIDE_NAME} of an earlier run has more, too, and stays"
         return self._complain(
             f"{MAP_NAME} with {self._map.landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
             f"{there}. If it is the right one: cmd/reset without the map, then save"
@@ -189,8 +196,21 @@ class Store:
         return False
 
     @property
+    def session(self) -> str | None:
+        """Of this run; None where nothing is kept."""
+        return None if self._folder is None else self._session
+
+    @property
     def folder(self) -> Path | None:
         return self._folder
+
+
+def _which(found: Found) -> str:
+    if found.name == MAP_NAME:
+        return "stored map loaded"
+    if found.name.startswith(OLD_NAME):
+        return f"{found.name} imported into {MAP_NAME}, it stays as it was"
+    return f"an earlier map loaded, {found.name}"
 
 
 def _is_vague(cov: Array) -> bool:
