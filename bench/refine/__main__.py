@@ -19,8 +19,9 @@ from ceilvo.config import Config
 from ceilvo.daemon.refinement.calibration_field import corrected
 from ceilvo.daemon.refinement.refine import refine
 from ceilvo.daemon.refinement.sessions import refined_map
-from ceilvo.daemon.refinement.survey import Anchors, survey_of
+from ceilvo.daemon.refinement.survey import Anchors, Floor, survey_of
 from ceilvo.sim.rig import simulated_calibration
+from ceilvo.types import Array
 
 HALLS = (
     Hall(0.0, 0.0, 40.0, 30.0),
@@ -39,7 +40,9 @@ TAPE_SIGMA_M = 2e-3
 def main() -> int:
     parser = argparse.ArgumentParser(prog="refine", description=__doc__)
     parser.add_argument("--halls", type=int, default=len(HALLS), help="how many of the seven, corridors included")
-    parser.add_argument("--sessions", type=int, default=3)
+    parser.add_argument("--floors", type=int, default=1, help="alike, but for the drives; the tape is on the first")
+    parser.add_argument("--tile-m", type=float, default=0.6, help="side of a tile")
+    parser.add_argument("--sessions", type=int, default=3, help="on each floor")
     parser.add_argument("--step-m", type=float, default=0.25, help="way between key poses")
     parser.add_argument("--lane-m", type=float, default=4.0, help="way between lanes")
     parser.add_argument("--seed", type=int, default=1000, help="0 to 999 for tuning, 1000 and more for figures")
@@ -57,32 +60,43 @@ def _room(a: argparse.Namespace) -> int:
     believed, hall = corrected(true, off), room(a.room, 0.6, a.seed, a.sessions, a.length_m)
     sessions, landmarks, axis_rad = mapped(hall, believed, Config(), a.seed + 1, lambda said: print(said, flush=True))
     print("before: {}; {} landmarks are of no crossing".format(*error_of(landmarks, hall.features)))
-    done = refined_map(sessions, landmarks, axis_rad, believed)
-    print("after:  {}; {} landmarks are of no crossing".format(*error_of(done.landmarks, hall.features)))
-    print(f"{done.united} landmarks had two names; {done.features[1]} of {done.features[0]} features are explained")
+    done = refined_map([Floor(landmarks, axis_rad, tuple(sessions))], [believed])
+    print("after:  {}; {} landmarks are of no crossing".format(*error_of(done.floors[0].landmarks, hall.features)))
+    twice, (shown, explained) = len(landmarks) - len(done.floors[0].landmarks), done.features
+    print(f"{twice} landmarks had two names; {explained} of {shown} features are explained")
     print(f"correction {np.round(done.last.estimate.correction, 6)} +- {np.round(done.last.correction_sigma, 6)}")
     return 0
 
 
 def _building(a: argparse.Namespace) -> int:
-    drive = floor(HALLS[: a.halls], 0.6, a.seed, a.sessions, a.step_m, a.lane_m)
-    sessions, landmarks = views(drive, a.seed + 1)
-    survey = survey_of(sessions, landmarks, 0.0, drive.wrong)
+    drives = [
+        floor(HALLS[: a.halls], a.tile_m, a.seed + 50 * k, a.sessions, a.step_m, a.lane_m) for k in range(a.floors)
+    ]
+    seen = [views(d, a.seed + 50 * k + 1) for k, d in enumerate(drives)]
+    survey = survey_of([Floor(landmarks, 0.0, tuple(s)) for s, landmarks in seen], [drives[0].wrong])
     print(f"{len(survey.xy_m)} landmarks, {len(survey.pose)} key poses, {len(survey.view)} features")
-    truth = drive.xy_m[survey.ids]
-    print(f"before: {error(survey.xy_m, truth)}")
-    anchors = None
-    if not a.no_tape:
-        ends = np.array([[int(np.argmin(survey.xy_m.sum(axis=1))), int(np.argmax(survey.xy_m.sum(axis=1)))]])
-        length = float(np.hypot(*(truth[ends[0, 0]] - truth[ends[0, 1]])))
-        anchors = Anchors(ends, np.array([length]), np.array([TAPE_SIGMA_M]))
-        print(f"a tape of {length:.3f} m")
-    began = time.monotonic()
+    own = [survey.landmark_floor == k for k in range(a.floors)]
+    truth = [d.xy_m[survey.ids[f]] for d, f in zip(drives, own, strict=True)]
+    for f, true in zip(own, truth, strict=True):
+        print(f"before: {error(survey.xy_m[f], true)}")
+    anchors = None if a.no_tape else _tape(survey.xy_m[own[0]], truth[0])
+    began, cpu_s = time.monotonic(), time.process_time()
     done = refine(survey, anchors=anchors, on_round=lambda k, cost: print(f"round {k}: cost {cost:.0f}", flush=True))
-    took_s, peak_gb = time.monotonic() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"after:  {error(done.estimate.xy_m, truth)}; {took_s:.0f} s, at most {peak_gb:.2f} GB")
+    took_s, cpu_s = time.monotonic() - began, time.process_time() - cpu_s
+    peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    for f, true in zip(own, truth, strict=True):
+        print(f"after:  {error(done.estimate.xy_m[f], true)}")
+    print(f"{took_s:.0f} s, {cpu_s:.0f} s of the processor; at most {peak_gb:.2f} GB")
     print(f"correction {np.round(done.estimate.correction, 6)} +- {np.round(done.correction_sigma, 6)}")
     return 0
+
+
+def _tape(xy_m: Array, truth_m: Array) -> Anchors:
+    """From one end of the first floor to the other."""
+    ends = np.array([[int(np.argmin(xy_m.sum(axis=1))), int(np.argmax(xy_m.sum(axis=1)))]])
+    length = float(np.hypot(*(truth_m[ends[0, 0]] - truth_m[ends[0, 1]])))
+    print(f"a tape of {length:.3f} m")
+    return Anchors(ends, np.array([length]), np.array([TAPE_SIGMA_M]))
 
 
 if __name__ == "__main__":

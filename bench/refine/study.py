@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
+from ceilvo.daemon.replay.inputs import Sighting
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Crossings, Landmarks, Pose
 
@@ -55,31 +56,26 @@ def _way(halls: tuple[Hall, ...], length_m: float, share: float) -> Array:
     return min(ways, key=lambda w: abs(len(w) * step_m - length_m))
 
 
-def drive(
-    pipeline: Pipeline,
-    eye: SyntheticEye,
-    way: Array,
-    believed: Calibration,
-    true: Calibration,
-    rng: np.random.Generator,
-    session: str,
-) -> KeyPoses:
+def drive(pipeline: Pipeline, sightings: Iterable[Sighting], session: str) -> KeyPoses:
     """One session through the daemon's own steps."""
-    taker, base, before, before_ns = KeyPoseTaker(session), Base(rng), way[0], None
-    for stamp_ns, pose, seen in _seen(eye, way, believed, true):
-        base.turned(se2.between(before, pose), stamp_ns)
-        estimate = pipeline.step_crossings(stamp_ns, seen, base.between(before_ns, stamp_ns))
-        before, before_ns = pose, stamp_ns
-        taker.add(pipeline, estimate, seen)
+    taker = KeyPoseTaker(session)
+    for seen in sightings:
+        estimate = pipeline.step_crossings(seen.stamp_ns, seen.crossings, seen.wheels)
+        taker.add(pipeline, estimate, seen.crossings)
     return taker.taken()
 
 
-def _seen(
-    eye: SyntheticEye, way: Array, believed: Calibration, true: Calibration
-) -> Iterator[tuple[int, Array, Crossings | None]]:
+def sightings(
+    eye: SyntheticEye, way: Array, believed: Calibration, true: Calibration, rng: np.random.Generator
+) -> Iterator[Sighting]:
+    """What a robot with wheels sees along a way (K, 3), placed by the calibration that it believes."""
+    base, before, before_ns = Base(rng), way[0], None
     for k, pose in enumerate(way):
-        seen = eye.look(pose)
-        yield 10**9 + round(1e9 * k / RATE_HZ), pose, None if seen is None else bent(seen, true, believed)
+        stamp_ns, seen = 10**9 + round(1e9 * k / RATE_HZ), eye.look(pose)
+        base.turned(se2.between(before, pose), stamp_ns)
+        crossings = None if seen is None else bent(seen, true, believed)
+        yield Sighting(stamp_ns, crossings, base.between(before_ns, stamp_ns))
+        before, before_ns = pose, stamp_ns
 
 
 def bent(seen: Crossings, true: Calibration, believed: Calibration) -> Crossings:
@@ -107,7 +103,8 @@ def mapped(
             pipeline.load_map(known, axis, Pose(way[0]), _SURE, recent=True)
         else:
             pipeline.set_pose(Pose(way[0]), _SURE, "put here")
-        sessions.append(drive(pipeline, eye, way, believed, true, rng.spawn(1)[0], f"simulated/{number}"))
+        seen = sightings(eye, way, believed, true, rng.spawn(1)[0])
+        sessions.append(drive(pipeline, seen, f"simulated/{number}"))
         progress(f"session {number}: {len(sessions[-1])} key poses, {len(pipeline.landmarks())} landmarks")
     return sessions, pipeline.landmarks(), pipeline.relocaliser.state.map_axis_rad or 0.0
 

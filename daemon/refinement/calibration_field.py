@@ -82,8 +82,9 @@ class CalibrationField:
 
     def __init__(self, calibration: Calibration, xy_m: Array) -> None:
         self._calibration = calibration
-        self._low = xy_m.min(axis=0) - 1e-6
-        self._step = (xy_m.max(axis=0) + 1e-6 - self._low) / _CELLS
+        reach = xy_m if len(xy_m) else np.zeros((1, 2))
+        self._low = reach.min(axis=0) - 1e-6
+        self._step = (reach.max(axis=0) + 1e-6 - self._low) / _CELLS
         ticks = [self._low[i] + self._step[i] * np.arange(_CELLS + 1) for i in (0, 1)]
         grid = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 2)
         level = np.column_stack([grid, np.ones(len(grid))]) @ calibration.level_from_ceiling.T

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from ceilvo.daemon.refinement.survey import Anchors, Survey
 from ceilvo.se2 import wrap_array
 from ceilvo.types import NO_DIRECTION_RAD, Array, Ints
 
-BORDER = len(UNKNOWNS) + 1
-"""Unknowns that everything depends on: the calibration's, and the direction of the ceiling."""
-_AXIS = len(UNKNOWNS)
+_OWN = len(UNKNOWNS)
+"""Unknowns of each calibration. They, and the direction of the ceiling of each floor, are what all else depends on: the
+border."""
 _HEIGHT, _FOCAL = UNKNOWNS.index("height"), UNKNOWNS.index("focal")
 """Features scatter by so much in the picture, so in metres with the height, and less with the focal length. Were it so
 much in metres whatever these are, the smallest map would fit best."""
@@ -27,17 +28,17 @@ _QUARTER = 0.5 * np.pi
 
 @dataclass(frozen=True)
 class Estimate:
-    """Poses (K, 3), landmarks (L, 2), correction (5,) of the calibration, direction of the ceiling in map."""
+    """Poses (K, 3), landmarks (L, 2), correction (C, 5) of the calibrations, direction (F,) of each floor's ceiling."""
 
     pose: Array
     xy_m: Array
     correction: Array
-    axis_rad: float
+    axis_rad: Array
 
 
 @dataclass
 class Equations:
-    """H x = -g by blocks. p: poses, l: landmarks, b: border.
+    """H x = -g by blocks. p: poses, l: landmarks, b: border, B = 5 C + F.
 
     Attributes:
         cost: the robust sum of squares at the estimate.
@@ -73,14 +74,15 @@ class Terms:
     """What stays the same from round to round.
 
     Attributes:
-        prior_sigma: (5,) of the calibration.
+        fields: (C,) one for each calibration; those of the survey's features that it placed, in their order.
+        prior_sigma: (C, 5) of the calibrations.
         links: (J,) poses k that are tied to k - 1 by motion.
         held: indices of poses that hold the map where it is.
         robust: Cauchy's scale; wide to begin with, where the map is bent by more than features scatter.
     """
 
     survey: Survey
-    field: CalibrationField
+    fields: tuple[CalibrationField, ...]
     rows: Rows
     anchors: Anchors
     prior_sigma: Array
@@ -98,11 +100,11 @@ _LOOSE_SIGMA = np.array([100.0, 100.0, 10.0])
 def linearised(terms: Terms, at: Estimate) -> Equations:
     """The equations about an estimate."""
     s, k, n = terms.survey, len(at.pose), len(at.xy_m)
+    eyes, size = len(at.correction), _OWN * len(at.correction) + len(at.axis_rad)
     cos, sin = np.cos(at.pose[s.view, 2]), np.sin(at.pose[s.view, 2])
     off = at.xy_m[s.landmark] - at.pose[s.view, :2]
     in_base = np.column_stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]])
-    placed, by_border = terms.field.at(at.correction)
-    w = s.root_info * np.exp(at.correction[_FOCAL] - at.correction[_HEIGHT])
+    placed, j_b, w = _seen(terms, at)
     back = np.stack([np.column_stack([cos, sin]), np.column_stack([-sin, cos])], axis=1)  # base_from_map
     residual = _times(w, placed - in_base)
     square = np.sum(residual**2, axis=1)
@@ -110,36 +112,62 @@ def linearised(terms: Terms, at: Estimate) -> Equations:
     root = np.sqrt(weight)[:, None, None]
     j_l = -(w @ back) * root
     j_p = np.concatenate([-j_l, -_times(w, np.column_stack([in_base[:, 1], -in_base[:, 0]]))[..., None] * root], axis=2)
-    j_b = np.concatenate([w @ by_border, np.zeros((len(w), 2, 1))], axis=2)
     j_b[..., _HEIGHT] -= residual
     j_b[..., _FOCAL] += residual
     j_b *= root
     r = residual[..., None] * root
     by_pose, by_landmark = _Sums(s.view, k), _Sums(s.landmark, n)
     t_p, t_l = j_p.transpose(0, 2, 1), j_l.transpose(0, 2, 1)
+    pb = np.zeros((k, 3, size))
+    own = _OWN * s.eye[:, None] + np.arange(_OWN)
+    np.put_along_axis(pb, np.broadcast_to(own[:, None], (k, 3, _OWN)), by_pose(t_p @ j_b), axis=2)
+    by_eye = _Sums(eyes * s.landmark + s.eye[s.view], eyes * n)(t_l @ j_b).reshape(n, eyes, 2, _OWN)
+    lb = np.concatenate([by_eye.transpose(0, 2, 1, 3).reshape(n, 2, -1), np.zeros((n, 2, size - eyes * _OWN))], axis=2)
     e = Equations(
         cost=cost,
         weight=weight,
         pp=by_pose(t_p @ j_p) + np.diag(_LOOSE_SIGMA**-2),
-        pb=by_pose(t_p @ j_b),
+        pb=pb,
         p=by_pose(t_p @ r)[..., 0],
         ll=by_landmark(t_l @ j_l),
-        lb=by_landmark(t_l @ j_b),
+        lb=lb,
         l=by_landmark(t_l @ r)[..., 0],
-        bb=np.einsum("oij,oik->jk", j_b, j_b),
-        b=np.einsum("oij,oi->j", j_b, r[..., 0]),
+        bb=np.zeros((size, size)),
+        b=np.zeros(size),
         lp=t_l @ j_p,
         links=terms.links,
         link=np.zeros((0, 6, 6)),
         pairs=np.zeros((0, 2), np.int64),
         pair=np.zeros((0, 4, 4)),
     )
+    for eye, which in enumerate(_of_eyes(s, eyes)):
+        j, at_ = j_b[which].reshape(-1, _OWN), slice(_OWN * eye, _OWN * (eye + 1))
+        e.bb[at_, at_], e.b[at_] = j.T @ j, j.T @ r[which].ravel()
     _add_calibration(e, terms, at)
     _add_held(e, terms, at)
     _add_directions(e, terms, at)
     _add_links(e, terms, at)
     _add_pairs(e, terms, at)
     return e
+
+
+def _of_eyes(s: Survey, eyes: int) -> list[Any]:
+    """The features that each calibration placed: what an array of them is indexed with."""
+    if eyes == 1:
+        return [slice(None)]
+    eye = s.eye[s.view]
+    return [np.flatnonzero(eye == c) for c in range(eyes)]
+
+
+def _seen(terms: Terms, at: Estimate) -> tuple[Array, Array, Array]:
+    """(O, 2) where the features are by the corrected calibrations, (O, 2, 5) how that grows with the correction of
+    their own, and (O, 2, 2) the square root of their information."""
+    s, eyes = terms.survey, len(at.correction)
+    placed, by_own, w = np.empty_like(s.seen_m), np.empty((*s.seen_m.shape, _OWN)), np.empty_like(s.root_info)
+    for which, field, correction in zip(_of_eyes(s, eyes), terms.fields, at.correction, strict=True):
+        placed[which], by_own[which] = field.at(correction)
+        w[which] = s.root_info[which] * np.exp(correction[_FOCAL] - correction[_HEIGHT])
+    return placed, w @ by_own, w
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
@@ -168,11 +196,11 @@ def _robust(square: Array, scale: float) -> tuple[Array, float]:
 
 
 def _add_calibration(e: Equations, terms: Terms, at: Estimate) -> None:
-    info = terms.prior_sigma**-2
-    e.bb[:_AXIS, :_AXIS] += np.diag(info)
-    e.b[:_AXIS] += info * at.correction
-    e.bb[_AXIS, _AXIS] += 1e-6
-    e.cost += float(np.sum(info * at.correction**2))
+    info, off = terms.prior_sigma.ravel() ** -2, at.correction.ravel()
+    whole = np.append(info, np.full(len(at.axis_rad), 1e-6))
+    e.bb += np.diag(whole)
+    e.b[: len(off)] += info * off
+    e.cost += float(np.sum(info * off**2))
 
 
 def _add_held(e: Equations, terms: Terms, at: Estimate) -> None:
@@ -184,19 +212,20 @@ def _add_held(e: Equations, terms: Terms, at: Estimate) -> None:
 
 
 def _add_directions(e: Equations, terms: Terms, at: Estimate) -> None:
-    """The ceiling's lines have one direction; a hall that is built at another counts for nothing."""
+    """The lines of a floor's ceiling have one direction; a hall that is built at another counts for nothing."""
     s = terms.survey
     told = np.flatnonzero(s.direction_sigma_rad < NO_DIRECTION_RAD)
     sigma = np.hypot(s.direction_sigma_rad[told], _DIRECTION_FLOOR_RAD)
-    angle = 4.0 * (at.pose[told, 2] + s.direction_rad[told] - at.axis_rad)
+    axis = at.correction.size + s.floor[told]
+    angle = 4.0 * (at.pose[told, 2] + s.direction_rad[told] - at.axis_rad[s.floor[told]])
     off = 0.25 * wrap_array(angle) / sigma
     weight, cost = _robust(off**2, terms.robust)
     info = weight / sigma**2
     e.pp[told, 2, 2] += info
     e.p[told, 2] += info * sigma * off
-    e.pb[told, 2, _AXIS] -= info
-    e.bb[_AXIS, _AXIS] += np.sum(info)
-    e.b[_AXIS] -= np.sum(info * sigma * off)
+    e.pb[told, 2, axis] -= info
+    np.add.at(e.bb, (axis, axis), info)
+    np.add.at(e.b, axis, -info * sigma * off)
     e.cost += cost
 
 
@@ -229,16 +258,18 @@ def _add_links(e: Equations, terms: Terms, at: Estimate) -> None:
 def _add_pairs(e: Equations, terms: Terms, at: Estimate) -> None:
     """Rows of landmarks that are straight, tapes between two, and marks."""
     rows, anchors = terms.rows, terms.anchors
-    angle = at.axis_rad + _QUARTER * rows.axis
+    floor = terms.survey.landmark_floor[rows.pair[:, 0]]
+    angle = at.axis_rad[floor] + _QUARTER * rows.axis
     normal = np.column_stack([np.cos(angle), np.sin(angle)])
     along = np.column_stack([-np.sin(angle), np.cos(angle)])
     apart = at.xy_m[rows.pair[:, 0]] - at.xy_m[rows.pair[:, 1]]
-    sigma_m = rows.sigma_m * np.exp(at.correction[_HEIGHT])
+    sigma_m = rows.sigma_m * np.exp(np.mean(at.correction[:, _HEIGHT]))
     off = np.sum(normal * apart, axis=1) / sigma_m
     weight, cost = _robust(off**2, terms.robust)
     e.cost += cost
-    by_border = np.zeros((len(off), BORDER))
-    by_border[:, _AXIS], by_border[:, _HEIGHT] = np.sum(along * apart, axis=1) / sigma_m, -off
+    by_border = np.zeros((len(off), len(e.b)))
+    by_border[np.arange(len(off)), at.correction.size + floor] = np.sum(along * apart, axis=1) / sigma_m
+    by_border[:, _HEIGHT : at.correction.size : _OWN] = -off[:, None] / len(at.correction)
     _add_pair(e, rows.pair, normal / sigma_m[:, None], off, weight, by_border)
     apart = at.xy_m[anchors.between[:, 0]] - at.xy_m[anchors.between[:, 1]]
     length = np.hypot(*apart.T)
@@ -246,7 +277,7 @@ def _add_pairs(e: Equations, terms: Terms, at: Estimate) -> None:
     weight, cost = _robust(off**2, terms.robust)
     e.cost += cost
     unit = apart / np.maximum(length, 1e-9)[:, None] / anchors.distance_sigma_m[:, None]
-    _add_pair(e, anchors.between, unit, off, weight, np.zeros((len(off), BORDER)))
+    _add_pair(e, anchors.between, unit, off, weight, np.zeros((len(off), len(e.b))))
     marked = (at.xy_m[anchors.mark] - anchors.mark_xy_m) / anchors.mark_sigma_m[:, None]
     np.add.at(e.ll, anchors.mark, anchors.mark_sigma_m[:, None, None] ** -2 * np.eye(2))
     np.add.at(e.l, anchors.mark, marked / anchors.mark_sigma_m[:, None])
@@ -271,4 +302,7 @@ def moved(at: Estimate, poses: Array, landmarks: Array, border: Array) -> Estima
     """The estimate after a step."""
     pose = at.pose + poses
     pose[:, 2] = wrap_array(pose[:, 2])
-    return Estimate(pose, at.xy_m + landmarks, at.correction + border[:_AXIS], at.axis_rad + float(border[_AXIS]))
+    correction, axes = np.split(border, [at.correction.size])
+    return Estimate(
+        pose, at.xy_m + landmarks, at.correction + correction.reshape(at.correction.shape), at.axis_rad + axes
+    )

@@ -9,7 +9,9 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, State
+from ceilvo.daemon.relocalisation.admission import FARTHEST_M
+from ceilvo.se2 import transform
+from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, Observations, Pose, State
 
 EVERY_M, EVERY_RAD = 0.25, np.radians(15.0)
 """From one to the next; chosen: a view is 2 m wide and more, so each landmark is in ten of them."""
@@ -21,8 +23,9 @@ _UNKNOWN = np.full((3, 3), np.nan)
 class KeyPoseTaker:
     """Takes key poses from a pipeline that drives."""
 
-    def __init__(self, session: str) -> None:
-        self._session = session
+    def __init__(self, session: str, most: int | None = None) -> None:
+        """most: that are held; the oldest go where nobody takes them."""
+        self._session, self._most = session, most
         self._poses: list[tuple[int, Array, Array, Array, float, float]] = []
         self._views: list[tuple[Array, Array, Ints, Ints]] = []
         self._motion, self._motion_cov = np.zeros(3), _UNKNOWN
@@ -35,11 +38,11 @@ class KeyPoseTaker:
         self._motion = se2.compose(self._motion, estimate.motion.prev_from_curr)
         if crossings is None or not self._wanted(pipeline, estimate):
             return
+        if self._most is not None and len(self._poses) >= self._most:
+            self._forget(1)
+            self._cut()
         view = pipeline.relocaliser.observed(crossings)
-        landmarks = pipeline.filter.landmarks()
-        named = view.label >= 0
-        ids = np.full(len(view), -1)
-        ids[named] = landmarks.ids[view.label[named]]
+        ids = _names(pipeline, view)
         self._views.append((view.xy_base_m, _squares(view.var_m2), view.crossing_type, ids))
         directed = crossings.directed
         self._poses.append(
@@ -61,8 +64,26 @@ class KeyPoseTaker:
             np.hypot(*self._motion[:2]) >= EVERY_M or abs(float(self._motion[2])) >= EVERY_RAD
         )
 
+    def kept(self, key_poses: KeyPoses) -> None:
+        """Those of taken() are kept elsewhere now."""
+        if len(key_poses):
+            self._forget(sum(p[0] <= key_poses.stamp_ns[-1] for p in self._poses))
+
+    def restart(self) -> None:
+        """Forget all: the robot began on another map, and nobody knows how it got there."""
+        self._forget(len(self._poses))
+        self._motion, self._motion_cov = np.zeros(3), _UNKNOWN
+
+    def _forget(self, count: int) -> None:
+        del self._poses[:count], self._views[:count]
+
+    def _cut(self) -> None:
+        """The way to the first one is not known any more."""
+        stamp_ns, pose, _, _, direction, sigma = self._poses[0]
+        self._poses[0] = (stamp_ns, pose, np.zeros(3), _UNKNOWN, direction, sigma)
+
     def taken(self) -> KeyPoses:
-        """All of them."""
+        """Those that are not forgotten."""
         k = len(self._poses)
         stamps, poses, motions, covs, directions, sigmas = ([p[i] for p in self._poses] for i in range(6))
         cov = np.array(covs).reshape(k, 3, 3)
@@ -81,6 +102,16 @@ class KeyPoseTaker:
             crossing_type=_joined((v[2] for v in self._views), ()).astype(np.int64),
             landmark=_joined((v[3] for v in self._views), ()).astype(np.int64),
         )
+
+
+def _names(pipeline: Pipeline, view: Observations) -> Ints:
+    """(M,) ids of the landmarks that features are, -1 for none."""
+    ids, named = np.full(len(view), -1), view.label >= 0
+    labels, landmarks = pipeline.filter.landmarks_near(
+        transform(Pose(pipeline.filter.estimate()[0]), view.xy_base_m), FARTHEST_M
+    )
+    ids[named] = landmarks.ids[np.searchsorted(labels, view.label[named])]
+    return ids
 
 
 def _squares(var_m2: Array) -> Array:

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.daemon.refinement.survey import index_of
 from ceilvo.types import Array, Ints, Landmarks
 
 _SAME_M = 0.08
@@ -20,11 +21,11 @@ _TOGETHER = 0.1
 """Share of the views of the rarer one that may show both: a false crossing now and then."""
 
 
-def united(landmarks: Landmarks, sessions: Sequence[KeyPoses]) -> tuple[Landmarks, int]:
-    """Landmarks of which each is there once, and how many names were too many."""
+def united(landmarks: Landmarks, sessions: Sequence[KeyPoses]) -> tuple[Landmarks, Ints]:
+    """Landmarks of which each is there once, by ascending id, and the id (L,) that each of those given has then."""
     pairs = cKDTree(landmarks.xy_map_m).query_pairs(_SAME_M, output_type="ndarray")
     pairs = pairs[landmarks.crossing_type[pairs[:, 0]] == landmarks.crossing_type[pairs[:, 1]]]
-    index = _indices(landmarks, sessions)
+    index = [index_of(s.landmark, landmarks.ids) for s in sessions]
     pairs = pairs[_share_together(pairs, index, sessions, len(landmarks)) < _TOGETHER]
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(landmarks),) * 2)
     _, group = connected_components(graph, directed=False)
@@ -33,17 +34,7 @@ def united(landmarks: Landmarks, sessions: Sequence[KeyPoses]) -> tuple[Landmark
     total = np.bincount(group, landmarks.sightings).astype(np.int64)
     expected = np.bincount(group, landmarks.expected).astype(np.int64)
     kept = replace(landmarks.of(first), sightings=total, expected=expected)
-    return kept, len(landmarks) - len(kept)
-
-
-def _indices(landmarks: Landmarks, sessions: Sequence[KeyPoses]) -> list[Ints]:
-    """Of each session's features in the landmarks, -1 for none."""
-    order = np.argsort(landmarks.ids)
-    found = []
-    for s in sessions:
-        at = order[np.minimum(np.searchsorted(landmarks.ids[order], s.landmark), len(order) - 1)]
-        found.append(np.where(landmarks.ids[at] == s.landmark, at, -1))
-    return found
+    return kept.of(np.argsort(kept.ids)), kept.ids[group]
 
 
 def _share_together(pairs: Ints, index: list[Ints], sessions: Sequence[KeyPoses], count: int) -> Array:
@@ -57,21 +48,16 @@ def _share_together(pairs: Ints, index: list[Ints], sessions: Sequence[KeyPoses]
     return np.array([len(views[a] & views[b]) / max(min(len(views[a]), len(views[b])), 1) for a, b in pairs])
 
 
-def names_on(sessions: Sequence[KeyPoses], poses: Array, landmarks: Landmarks, gate_m: float) -> list[Ints]:
-    """For each session the ids (O,) of the nearest landmark of each feature's type, as poses (K, 3) of all place it."""
+def names_on(sessions: Sequence[KeyPoses], landmarks: Landmarks, gate_m: float) -> list[Ints]:
+    """For each session the ids (O,) of the nearest landmark of each feature's type, -1 where there is none so near."""
     trees = {
         int(t): (which, cKDTree(landmarks.xy_map_m[which]))
         for t in np.unique(landmarks.crossing_type)
         for which in (np.flatnonzero(landmarks.crossing_type == t),)
     }
-    out, at = [], 0
+    out = []
     for s in sessions:
-        pose = poses[at : at + len(s)][s.view]
-        at += len(s)
-        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        xy = pose[:, :2] + np.column_stack(
-            [cos * s.xy_base_m[:, 0] - sin * s.xy_base_m[:, 1], sin * s.xy_base_m[:, 0] + cos * s.xy_base_m[:, 1]]
-        )
+        xy = s.xy_map_m
         name = np.full(s.features, -1)
         for kind, (which, tree) in trees.items():
             mine = np.flatnonzero(s.crossing_type == kind)

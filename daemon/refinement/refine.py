@@ -16,7 +16,7 @@ from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.refinement.calibration_field import CalibrationField, CalibrationPrior, corrected
 from ceilvo.daemon.refinement.equations import ROBUST, Equations, Estimate, Terms, linearised, moved
 from ceilvo.daemon.refinement.solver import Solver
-from ceilvo.daemon.refinement.straightness import rows_of
+from ceilvo.daemon.refinement.straightness import Rows, rows_of
 from ceilvo.daemon.refinement.survey import Anchors, Survey
 from ceilvo.se2 import transform
 from ceilvo.types import Array, Ints
@@ -40,7 +40,7 @@ _LEAST_SHARED = 2
 """Landmarks that two views must share for a place and a heading; with fewer the motion between them counts."""
 _FEWEST_MARKS = 2
 """That say where a map lies, and how it is turned."""
-_BAD_WEIGHT = 0.25
+BAD_WEIGHT = 0.25
 """Mean weight of a landmark's features below which it is not explained; chosen: 5 standard deviations off."""
 
 
@@ -51,18 +51,18 @@ class Refined:
     Attributes:
         estimate: poses, landmarks, correction and direction.
         cov_m2: (L, 2, 2) of the landmarks about their neighbours.
-        calibration: corrected.
-        correction_sigma: (5,).
+        calibrations: (C,) corrected.
+        correction_sigma: (C, 5).
         cost: before and after.
         rounds: how many.
         weight: (O,) of the features at the end.
         unexplained: (U,) landmarks whose features do not fit.
-        moved_m: (L,) how far each landmark went, after the map as a whole was laid on what it was.
+        moved_m: (L,) how far each landmark went, after the map of its floor was laid on what it was.
     """
 
     estimate: Estimate
     cov_m2: Array
-    calibration: Calibration
+    calibrations: tuple[Calibration, ...]
     correction_sigma: Array
     cost: tuple[float, float]
     rounds: int
@@ -88,7 +88,7 @@ def refine(
         straight: joints of the ceiling are straight lines.
         on_round: told the round and the cost.
         seed: of the draws for the covariances.
-        start: (5,) correction of the calibration to begin with.
+        start: (C, 5) correction of the calibrations to begin with.
 
     Raises:
         RefinementError: the views do not tie the map together.
@@ -96,12 +96,13 @@ def refine(
     anchors = anchors or Anchors()
     terms = _terms(survey, prior or CalibrationPrior(), anchors, straight)
     solver = Solver(survey.view, survey.landmark, len(survey.pose), len(survey.xy_m), terms.links)
-    at = Estimate(survey.pose, survey.xy_m, np.zeros(5) if start is None else start, survey.axis_rad)
+    at = Estimate(
+        survey.pose, survey.xy_m, np.zeros((len(survey.calibrations), 5)) if start is None else start, survey.axis_rad
+    )
     first, rounds = linearised(terms, at).cost, 0
     for scale in _SCALES:
         at, e, used = _settled(replace(terms, robust=scale), solver, at, on_round, rounds)
         rounds += used
-    solver.step(e, 0.0)
     return _told(survey, solver, e, at, (first, e.cost), rounds, seed)
 
 
@@ -128,18 +129,28 @@ def _settled(
 
 
 def _terms(survey: Survey, prior: CalibrationPrior, anchors: Anchors, straight: bool) -> Terms:
-    crossings = survey.crossing_type < LAMP
     links = _gaps(survey)
-    rows = rows_of(survey.xy_m, survey.axis_rad, crossings & straight)
+    eye = survey.eye[survey.view]
+    fields = (CalibrationField(c, survey.seen_m[eye == k]) for k, c in enumerate(survey.calibrations))
     return Terms(
         survey=survey,
-        field=CalibrationField(survey.calibration, survey.seen_m),
-        rows=rows,
+        fields=tuple(fields),
+        rows=_rows(survey, straight),
         anchors=anchors,
-        prior_sigma=prior.sigma(survey.calibration.camera),
+        prior_sigma=np.array([prior.sigma(c.camera) for c in survey.calibrations]),
         links=links,
         held=_held(survey, links, anchors),
     )
+
+
+def _rows(survey: Survey, straight: bool) -> Rows:
+    """Of each floor."""
+    crossings = (survey.crossing_type < LAMP) & straight
+    found = [
+        rows_of(survey.xy_m, float(axis), crossings & (survey.landmark_floor == f))
+        for f, axis in enumerate(survey.axis_rad)
+    ]
+    return Rows(*(np.concatenate([getattr(r, k) for r in found]) for k in ("pair", "axis", "sigma_m")))
 
 
 def _held(survey: Survey, links: Ints, anchors: Anchors) -> Ints:
@@ -173,17 +184,24 @@ def _told(
 ) -> Refined:
     counts = np.maximum(np.bincount(survey.landmark, minlength=len(survey.xy_m)), 1)
     weight = np.bincount(survey.landmark, e.weight, len(survey.xy_m)) / counts
+    draws = solver.drawn(e, np.random.default_rng(seed), _DRAWS)
+    corrections = zip(survey.calibrations, at.correction, strict=True)
+    floors = [survey.landmark_floor == f for f in range(len(survey.axis_rad)) if np.any(survey.landmark_floor == f)]
     return Refined(
         estimate=at,
-        cov_m2=_about_neighbours(at.xy_m, solver.drawn(np.random.default_rng(seed), _DRAWS)),
-        calibration=corrected(survey.calibration, at.correction),
-        correction_sigma=np.sqrt(np.diag(solver.border_cov)[:5]),
+        cov_m2=np.concatenate([_about_neighbours(at.xy_m[f], draws[:, f]) for f in floors]),
+        calibrations=tuple(corrected(c, correction) for c, correction in corrections),
+        correction_sigma=np.sqrt(np.diag(solver.border_cov)[: at.correction.size]).reshape(at.correction.shape),
         cost=cost,
         rounds=rounds,
         weight=e.weight,
-        unexplained=np.flatnonzero(weight < _BAD_WEIGHT),
-        moved_m=np.hypot(*(laid_on(at.xy_m, survey.xy_m) - survey.xy_m).T),
+        unexplained=np.flatnonzero(weight < BAD_WEIGHT),
+        moved_m=np.concatenate([_moved_m(survey.xy_m[f], at.xy_m[f]) for f in floors]),
     )
+
+
+def _moved_m(before_m: Array, after_m: Array) -> Array:
+    return np.asarray(np.hypot(*(laid_on(after_m, before_m) - before_m).T))
 
 
 def _about_neighbours(xy_m: Array, draws: Array) -> Array:

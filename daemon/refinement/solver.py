@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.sparse import bsr_array, coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
-from ceilvo.daemon.refinement.equations import BORDER, Equations
+from ceilvo.daemon.refinement.equations import Equations
 from ceilvo.errors import CeilvoError
 from ceilvo.types import Array, Ints
 
+_LEAST_PART = 4096
+"""Unknowns of a part that is decomposed by itself; chosen: smaller ones cost little."""
 MOST_BAND_BYTES = 6 * 2**30
 """Of the band; a hall of 40 m x 30 m with 30,000 landmarks takes .5 GB."""
 
@@ -54,52 +56,51 @@ class Solver:
         self._of_kept = np.flatnonzero(kept[view])
         self._order: Ints | None = None
         self._size = 2 * landmarks + 3 * len(self._kept)
-        self._band: Array | None = None
+        self._ends: list[int] = []
 
-    def step(self, e: Equations, damping: float) -> Step:
+    def step(self, e: Equations, damping: float, noise: Array | None = None) -> Step:
         """One step; damping is added to the diagonal, relative to it.
+
+        Args:
+            noise: (n, N) standard normal, for drawn(), which is made the errors that it stands for.
 
         Raises:
             RefinementError: the equations are singular, or too wide for the memory.
         """
-        grow = 1.0 + damping
+        grow, border_size = 1.0 + damping, len(e.b)
         pp, ll, bb = (m * (1.0 + (grow - 1.0) * np.eye(m.shape[-1])) for m in (e.pp, e.ll, e.bb))
         gone = pp[self._gone]
         inverse = np.linalg.inv(gone)
         a = self._blocks(e.lp[self._of_gone])
         middle = bsr_array((inverse, np.arange(len(gone)), np.arange(len(gone) + 1)), shape=(3 * len(gone),) * 2)
         through = a @ middle if len(gone) else a
-        product = (through @ a.T).tocoo()
-        product.data *= -1.0
-        to_border = np.zeros((self._size, BORDER + 1))
-        to_border[: 2 * self._landmarks, :BORDER] = e.lb.reshape(-1, BORDER)
-        to_border[: 2 * self._landmarks, BORDER] = e.l.ravel()
+        parts = [_negative((through @ a.T).tocoo())]
+        to_border = np.zeros((self._size, border_size + 1))
+        to_border[: 2 * self._landmarks, :border_size] = e.lb.reshape(-1, border_size)
+        to_border[: 2 * self._landmarks, border_size] = e.l.ravel()
         at = self._place[self._kept][:, None] + np.arange(3)
-        to_border[at, :BORDER], to_border[at, BORDER] = e.pb[self._kept], e.p[self._kept]
+        to_border[at, :border_size], to_border[at, border_size] = e.pb[self._kept], e.p[self._kept]
         right = np.concatenate([e.pb[self._gone], e.p[self._gone, :, None]], axis=2)
-        to_border[: 2 * self._landmarks] -= through @ right.reshape(-1, BORDER + 1)
-        solved = self._solved([self._direct(e, pp, ll), product], to_border)
-        folded = np.concatenate([bb, e.b[:, None]], axis=1) - to_border[:, :BORDER].T @ solved
-        folded -= np.einsum("kib,kij,kjc->bc", right[..., :BORDER], inverse, right, optimize=True)
-        border = -np.linalg.solve(folded[:, :BORDER], folded[:, BORDER])
-        x = -(solved[:, BORDER] + solved[:, :BORDER] @ border)
+        to_border[: 2 * self._landmarks] -= through @ right.reshape(-1, border_size + 1)
+        parts.append(self._direct(e, pp, ll))
+        solved = self._solved(parts, to_border, noise)
+        folded = np.concatenate([bb, e.b[:, None]], axis=1) - to_border[:, :border_size].T @ solved
+        folded -= np.einsum("kib,kij,kjc->bc", right[..., :border_size], inverse, right, optimize=True)
+        border = -np.linalg.solve(folded[:, :border_size], folded[:, border_size])
+        x = -(solved[:, border_size] + solved[:, :border_size] @ border)
         poses = np.empty((len(pp), 3))
         poses[self._kept] = x[at]
-        rest = right[..., BORDER] + right[..., :BORDER] @ border
+        rest = right[..., border_size] + right[..., :border_size] @ border
         rest += (a.T @ x[: 2 * self._landmarks]).reshape(-1, 3)
         poses[self._gone] = -np.einsum("kij,kj->ki", inverse, rest)
-        self.border_cov = np.linalg.inv(folded[:, :BORDER])
+        self.border_cov = np.linalg.inv(folded[:, :border_size])
         return Step(poses, x[: 2 * self._landmarks].reshape(-1, 2), border)
 
-    def drawn(self, rng: np.random.Generator, count: int) -> Array:
-        """(count, L, 2) errors of the landmarks, drawn from what the last equations leave; the border is held."""
-        assert self._band is not None and self._order is not None
+    def drawn(self, e: Equations, rng: np.random.Generator, count: int) -> Array:
+        """(count, L, 2) errors of the landmarks, drawn from what the equations leave; the border is held."""
         noise = rng.standard_normal((self._size, count))
-        solved, info = dtbtrs(self._band, noise, uplo="L", trans="T")
-        assert info == 0
-        out = np.empty_like(noise)
-        out[self._order] = solved
-        return np.asarray(out[: 2 * self._landmarks].T.reshape(count, -1, 2))
+        self.step(e, 0.0, noise)
+        return np.asarray(noise[: 2 * self._landmarks].T.reshape(count, -1, 2))
 
     def _blocks(self, lp: Array) -> bsr_array:
         """(2 L, 3 G) landmarks by eliminated poses."""
@@ -130,30 +131,51 @@ class Solver:
         direct.sum_duplicates()
         return direct
 
-    def _solved(self, parts: list[coo_array], right: Array) -> Array:
-        """The inverse of the sum of the parts times (n, m), by a Cholesky decomposition of the band."""
+    def _solved(self, parts: list[coo_array], right: Array, noise: Array | None) -> Array:
+        """The inverse of the sum of the parts times (n, m), by a Cholesky decomposition of a band for each part of
+        the survey that is tied to no other."""
         order, rank = self._ordered(parts)
-        places = [(rank[p.row], rank[p.col], p.data) for p in parts]
-        parts.clear()
-        places = [(row[low], column[low], data[low]) for row, column, data in places for low in (row >= column,)]
-        width = max(int(np.max(row - column)) for row, column, _ in places) + 1
-        if 8 * width * self._size > MOST_BAND_BYTES:
+        places = []
+        while parts:  # a part goes when the next one is made
+            p = parts.pop()
+            row, column = rank[p.row], rank[p.col]
+            low = row >= column
+            places.append((row[low], column[low], p.data[low]))
+            del p, row, column
+        out = np.empty_like(right)
+        drawn = np.empty_like(noise) if noise is not None else None
+        for begin, end in zip([0, *self._ends[:-1]], self._ends, strict=True):
+            band, which = self._decomposed(places, begin, end), order[begin:end]
+            out[which] = cho_solve_banded((band, True), right[which], check_finite=False)
+            if noise is not None and drawn is not None:
+                drawn[which], info = dtbtrs(band, noise[begin:end], uplo="L", trans="T")
+                assert info == 0
+        if noise is not None and drawn is not None:
+            noise[:] = drawn
+        return out
+
+    def _decomposed(
+        self, places: list[tuple[NDArray[np.int32], NDArray[np.int32], Array]], begin: int, end: int
+    ) -> Array:
+        """The lower band (w, n) of a part, decomposed."""
+        own = [slice(None) if end - begin == self._size else (c >= begin) & (c < end) for _, c, _ in places]
+        places = [
+            (row[o] - begin, column[o] - begin, data[o]) for (row, column, data), o in zip(places, own, strict=True)
+        ]
+        width = max(int(np.max(row - column, initial=0)) for row, column, _ in places) + 1
+        if 8 * width * (end - begin) > MOST_BAND_BYTES:
             raise RefinementError(
                 f"refinement needs {8e-9 * width * self._size:.0f} GB for {self._landmarks} landmarks, expected at "
                 f"most {MOST_BAND_BYTES / 2**30:.0f} GB: refine the building's parts one by one (ceilvod map crop)"
             )
-        self._band = None
-        band = np.zeros((width, self._size), order="F")
+        band = np.zeros((width, end - begin), order="F")
         for row, column, data in places:
             band[row - column, column] += data
         del places
         try:
-            self._band = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+            return np.asarray(cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False))
         except LinAlgError as e:
             raise RefinementError(f"the views do not tie the map together: {e}") from e
-        out = np.empty_like(right)
-        out[order] = cho_solve_banded((self._band, True), right[order], check_finite=False)
-        return out
 
     def _ordered(self, parts: list[coo_array]) -> tuple[Ints, NDArray[np.int32]]:
         """The unknowns in the order of the band, and the rank of each."""
@@ -162,9 +184,25 @@ class Solver:
             ones = np.ones(len(rows), np.int8)
             pattern = coo_array((ones, (rows, columns)), shape=(self._size, self._size)).tocsr()
             self._order = np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), np.int64)
+            part = connected_components(pattern, directed=False)[1][self._order]  # one after the other in the order
+            self._ends = _grown([*(np.flatnonzero(np.diff(part)) + 1).tolist(), self._size])
         rank = np.empty(self._size, np.int32)  # half the memory of all the places that it is looked up for
         rank[self._order] = np.arange(self._size, dtype=np.int32)
         return self._order, rank
+
+
+def _negative(matrix: coo_array) -> coo_array:
+    matrix.data *= -1.0
+    return matrix
+
+
+def _grown(ends: list[int]) -> list[int]:
+    """Ends of parts that are large enough to be worth a band of their own."""
+    out = [0]
+    for end in ends:
+        if end - out[-1] >= _LEAST_PART or end == ends[-1]:
+            out.append(end)
+    return out[1:]
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 
 from ceilvo.bench.refine.building import WRONG, Drive, Hall, error, floor, views
+from ceilvo.calibration import Calibration
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.refinement.calibration_field import CalibrationField, corrected
 from ceilvo.daemon.refinement.refine import refine
 from ceilvo.daemon.refinement.straightness import rows_of
-from ceilvo.daemon.refinement.survey import Anchors, Survey, survey_of
+from ceilvo.daemon.refinement.survey import Anchors, Floor, Survey, survey_of
 from ceilvo.types import Landmarks
 
 HALL = Hall(0.0, 0.0, 12.0, 9.0)
@@ -26,9 +28,13 @@ def driven(seed: int = 1) -> tuple[Drive, list[KeyPoses], Landmarks]:
     return drive, *views(drive, seed + 100)
 
 
+def on_one_floor(sessions: Sequence[KeyPoses], landmarks: Landmarks, calibration: Calibration) -> Survey:
+    return survey_of([Floor(landmarks, 0.0, tuple(sessions))], [calibration])
+
+
 def surveyed(seed: int = 1) -> tuple[Drive, Survey]:
     drive, sessions, landmarks = driven(seed)
-    return drive, survey_of(sessions, landmarks, 0.0, drive.wrong)
+    return drive, on_one_floor(sessions, landmarks, drive.wrong)
 
 
 def tape(drive: Drive, survey: Survey) -> Anchors:
@@ -55,9 +61,9 @@ def test_the_calibration_is_found_within_what_it_claims() -> None:
     done = refine(survey, anchors=tape(drive, survey))
     k1 = drive.calibration.camera.distortion[0]
     off = WRONG * np.array([1.0, 1.0, k1, 1.0, 1.0])
-    left = done.estimate.correction + off  # it takes back what is wrong, to first order
-    sigma = np.hypot(done.correction_sigma, 0.02 * np.abs(off))
-    print(f"left {left}, claimed {done.correction_sigma}")
+    left = done.estimate.correction[0] + off  # it takes back what is wrong, to first order
+    sigma = np.hypot(done.correction_sigma[0], 0.02 * np.abs(off))
+    print(f"left {left}, claimed {sigma}")
     assert np.all(np.abs(left) < 4.0 * sigma)
 
 
@@ -66,7 +72,7 @@ def test_without_a_tape_only_the_scale_stays_as_it_was() -> None:
     done = refine(survey)
     xy, truth = done.estimate.xy_m, drive.xy_m[survey.ids]
     scale = 1.0 + 1e-6 * error(xy, truth).scale_ppm
-    assert abs(scale - 1.0) < 4.0 * done.correction_sigma[0]
+    assert abs(scale - 1.0) < 4.0 * done.correction_sigma[0, 0]
     assert error(xy / scale, truth).rms_mm < 1.0
 
 
@@ -90,7 +96,7 @@ def test_wrong_names_do_not_bend_the_map() -> None:
         name, wrong = s.landmark.copy(), rng.random(s.features) < 0.02
         name[wrong] = rng.choice(landmarks.ids, np.count_nonzero(wrong))
         mixed.append(replace(s, landmark=name))
-    survey = survey_of(mixed, landmarks, 0.0, drive.wrong)
+    survey = on_one_floor(mixed, landmarks, drive.wrong)
     done = refine(survey, anchors=tape(drive, survey))
     after = error(done.estimate.xy_m, drive.xy_m[survey.ids])
     print(f"2 % wrong names: {after}; mean weight {done.weight.mean():.3f}")
@@ -113,8 +119,8 @@ def test_a_gap_is_bridged_by_the_motion_over_it() -> None:
         crossing_type=whole.crossing_type[kept],
         landmark=whole.landmark[kept],
     )
-    survey = survey_of([blind], landmarks, 0.0, lane.calibration)
-    done = refine(replace(survey, calibration=lane.wrong))
+    survey = on_one_floor([blind], landmarks, lane.calibration)
+    done = refine(replace(survey, calibrations=(lane.wrong,)))
     assert np.all(np.isfinite(done.estimate.pose))
     apart = done.estimate.pose[-1, 0] - done.estimate.pose[0, 0]
     assert abs(apart - (lane.sessions[0][-1, 0] - lane.sessions[0][0, 0])) < 0.1
@@ -134,7 +140,7 @@ def test_sessions_that_share_nothing_each_stay_where_they_are() -> None:
         np.tile(landmarks.crossing_type, 2),
         np.tile(landmarks.sightings, 2),
     )
-    survey = survey_of([sessions[0], other], both, 0.0, drive.wrong)
+    survey = on_one_floor([sessions[0], other], both, drive.wrong)
     done = refine(survey)
     starts = [0, len(sessions[0])]
     assert np.all(np.abs(done.estimate.pose[starts] - survey.pose[starts]) < 1e-3)
@@ -144,7 +150,7 @@ def test_two_marks_put_the_map_where_a_surveyor_has_it() -> None:
     drive, survey = surveyed()
     turn, shift = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([5.0, -3.0])
     truth = drive.xy_m[survey.ids] @ turn.T + shift
-    start = replace(survey, xy_m=survey.xy_m @ turn.T + shift + 0.05, axis_rad=float(np.arctan2(0.8, 0.6)))
+    start = replace(survey, xy_m=survey.xy_m @ turn.T + shift + 0.05, axis_rad=np.array([np.arctan2(0.8, 0.6)]))
     turned = np.column_stack([survey.pose[:, :2] @ turn.T + shift + 0.05, survey.pose[:, 2] + start.axis_rad])
     mark = tape(drive, survey).between[0]
     done = refine(
@@ -159,7 +165,7 @@ def test_no_landmark_seen_twice_is_said() -> None:
     drive, sessions, landmarks = driven()
     alone = replace(sessions[0], landmark=np.full(sessions[0].features, -1))
     with pytest.raises(ValueError, match="no landmark was seen from two key poses"):
-        survey_of([alone], landmarks, 0.0, drive.wrong)
+        on_one_floor([alone], landmarks, drive.wrong)
 
 
 def test_the_look_up_is_as_good_as_the_lens() -> None:

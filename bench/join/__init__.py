@@ -1,0 +1,1 @@
+"""Two robots' maps of one building, or of two, joined."""

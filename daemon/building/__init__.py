@@ -1,0 +1,1 @@
+"""Maps of buildings from many drives: refined, joined, built from recordings."""
