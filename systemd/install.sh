@@ -7,6 +7,7 @@ usage() {
 install.sh [options]               install or upgrade, enable the service (it is not started)
 install.sh uninstall [options]     remove everything but configuration, calibration and state
   --purge          with uninstall: remove those too
+  --fleet          also what robots of a fleet need, and the unit of its map service (neither enabled nor started)
 
   --wheel FILE     install this wheel instead of the source tree that this script is in
   --wheels DIR     take dependencies from this folder of wheels only (no network)
@@ -24,7 +25,9 @@ UNIT=/etc/systemd/system/ceilvod.service
 WANTED=/etc/systemd/system/multi-user.target.wants/ceilvod.service
 RULES=/etc/udev/rules.d/60-ceilvo.rules
 SYSUSERS=/etc/sysusers.d/ceilvo.conf
-NETWORK=$UNIT.d/10-network.conf
+MAPD_UNIT=/etc/systemd/system/ceilvo-mapd.service
+MAPD_STATE=/var/lib/ceilvo-mapd
+MAPD_SYSUSERS=/etc/sysusers.d/ceilvo-mapd.conf
 COMMANDS="ceilvod calib"
 
 say() { printf 'ceilvo: %s\n' "$*"; }
@@ -33,11 +36,12 @@ die() { printf 'install.sh: %s\n' "$*" >&2; exit 1; }
 value() { [ $# -ge 2 ] || die "$1: expected a value"; }
 
 parse() {
-  action=install root='' wheel='' wheels='' python=/usr/bin/python3 deps=yes purge=no
+  action=install root='' wheel='' wheels='' python=/usr/bin/python3 deps=yes purge=no fleet=no
   while [ $# -gt 0 ]; do
     case $1 in
       install | uninstall) action=$1 ;;
       --purge) purge=yes ;;
+      --fleet) fleet=yes ;;
       --no-deps) deps=no ;;
       --wheel) value "$@"; wheel=$2; shift ;;
       --wheels) value "$@"; wheels=$2; shift ;;
@@ -49,6 +53,7 @@ parse() {
     shift
   done
   if [ "$purge" = yes ] && [ "$action" = install ]; then die "--purge goes with uninstall"; fi
+  if [ "$fleet" = yes ] && [ "$action" = uninstall ]; then die "--fleet goes with install"; fi
   if [ -n "$root" ]; then
     [ -d "$root" ] || die "--root $root: no such directory"
     root=$(realpath "$root")
@@ -75,6 +80,7 @@ check() {
     package=$(realpath "$here/..")
   fi
   if [ -n "$wheels" ] && [ ! -d "$wheels" ]; then die "--wheels $wheels: no such directory"; fi
+  if [ -e "$root$MAPD_UNIT" ]; then fleet=yes; fi # an upgrade keeps what is there
 }
 
 pip_options() {
@@ -98,6 +104,7 @@ install_app() {
   "$python" -I -m venv "${venv_opts[@]}" "$new"
   pip_options
   say "packages from $package"
+  if [ "$fleet" = yes ]; then package="$package[fleet]"; fi
   "$new/bin/python" -I -m pip install "${opts[@]}" "$package"
   for cmd in $COMMANDS; do
     [ -x "$new/bin/$cmd" ] || die "$package does not bring the command '$cmd'"
@@ -120,9 +127,11 @@ install_share() {
   local f
   install -d "$1"
   install -m755 "$here/install.sh" "$1/install.sh"
-  for f in ceilvod.service 60-ceilvo.rules sysusers.conf; do install -m644 "$here/$f" "$1/$f"; done
-  for f in "$here/service.md" "$here/../docs/service.md"; do
-    if [ -f "$f" ]; then install -m644 "$f" "$1/service.md"; break; fi
+  for f in ceilvod.service ceilvo-mapd.service 60-ceilvo.rules sysusers.conf sysusers-mapd.conf; do
+    install -m644 "$here/$f" "$1/$f"
+  done
+  for f in "$here/service.md" "$here/../docs/service.md" "$here/fleet.md" "$here/../docs/fleet.md"; do
+    if [ -f "$f" ]; then install -m644 "$f" "$1/${f##*/}"; fi
   done
   for f in "$here/constraints.txt" "$here/../constraints.txt"; do
     if [ -f "$f" ]; then install -m644 "$f" "$1/constraints.txt"; break; fi
@@ -134,6 +143,9 @@ install_user() {
   command -v systemd-sysusers >/dev/null || die "systemd-sysusers not found: systemd is too old"
   install -D -m644 "$here/sysusers.conf" "$root$SYSUSERS"
   systemd-sysusers ${root:+--root="$root"} "$root$SYSUSERS" >/dev/null
+  [ "$fleet" = yes ] || return 0
+  install -D -m644 "$here/sysusers-mapd.conf" "$root$MAPD_SYSUSERS"
+  systemd-sysusers ${root:+--root="$root"} "$root$MAPD_SYSUSERS" >/dev/null
 }
 
 install_config() {
@@ -148,6 +160,10 @@ install_config() {
     install -m644 "$default" "$root$CONF/config.yaml.new"
     say "$CONF/config.yaml kept; the defaults of this version are in config.yaml.new"
   fi
+  if [ "$fleet" = yes ] && [ ! -e "$root$CONF/mapd.yaml" ]; then
+    install -m644 "$default" "$root$CONF/mapd.yaml"
+    say "$CONF/mapd.yaml written, for the map service: set mapd and zenoh"
+  fi
   [ -e "$root$CONF/calibration.yaml" ] || say "$CONF/calibration.yaml is missing: commission the camera with 'calib'"
 }
 
@@ -160,19 +176,23 @@ install_service() {
   install -d "$root${WANTED%/*}"
   ln -sfn "$UNIT" "$root$WANTED"
   install -d -m750 "$root$STATE"
+  [ "$fleet" = yes ] || return 0
+  install -D -m644 "$here/ceilvo-mapd.service" "$root$MAPD_UNIT"
+  install -d -m750 "$root$MAPD_STATE"
 }
 
-# The unit speaks to this computer only, unless the configuration wants more.
+# A unit speaks to this computer only, unless its configuration wants more.
 install_network() {
-  if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$CONF/config.yaml"; then
-    install -d "$root${NETWORK%/*}"
-    printf '%s\n' '# Written by install.sh: config.yaml needs the network.' '[Service]' 'IPAddressDeny=' 'IPAddressAllow=' \
+  local unit=$1 config=$2 drop_in=$root$1.d/10-network.conf
+  if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$config"; then
+    install -d "${drop_in%/*}"
+    printf '%s\n' "# Written by install.sh: ${config##*/} needs the network." '[Service]' 'IPAddressDeny=' 'IPAddressAllow=' \
       '# Zenoh lists the network interfaces.' 'RestrictAddressFamilies=AF_NETLINK' \
-      >"$root$NETWORK"
-    say "$CONF/config.yaml needs the network: $NETWORK lets the service use it"
-  elif [ -e "$root$NETWORK" ]; then
-    rm -f "$root$NETWORK"
-    rmdir --ignore-fail-on-non-empty "$root${NETWORK%/*}"
+      >"$drop_in"
+    say "$config needs the network: ${drop_in#"$root"} lets ${unit##*/} use it"
+  elif [ -e "$drop_in" ]; then
+    rm -f "$drop_in"
+    rmdir --ignore-fail-on-non-empty "${drop_in%/*}"
   fi
 }
 
@@ -191,11 +211,16 @@ do_install() {
   install_user
   install_config
   install_service
-  install_network
+  install_network "$UNIT" "$CONF/config.yaml"
+  if [ "$fleet" = yes ]; then install_network "$MAPD_UNIT" "$CONF/mapd.yaml"; fi
   tell_system
   if [ -z "$root" ]; then
     chown ceilvo:ceilvo "$STATE"
     systemctl try-restart ceilvod.service
+    if [ "$fleet" = yes ]; then
+      chown ceilvo-mapd:ceilvo-mapd "$MAPD_STATE"
+      systemctl try-restart ceilvo-mapd.service
+    fi
     say "installed; start with: systemctl start ceilvod"
   fi
 }
@@ -204,14 +229,15 @@ do_uninstall() {
   [ "$(id -u)" = 0 ] || die "must be run as root: sudo $0 uninstall"
   local cmd
   if [ -z "$root" ] && [ -e "$UNIT" ]; then systemctl disable --now --quiet ceilvod.service || true; fi
-  rm -f "$root$WANTED" "$root$UNIT" "$root$RULES" "$root$SYSUSERS"
-  rm -rf "$root$UNIT.d"
+  if [ -z "$root" ] && [ -e "$MAPD_UNIT" ]; then systemctl disable --now --quiet ceilvo-mapd.service || true; fi
+  rm -f "$root$WANTED" "$root$UNIT" "$root$RULES" "$root$SYSUSERS" "$root$MAPD_UNIT" "$root$MAPD_SYSUSERS"
+  rm -rf "$root$UNIT.d" "$root$MAPD_UNIT.d"
   for cmd in $COMMANDS; do
     if [ "$(readlink "$root/usr/local/bin/$cmd" || true)" = "$APP/bin/$cmd" ]; then rm -f "$root/usr/local/bin/$cmd"; fi
   done
   rm -rf "$root$APP" "$root$APP.new" "$root$APP.old"
   if [ "$purge" = yes ]; then
-    rm -rf "$root$CONF" "$root$STATE"
+    rm -rf "$root$CONF" "$root$STATE" "$root$MAPD_STATE"
   else
     say "kept: $CONF $STATE"
   fi
@@ -222,8 +248,12 @@ do_uninstall() {
 
 # Kept state goes to root, so that the next user with this number does not own it; systemd hands it back at a start.
 remove_user() {
-  [ ! -d "$root$STATE" ] || chown -R root:root "$root$STATE"
-  if grep -qs '^ceilvo:' "$root/etc/passwd"; then userdel ${root:+--prefix "$root"} ceilvo; fi
+  local state user
+  for state in "$STATE" "$MAPD_STATE"; do
+    user=${state##*/}
+    [ ! -d "$root$state" ] || chown -R root:root "$root$state"
+    if grep -qs "^$user:" "$root/etc/passwd"; then userdel ${root:+--prefix "$root"} "$user"; fi
+  done
 }
 
 main() {

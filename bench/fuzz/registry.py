@@ -9,6 +9,8 @@ from ceilvo.bench.fuzz.targets import (
     bus,
     cameras,
     commissioning,
+    fleet,
+    map_databases,
     pipeline_inputs,
     recordings,
     serial_line,
@@ -19,10 +21,12 @@ from ceilvo.bench.fuzz.targets import (
 TARGETS: Mapping[str, Target] = {
     **settings.TARGETS,
     **state_files.TARGETS,
+    **map_databases.TARGETS,
     **serial_line.TARGETS,
     **bus.TARGETS,
     **cameras.TARGETS,
     **pipeline_inputs.TARGETS,
     **recordings.TARGETS,
     **commissioning.TARGETS,
+    **fleet.TARGETS,
 }

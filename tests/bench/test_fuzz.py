@@ -19,7 +19,15 @@ from ceilvo.errors import CeilvoError
 
 SECONDS = float(os.environ.get("FUZZ_SECONDS", "60"))
 SEED = int(os.environ.get("FUZZ_SEED", "1"))
-WEIGHTS = {"recording": 6.0, "snapshot": 3.0, "features": 2.0, "inputs": 2.0, "state_dir": 2.0, "calib_session": 2.0}
+WEIGHTS = {
+    "recording": 6.0,
+    "snapshot": 3.0,
+    "features": 2.0,
+    "inputs": 2.0,
+    "state_dir": 2.0,
+    "map_database": 2.0,
+    "calib_session": 2.0,
+}
 """Shares of the time, where others have 1: an input of these takes a hundred times as long."""
 KEPT = [pytest.param(name, path, id=f"{name}-{path.name}") for name in TARGETS for path in kept(name)]
 

@@ -35,6 +35,7 @@ from ceilvo.bench.paper.world import (
 from ceilvo.bench.results.bars import Bar
 from ceilvo.bench.results.store import Store, rooms, run_all
 from ceilvo.se2 import compose, inverse, transform, wrap
+from ceilvo.tasks.workers import Workers
 from ceilvo.types import Landmarks
 
 SEED = 20
@@ -238,7 +239,7 @@ def test_resuming_equals_running_at_once(tmp_path):
     def stored(name, parts):
         for part in parts:
             store = Store(tmp_path / name, "f", lambda k: Cell(**k))
-            run_all(store, part, asdict, figures_of, 1)
+            run_all(store, part, asdict, figures_of, Workers())
         return store.results
 
     assert stored("once", [cells]) == stored("twice", [cells[:3], cells])

@@ -13,7 +13,7 @@ from ceilvo.bench.fuzz.engine.target import PERIOD_NS, Target, crossings, pipeli
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.app.requests import handlers
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.replay.inputs import Sighting, apply
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.bus.command_guard import CommandGuard

@@ -32,6 +32,7 @@ from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_file import Head, McapFile
 from ceilvo.drivers.recording.mcap_file import Message as Recorded
 from ceilvo.drivers.recording.mcap_reader import open_recording
+from ceilvo.drivers.recording.scene import Scenery
 from ceilvo.types import Pose
 
 _UNIX_NS = 1_700_000_000 * 10**9
@@ -236,7 +237,7 @@ class _Writer:
 def _recorded(name: str, frames: str, features: bool) -> bytes:
     """A short drive with everything that can be said to a pipeline."""
     writer = _Writer(folder() / name, frames == "lossless")
-    tap = RecordingTap(writer, lambda: 0, frames, features)  # type: ignore[arg-type]
+    tap = RecordingTap(writer, lambda: 0, Scenery(rig()), frames, features)  # type: ignore[arg-type]
     estimator = Estimator(pipeline(), lambda: 0, lambda a, b: wheels(), tap.input)
     for k in range(_FRAMES):
         estimator.frame(frame(k), live=False)
@@ -252,7 +253,7 @@ def _recorded(name: str, frames: str, features: bool) -> bytes:
 def _continued(name: str) -> bytes:
     """One that begins in the middle of a run, with the state that there was."""
     writer = _Writer(folder() / name, False)
-    tap = RecordingTap(writer, lambda: 0, "none", True)  # type: ignore[arg-type]
+    tap = RecordingTap(writer, lambda: 0, Scenery(rig()), "none", True)  # type: ignore[arg-type]
     out = driven()
     tap.input(Continuation(snapshot_json(out.state, "joint")), None, out)
     estimator = Estimator(out, lambda: 0, lambda a, b: wheels(), tap.input)

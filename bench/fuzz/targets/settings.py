@@ -13,7 +13,7 @@ from ceilvo.config import Config, Zenoh
 from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import load_config, replace
 from ceilvo.config.rendering import render_config
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.bus.command_guard import CommandGuard
 from ceilvo.drivers.bus.zenoh_session import session_config, watcher_config

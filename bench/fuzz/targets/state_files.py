@@ -14,8 +14,8 @@ from ceilvo.bench.fuzz.engine.mutations import mutated_json
 from ceilvo.bench.fuzz.engine.target import PERIOD_NS, Target, crossings, file, folder, json_of, pipeline, wheels
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.document import digest
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.map.map_file import load_map, load_state, save_map, save_state
-from ceilvo.daemon.map.store import Store
 from ceilvo.daemon.replay.inputs import Sighting, apply
 from ceilvo.drivers.host.ownership import LOCK_NAME, owner_of_folder
 from ceilvo.errors import CeilvoError
@@ -41,6 +41,7 @@ def _state_dir(data: bytes) -> None:
     store = Store(folder() / "state", 3)
     kept = store.load()
     if kept is None:
+        store.close()
         return
     driven = pipeline()
     estimator = Estimator(driven, lambda: 0)
@@ -49,6 +50,7 @@ def _state_dir(data: bytes) -> None:
         estimate = apply(driven, Sighting((k + 1) * PERIOD_NS, crossings(k), wheels()))
     assert estimate is not None
     store.save(*estimator.map(), estimate)
+    store.close()
 
 
 def _files(data: bytes) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""`ceilvod mapd`: a building's maps, offers of robots, and what a curator takes of them."""
