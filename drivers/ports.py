@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
-from ceilvo.types import Frame
+from ceilvo.types import Estimate, Frame, Landmarks, State
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +117,49 @@ class Publisher(Protocol):
 
     def close(self) -> None:
         """Bounded time, idempotent, never raises."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What is looked at rather than driven by; nothing in it changes any more.
+
+    Attributes:
+        particles: (N, 3) map_from_base, drawn from the belief.
+        picture_ns: when the picture was taken, CLOCK_MONOTONIC.
+        jpeg: makes it, with what was found in it; None before the first.
+    """
+
+    landmarks: Landmarks
+    particles: NDArray[np.float64]
+    picture_ns: int = 0
+    jpeg: Callable[[], bytes] | None = None
+
+
+class Wire(Protocol):
+    """Somebody else's way to read the daemon, beside the bus. Every method may be called from any thread."""
+
+    def open(self) -> None:
+        """Raises BusError when it cannot be used as configured."""
+
+    def publish(self, estimate: Estimate, stamp: Stamp, scene: Callable[[], Scene]) -> None:
+        """Takes microseconds and never raises; `scene` is called later, in the wire's own thread, if at all."""
+
+    def health(self, unix_ns: int, state: State, counters: Mapping[str, object]) -> None:
+        """Once a second or so, and at the end."""
+
+    def counters(self) -> Mapping[str, object]:
+        """Snapshot, the same names every time."""
+
+    def close(self) -> None:
+        """Bounded time, idempotent, never raises."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """One instant on both clocks: CLOCK_MONOTONIC of the robot's computer, and nanoseconds since 1970."""
+
+    ns: int
+    unix_ns: int
 
 
 class Clock(Protocol):

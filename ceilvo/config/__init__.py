@@ -1,5 +1,7 @@
 """Configuration: the schema's sections, by their names; reading and checking are in the modules beside it."""
 
+from ceilvo.config.fleet_schema import Fleet, Mapd
+from ceilvo.config.interop import Ros2, Vda5050
 from ceilvo.config.schema import (
     Base,
     CalibrationFile,
@@ -22,10 +24,14 @@ __all__ = [
     "Config",
     "Features",
     "Filter",
+    "Fleet",
+    "Mapd",
     "Odometry",
     "Recorder",
     "Robot",
+    "Ros2",
     "Service",
     "States",
+    "Vda5050",
     "Zenoh",
 ]

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ceilvo.calibration import Calibration
-from ceilvo.config import Base, Camera, Config, Recorder, Zenoh
+from ceilvo.config import Base, Camera, Config, Recorder, Ros2, Zenoh
 from ceilvo.config.serial_budget import wire_budget
 from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer, segment_problem
 from ceilvo.errors import ConfigError
 
+_ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_ROS_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _FRESH_PERIODS = 1.5
 """Of the camera, that a healthy pose is old at most; chosen: one period until the next, half a one for the step."""
 
@@ -48,6 +51,7 @@ def conflicts(config: Config, calibration: Calibration | None = None) -> list[Co
         *_states(config),
         *_base(config.base),
         *_zenoh(config.zenoh),
+        *_ros2(config.ros2),
         *_recorder(config.recorder),
     ]
 
@@ -73,11 +77,20 @@ def notes(config: Config) -> tuple[str, ...]:
             f"zenoh.listen: {', '.join(open_ends)} may be reached from the network, by anybody and unencrypted; "
             "zenoh.config_file can bring TLS and access control"
         )
+    far = [e for e in zenoh.connect if not on_this_computer(e)]
+    if zenoh.enabled and far and zenoh.mode == "peer" and not open_ends and not zenoh.config_file:
+        out.append(
+            f"zenoh.mode: peer behind {far[0]} is found by no peer of another computer: routers carry nothing from "
+            "peer to peer, and zenoh.listen is on loopback; zenoh.mode: client lets the router carry it"
+        )
     return tuple(out)
 
 
 def _names(config: Config) -> Iterator[Conflict]:
-    for key, value in (("robot.name", config.robot.name), ("zenoh.prefix", config.zenoh.prefix)):
+    names = [("robot.name", config.robot.name), ("zenoh.prefix", config.zenoh.prefix)]
+    names += [("mapd.building", config.mapd.building)]
+    names += [("fleet.service", config.fleet.service)] if config.fleet.service else []
+    for key, value in names:
         if problem := segment_problem(value):
             yield Conflict((key,), problem)
 
@@ -168,7 +181,29 @@ def _base(base: Base) -> Iterator[Conflict]:
 def _zenoh(zenoh: Zenoh) -> Iterator[Conflict]:
     if not zenoh.enabled:
         return
+    if not zenoh.wire:
+        yield Conflict(("zenoh.wire",), "found nothing, expected at least one; write [json], or zenoh.enabled: false")
     yield from (Conflict(keys, problem) for keys, problem in endpoint_problems(zenoh))
+
+
+def _ros2(ros2: Ros2) -> Iterator[Conflict]:
+    for name, optional in (("node", False), ("namespace", True)):
+        value = getattr(ros2, name)
+        if not (optional and not value) and not _ROS_NAME.fullmatch(value.strip("/") if optional else value):
+            yield Conflict((f"ros2.{name}",), f"found {value!r}, expected letters, digits and _; try ceilvo or robot1")
+    for name in ("tf_topic", "pose_topic", "odom_topic"):
+        value = getattr(ros2, name)
+        if not _ROS_TOPIC.fullmatch(value):
+            yield Conflict((f"ros2.{name}",), f"found {value!r}, expected a ROS topic such as pose or /robot1/pose")
+    frames = ("map_frame", "odom_frame", "base_frame", "camera_frame")
+    for name in (*frames, "fleet_frame"):
+        if not _ROS_TOPIC.fullmatch(value := getattr(ros2, name)) or value.startswith("/"):
+            yield Conflict((f"ros2.{name}",), f"found {value!r}, expected a frame without / in front, such as map")
+    values = [getattr(ros2, name) for name in frames]
+    for i, name in enumerate(frames):
+        if values[i] in values[:i]:
+            first = frames[values.index(values[i])]
+            yield Conflict((f"ros2.{name}", f"ros2.{first}"), f"found {values[i]}, expected another than ros2.{first}")
 
 
 def _recorder(recorder: Recorder) -> Iterator[Conflict]:

@@ -37,8 +37,12 @@ _ABOUT = {
     "states": "when a pose is called good, degraded or lost",
     "base": "the base controller, Modbus RTU",
     "zenoh": "the bus",
+    "ros2": "ROS 2 without ROS, docs/ros2.md; on by zenoh.wire, or by dds or fleet_tf here",
+    "vda5050": "what `ceilvod vda5050` tells a fleet manager, docs/fleets.md",
     "service": "the process",
     "recorder": "what is kept to find out later what happened",
+    "fleet": "Maps that robots of a building share (docs/fleet.md)",
+    "mapd": "The service that keeps them: ceilvod mapd",
 }
 _HEADER = """\
 # Configuration of ceilvod. These are the defaults; a key that is left out has its default.

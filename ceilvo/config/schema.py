@@ -5,30 +5,11 @@ The dataclasses here are the schema; ceilvo.config.reader reads files against it
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
 
-
-def key(
-    default: Any,
-    why: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] | None = None,
-    renamed: Mapping[str, str] | None = None,
-    was: tuple[str, float] | None = None,
-) -> Any:
-    """A configuration key: its default, the one-line reason, and the closed range or the choices it must be in.
-
-    Choices that older configurations call by another name are still read: `renamed`. So are keys of another name and
-    unit: `was` has the name, and how many of the old unit are one of the new.
-    """
-    meta = {"why": why, "low": low, "high": high, "choices": choices, "renamed": renamed or {}, "was": was}
-    if isinstance(default, list):
-        return field(default_factory=lambda: tuple(default), metadata=meta)
-    return field(default=default, metadata=meta)
+from ceilvo.config.fleet_schema import Fleet, Mapd
+from ceilvo.config.interop import Ros2, Vda5050
+from ceilvo.config.keys import key
 
 
 @dataclass(frozen=True)
@@ -274,6 +255,11 @@ class Base:
 @dataclass(frozen=True)
 class Zenoh:
     enabled: bool = key(True, "publish on Zenoh")
+    wire: tuple[str, ...] = key(
+        ["json"],
+        "any of json, rmw_zenoh (ROS 2 with rmw_zenoh) and ros2dds (zenoh-bridge-ros2dds)",
+        choices=("json", "rmw_zenoh", "ros2dds"),
+    )
     prefix: str = key("ceilvo", "first part of every key")
     mode: str = key("peer", "peer needs no router", choices=("peer", "client"))
     listen: tuple[str, ...] = key(["tcp/127.0.0.1:0"], "endpoints to listen on; loopback unless you say otherwise")
@@ -286,6 +272,7 @@ class Zenoh:
     command_token_file: str = key(
         "", "a file with the owner's token, which every command must bring then; needed where others can reach the bus"
     )
+    allow_same_name: bool = key(False, "start though another daemon behind zenoh.connect has the same robot.name")
     health_period_s: float = key(1.0, "period of the health message", low=0.1, high=60.0)
     landmarks_period_s: float = key(1.0, "shortest period of the landmarks message", low=0.1, high=60.0)
     particles_period_s: float = key(0.2, "shortest period of the particles message", low=0.02, high=60.0)
@@ -298,7 +285,8 @@ class Service:
     state_period_s: float = key(
         10.0, "period of saving map and last pose; the pose also once the robot has stopped", low=0.5, high=3600.0
     )
-    map_generations: int = key(5, "maps of earlier runs that are kept, as map.json.1 and so on", low=0, high=100)
+    map_generations: int = key(5, "maps of earlier runs that are kept, as map.db.1 and so on", low=0, high=100)
+    floor: str = key("", "which floor of the map the robot is on; empty = the only one, or the first of several")
     seed: int = key(1, "seed of all randomness", low=0, high=2**31 - 1)
     log_level: str = key("info", "least severe message logged", choices=("debug", "info", "warning", "error"))
     opencv_threads: int = key(1, "threads OpenCV may use", low=1, high=64)
@@ -336,8 +324,12 @@ class Config:
     states: States = field(default_factory=States)
     base: Base = field(default_factory=Base)
     zenoh: Zenoh = field(default_factory=Zenoh)
+    ros2: Ros2 = field(default_factory=Ros2)
+    vda5050: Vda5050 = field(default_factory=Vda5050)
     service: Service = field(default_factory=Service)
     recorder: Recorder = field(default_factory=Recorder)
+    fleet: Fleet = field(default_factory=Fleet)
+    mapd: Mapd = field(default_factory=Mapd)
 
 
 SECTIONS: tuple[str, ...] = tuple(f.name for f in fields(Config))

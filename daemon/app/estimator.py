@@ -10,8 +10,10 @@ from types import MappingProxyType
 import numpy as np
 
 from ceilvo.daemon.integrity.stamp_rate import StampRate
+from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
@@ -27,6 +29,8 @@ _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 """m, m, rad, added to a stored pose; chosen: a robot that is switched off may be nudged."""
 _SEARCH_SIGMA = np.array([0.3, 0.3, 0.1])
 """m, m, rad, of a search that was asked for; chosen: half a tile, and far less than the 45 deg of another quarter."""
+MOST_KEY_POSES = 500
+"""That wait to be kept; chosen: 125 m of driving on a disk that refuses."""
 _LAG_DECAY = 0.9
 """Per frame, of the delay of frames; chosen: the slowest of the last ten or so counts."""
 _MAX_LAG_NS = 1_000_000_000
@@ -56,9 +60,16 @@ class Estimator:
     """Thread-safe. Frames come from one thread, commands and questions from any."""
 
     def __init__(
-        self, pipeline: Pipeline, clock: Clock, wheels: Wheels = no_wheels, listener: InputListener = no_listener
+        self,
+        pipeline: Pipeline,
+        clock: Clock,
+        wheels: Wheels = no_wheels,
+        listener: InputListener = no_listener,
+        session: str | None = None,
     ) -> None:
+        """session: names the drive that key poses are of; None: none are taken."""
         self._pipeline = pipeline
+        self._taker = None if session is None else KeyPoseTaker(session, MOST_KEY_POSES)
         self._clock = clock
         self._wheels = wheels
         self._listener = listener
@@ -161,6 +172,12 @@ class Estimator:
         """The one way to change the pipeline, so that a recording has all that a replay needs; under the lock."""
         estimate = apply(self._pipeline, given, on_stage_done)
         self._listener(given, estimate, self._pipeline)
+        if self._taker is None:
+            return estimate
+        if estimate is not None:
+            self._taker.add(self._pipeline, estimate, self._pipeline.seen)
+        elif isinstance(given, LoadMap) or (isinstance(given, Reset) and not given.keep_map):
+            self._taker.restart()
         return estimate
 
     def display(self) -> Display:
@@ -173,6 +190,11 @@ class Estimator:
         with self._lock:
             return self._pipeline.filter.counters()
 
+    def refused(self) -> int:
+        """Landmarks that the map did not take so far: not seen again, or no room."""
+        counters = self.counters()
+        return counters["refused"] + counters["map_full"]
+
     def suspicions(self) -> Mapping[str, int]:
         """How often picture, wheels and stamps were against each other, by kind."""
         with self._lock:
@@ -181,6 +203,17 @@ class Estimator:
     def map(self) -> tuple[Landmarks, float | None]:
         with self._lock:
             return self._pipeline.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+
+    def key_poses(self) -> KeyPoses | None:
+        """Those that were taken since they were last kept; None where none are."""
+        with self._lock:
+            return None if self._taker is None else self._taker.taken()
+
+    def key_poses_kept(self, key_poses: KeyPoses | None) -> None:
+        """These are on the disk now."""
+        with self._lock:
+            if self._taker is not None and key_poses is not None:
+                self._taker.kept(key_poses)
 
     def elsewhere(self) -> float:
         """Probability that the robot is at another place than the last estimate says."""

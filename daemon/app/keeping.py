@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from ceilvo import se2
+from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.integrity.states import UNUSABLE
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.types import Array, Estimate
 
 STOOD_NS = 10**9
@@ -18,6 +21,16 @@ _AWAY_M, _AWAY_RAD = 0.02, 0.02
 """A stored pose that is further off is stored anew; chosen: less than half of what a restart adds to its sigmas."""
 
 
+COPY_NS = 3600 * 10**9
+"""Between good copies of the map; chosen: one of 100,000 landmarks takes half a second."""
+
+
+def store_of(config: Config) -> Store:
+    """Where map and pose of a run are kept, which begins a session of its own."""
+    session = f"{config.robot.name}/{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}"
+    return Store.choose(config.service.state_dir, config.service.map_generations, session, config.service.floor)
+
+
 class Keeper:
     """keep() is the main thread's; save() may be called by any."""
 
@@ -25,6 +38,8 @@ class Keeper:
         self._estimator, self._store = estimator, store
         self._period_ns = round(1e9 * period_s)
         self._due_ns = 0
+        self._copy_due_ns: int | None = None
+        self._refused = 0
         self._began: Estimate | None = None
         self._kept: Estimate | None = None
 
@@ -35,9 +50,14 @@ class Keeper:
         switched off where it stands comes back there, its pose alone is written, a few hundred bytes, once it has
         stopped, and again where what is known of it changes.
         """
+        if self._copy_due_ns is None:
+            self._copy_due_ns = now_ns + COPY_NS
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + self._period_ns
             self.save()
+        elif now_ns >= self._copy_due_ns:
+            self._copy_due_ns = now_ns + COPY_NS
+            self._store.keep_copy()
         elif (last := self._estimator.last) is not None and self._stands(last) and self._is_news(last):
             self._began = last
             if self._store.save_pose(last, self._estimator.elsewhere()):
@@ -46,9 +66,15 @@ class Keeper:
     def save(self) -> bool:
         """Write map and pose; False when they were not, with the reason in the log."""
         last = self._estimator.last
-        if last is None or not self._store.save(*self._estimator.map(), last, self._estimator.elsewhere()):
+        if last is None:
             return False
-        self._kept = last
+        landmarks, axis_rad = self._estimator.map()
+        key_poses, refused = self._estimator.key_poses(), self._estimator.refused()
+        elsewhere, news = self._estimator.elsewhere(), max(refused - self._refused, 0)
+        if not self._store.save(landmarks, axis_rad, last, elsewhere, key_poses, news):
+            return False
+        self._estimator.key_poses_kept(key_poses)
+        self._kept, self._refused = last, refused
         return True
 
     def _stands(self, last: Estimate) -> bool:

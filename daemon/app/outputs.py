@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from ceilvo.daemon.replay.recording import RecordingTap
 from ceilvo.daemon.vision.finder.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages
-from ceilvo.drivers.ports import ON_DEMAND, Publisher, Topic
+from ceilvo.drivers.ports import ON_DEMAND, Publisher, Scene, Stamp, Topic, Wire
 from ceilvo.errors import CeilvoError
 from ceilvo.types import Estimate, State
 
@@ -41,19 +41,23 @@ class Outputs:
         bus: Publisher | None,
         clock: Callable[[], int],
         recording: RecordingTap | None = None,
+        wires: Sequence[Wire] = (),
     ) -> None:
         self._robot, self._calibration, self._estimator = robot, calibration, estimator
         self._base, self._bus, self._clock, self._recording = base, bus, clock, recording
+        self._wires = tuple(wires)
         self._reported: State | None = None
         self.events: deque[str] = deque(maxlen=_EVENTS)
 
     def publish(self, estimate: Estimate) -> None:
-        """To the base, then to Zenoh and the recorder; none of them blocks."""
+        """To the base, then to Zenoh, the other wires and the recorder; none of them blocks."""
         if self._base is not None:
             self._base.submit(estimate)
+        now_ns = self._clock()
+        stamp = Stamp(estimate.stamp_ns, time.time_ns() - (now_ns - estimate.stamp_ns))
+        for wire in self._wires:
+            wire.publish(estimate, stamp, self._scene)
         if self._bus is not None:
-            now_ns = self._clock()
-            stamp = messages.Stamp(estimate.stamp_ns, time.time_ns() - (now_ns - estimate.stamp_ns))
             self._bus.put(Topic.POSE, messages.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns))
             self._bus.put(Topic.ODOM, messages.encode_odom(self._robot, estimate, stamp.unix_ns))
             self._offer(self._bus, estimate.seq, stamp)
@@ -65,7 +69,7 @@ class Outputs:
             level = logging.INFO if estimate.state is State.TRACKING else logging.WARNING
             self.event("state", f"{before} -> {estimate.state.name}: {estimate.reason}", level)
 
-    def _offer(self, bus: Publisher, seq: int, stamp: messages.Stamp) -> None:
+    def _offer(self, bus: Publisher, seq: int, stamp: Stamp) -> None:
         """What costs work to make, only while somebody subscribes."""
         if not any(bus.wanted(topic) for topic in ON_DEMAND):
             return
@@ -75,6 +79,14 @@ class Outputs:
         view = shown.view
         if view is not None:
             bus.offer(Topic.IMAGE, lambda: self._jpeg(view))
+
+    def _scene(self) -> Scene:
+        """Called by other wires, in their threads."""
+        shown = self._estimator.display()
+        view = shown.view
+        if view is None:
+            return Scene(shown.landmarks, shown.particles)
+        return Scene(shown.landmarks, shown.particles, view.frame.stamp_ns, lambda: self._jpeg(view))
 
     def _jpeg(self, view: View) -> bytes:
         image = draw_overlay(view.frame.gray, view.lines, view.crossings, self._calibration.level_view)
@@ -90,13 +102,15 @@ class Outputs:
         if self._recording is not None:
             self._recording.event(level, name, text)
         if self._bus is not None:
-            stamp = messages.Stamp(self._clock(), time.time_ns())
+            stamp = Stamp(self._clock(), time.time_ns())
             severity = logging.getLevelName(level).lower()
             self._bus.put(Topic.EVENT, messages.encode_event(self._robot, stamp, name, severity, text))
 
     def health(self, state: State, uptime_s: float, counters: Mapping[str, object]) -> None:
-        stamp = messages.Stamp(self._clock(), time.time_ns())
+        stamp = Stamp(self._clock(), time.time_ns())
         payload = messages.encode_health(self._robot, stamp, uptime_s, state, counters)
+        for wire in self._wires:
+            wire.health(stamp.unix_ns, state, counters)
         if self._bus is not None:
             self._bus.put(Topic.HEALTH, payload)
         if self._recording is not None:

@@ -27,24 +27,24 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
-from ceilvo.daemon.app.keeping import Keeper
+from ceilvo.daemon.app.keeping import Keeper, store_of
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
 from ceilvo.daemon.app.screen import Screen
-from ceilvo.daemon.app.signals import stop_on_signals, watch_threads
 from ceilvo.daemon.app.telemetry import Telemetry, Truth
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
-from ceilvo.drivers.bus.zenoh_bus import ZenohBus
+from ceilvo.drivers.bus.namesake import refuse_namesake
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.camera.paced import PacedCamera
 from ceilvo.drivers.camera.selection import make_camera
 from ceilvo.drivers.host.machine import give_back_memory
 from ceilvo.drivers.host.ownership import owner_of_folder, owner_of_name
+from ceilvo.drivers.host.signals import stop_on_signals, watch_threads
 from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.drivers.ports import Base, Camera
 from ceilvo.errors import CeilvoError
@@ -104,7 +104,7 @@ class Daemon:
         self._first_frame_ns: int | None = None
         self._map_full = False
         self._camera_reason = "camera not opened yet"
-        self._store = Store.choose(config.service.state_dir, config.service.map_generations)
+        self._store = store_of(config)
         self._recording = recording_of(
             config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
         )
@@ -114,24 +114,18 @@ class Daemon:
             clock,
             self._base.wheels.between if self._base is not None and config.base.use_wheels else no_wheels,
             no_listener if self._recording is None else self._recording.input,
+            self._store.session,
         )
         self._keeper = Keeper(self._estimator, self._store, config.service.state_period_s)
         answers = handlers(config, plan.calibration, self._estimator, self._store, self._keeper.save)
-        self._bus = ZenohBus(config.zenoh, config.robot.name, answers) if config.zenoh.enabled else None
-        self._outputs = Outputs(
-            config.robot.name, plan.calibration, self._estimator, self._base, self._bus, clock, self._recording
-        )
+        wires = wires_of(config, plan.calibration, answers)
+        self._bus, self._wires = wires.bus, wires.others
+        name, fixed, recording = config.robot.name, plan.calibration, self._recording
+        self._outputs = Outputs(name, fixed, self._estimator, self._base, self._bus, clock, recording, self._wires)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
+        links, about = (self._base, self._bus), (config.service.seed, plan.calibration.driving_nis)
         self._telemetry = Telemetry(
-            self._estimator,
-            self._capture,
-            self._base,
-            self._bus,
-            plan.truth,
-            clock,
-            config.service.seed,
-            plan.calibration.driving_nis,
-            self._store,
+            self._estimator, self._capture, *links, plan.truth, clock, *about, self._store, self._wires
         )
         self._thread = threading.Thread(target=self._estimate, name="estimator", daemon=True)
 
@@ -148,6 +142,7 @@ class Daemon:
         """
         with ExitStack() as ending:
             self._own(ending)
+            ending.callback(self._store.close)
             stored = self._store.load()
             if stored is not None:
                 self._estimator.load_map(stored.map, stored.state)
@@ -157,6 +152,9 @@ class Daemon:
             if self._recording is not None:
                 ending.callback(lambda recording: recording.stop(crashed=not self._crashes.empty()), self._recording)
                 self._recording.start()
+            for wire in self._wires:
+                ending.callback(wire.close)
+                wire.open()
             if self._bus is not None:
                 ending.callback(self._bus.close)
                 self._bus.open()
@@ -180,6 +178,7 @@ class Daemon:
             ending.enter_context(owner_of_folder(self._store.folder))
         if self._config.zenoh.enabled and self._config.zenoh.multicast:
             ending.enter_context(owner_of_name(f"{self._config.zenoh.prefix}/{self._config.robot.name}"))
+        refuse_namesake(self._config.zenoh, self._config.robot.name)
 
     def stop(self) -> None:
         """Ask for an orderly end; from any thread."""

@@ -10,7 +10,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.app.command_log import CommandLog
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.drivers.bus import commands
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.errors import CeilvoError
@@ -29,7 +29,7 @@ def handlers(
 
     def relocalise(c: commands.Relocalise) -> Result:
         if not len(estimator.map()[0]):
-            raise CeilvoError("no map to find the pose in: drive first, or restore map.json and restart")
+            raise CeilvoError("no map to find the pose in: drive first, or restore map.db and restart")
         sigma = estimator.relocalise()
         reach = f"{sigma[0]:.1f} m and {np.degrees(sigma[2]):.0f} deg (1 sigma)"
         return {"did": f"searching within {reach} of the last pose"}
@@ -46,7 +46,7 @@ def handlers(
         if c.keep_map:
             map_now = f"{len(estimator.map()[0])} landmarks kept"
         else:
-            map_now = "map forgotten" + ("; the last one that was saved stays as map.json.1" * store.begin_anew())
+            map_now = "map forgotten" + ("; the last one that was saved stays as map.db.1" * store.begin_anew())
         return {"did": f"started again at the configured initial pose, {map_now}"}
 
     return Handlers(

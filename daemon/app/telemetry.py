@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,12 +15,12 @@ from ceilvo.daemon.app.screen import BaseLink as ScreenBase
 from ceilvo.daemon.app.screen import Snapshot
 from ceilvo.daemon.integrity.staleness import StalenessMonitor
 from ceilvo.daemon.integrity.states import UNUSABLE
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.replay.summary import RunStatistics
 from ceilvo.daemon.slam.pose_filter import chi_square_bounds
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.camera.capture import CaptureLoop
-from ceilvo.drivers.ports import Publisher
+from ceilvo.drivers.ports import Publisher, Wire
 from ceilvo.json_values import json_value
 from ceilvo.types import Array, Estimate, FilterHealth, State
 
@@ -54,9 +54,11 @@ class Telemetry:
         seed: int,
         driving_nis: float | None = None,
         store: Store | None = None,
+        wires: Sequence[Wire] = (),
     ) -> None:
         self._estimator, self._capture, self._base, self._bus = estimator, capture, base, bus
         self._truth, self._clock, self._store = truth, clock, store
+        self._wires = tuple(wires)
         self._started_ns = clock()
         self._stats = RunStatistics(seed)
         self._staleness = StalenessMonitor(driving_nis)
@@ -123,6 +125,8 @@ class Telemetry:
             }
         if self._bus is not None:
             out["zenoh"] = dict(self._bus.counters())
+        for wire in self._wires:
+            out["ros2"] = dict(wire.counters())
         return out
 
     def status_line(self, state: State, camera_reason: str) -> str:

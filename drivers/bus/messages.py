@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.config.zenoh_names import segment_problem
+from ceilvo.drivers.ports import Stamp
 from ceilvo.errors import BusError, one_line
 from ceilvo.json_values import json_value
 from ceilvo.types import Estimate, Landmarks, State
@@ -36,14 +37,6 @@ MAX_PARTICLES = 2000
 
 
 QUERIES = ("map", "calibration", "config")
-
-
-@dataclass(frozen=True, slots=True)
-class Stamp:
-    """One instant on both clocks: CLOCK_MONOTONIC of the robot's computer, and nanoseconds since 1970."""
-
-    ns: int
-    unix_ns: int
 
 
 def robot_key(prefix: str, robot: str) -> str:

@@ -26,7 +26,7 @@ class MockBus:
         self.fail = False
         self._lock = threading.Lock()
         self._sent: list[tuple[Topic, bytes]] = []
-        self._counts = {"samples": 0, "put_errors": 0, "unsent": 0, "offer_errors": 0}
+        self._counts = {"samples": 0, "put_errors": 0, "unsent": 0, "offer_errors": 0, "namesakes": 0}
         self._counts.update({f"samples_{t.value}": 0 for t in Topic})
         self._open = False
 
@@ -65,7 +65,7 @@ class MockBus:
     def counters(self) -> dict[str, int]:
         with self._lock:
             counts = dict(self._counts)
-        return {**counts, **self._requests.counters(), "routers": 0, "peers": 0}
+        return {**counts, **self._requests.counters(), "foreign_samples": 0, "routers": 0, "peers": 0}
 
     def close(self) -> None:
         self._open = False

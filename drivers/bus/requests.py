@@ -12,7 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.drivers.bus import commands, messages
 from ceilvo.drivers.bus.command_guard import CommandGuard
-from ceilvo.drivers.ports import Clock
+from ceilvo.drivers.ports import Clock, Stamp
 from ceilvo.drivers.rate_limit import QuietLog, TokenBucket
 from ceilvo.errors import BusError, CeilvoError
 from ceilvo.types import Landmarks
@@ -113,7 +113,7 @@ class Requests:
             return messages.encode_calibration(self._robot, h.calibration())
         if name == "config":
             return messages.encode_config(self._robot, h.config())
-        stamp = messages.Stamp(time.monotonic_ns(), time.time_ns())
+        stamp = Stamp(time.monotonic_ns(), time.time_ns())
         return messages.encode_map(self._robot, stamp, h.map())
 
     def _command(self, name: str, payload: bytes, attachment: bytes, exact: bool) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,9 @@ import zenoh
 from ceilvo.config import Zenoh
 from ceilvo.drivers.bus.command_guard import CommandGuard
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES
+from ceilvo.drivers.bus.foreign import ForeignSamples
 from ceilvo.drivers.bus.messages import robot_key
+from ceilvo.drivers.bus.namesake import namesake, session_token
 from ceilvo.drivers.bus.requests import Handlers, Requests
 from ceilvo.drivers.bus.zenoh_session import Connection, session_config, zenoh_reason
 from ceilvo.drivers.ports import ON_DEMAND, Clock, Topic
@@ -34,6 +36,9 @@ _PRIORITY = {
 }
 
 
+Speaker = Callable[[zenoh.Session], None]
+
+
 @dataclass
 class _Offers:
     """Mailbox of one a topic, and when each may be filled again."""
@@ -47,12 +52,21 @@ class _Offers:
 class ZenohBus:
     """A ports.Publisher. Handlers are called in Zenoh's threads: see requests.Handlers."""
 
-    def __init__(self, config: Zenoh, robot_name: str, handlers: Handlers, *, clock: Clock = time.monotonic_ns) -> None:
-        """Checks the configuration; opens nothing.
+    def __init__(
+        self,
+        config: Zenoh,
+        robot_name: str,
+        handlers: Handlers,
+        *,
+        clock: Clock = time.monotonic_ns,
+        speakers: Sequence[Speaker] = (),
+    ) -> None:
+        """Checks the configuration; opens nothing. Speakers declare their own on the session when there is one.
 
         Raises:
             BusError: an endpoint, the prefix, the robot's name or the configuration file cannot be used.
         """
+        self._config = config
         self._stem = robot_key(config.prefix, robot_name)
         self._requests = Requests(robot_name, handlers, guard=CommandGuard.of(config))
         self._clock = clock
@@ -64,14 +78,23 @@ class ZenohBus:
         key = "zenoh.config_file" if config.config_file else "zenoh.listen"
         self._connection = Connection(session_config(config), key, self._declare)
         self._publishers: dict[Topic, zenoh.Publisher] = {}
+        self._speakers = tuple(speakers)
         self._declared: list[Any] = []
+        self._foreign = ForeignSamples(clock)
+        self._zid = ""
+        self._speaks_json = "json" in config.wire
         self._count_lock = threading.Lock()
-        self._counts = {"samples": 0, "put_errors": 0, "unsent": 0, "offer_errors": 0}
+        self._counts = {"samples": 0, "put_errors": 0, "unsent": 0, "offer_errors": 0, "namesakes": 0}
         self._counts.update({f"samples_{t.value}": 0 for t in Topic})
         self._links: tuple[int, int] = (0, 0)
         self._offers = _Offers()
         self._worker = threading.Thread(target=self._run, name="zenoh-offers", daemon=True)
         self._closed = False
+
+    @property
+    def requests(self) -> Requests:
+        """For speakers that are asked on keys of their own."""
+        return self._requests
 
     def open(self) -> None:
         """See ports.Publisher. Once only.
@@ -88,7 +111,8 @@ class ZenohBus:
         """See ports.Publisher. A subscriber that hangs loses samples and costs up to 1 ms a put."""
         publisher = self._publishers.get(topic)
         if publisher is None or self._closed:
-            self._count("unsent")
+            if self._speaks_json:
+                self._count("unsent")
             return
         try:
             publisher.put(payload)
@@ -129,7 +153,8 @@ class ZenohBus:
         with self._count_lock:
             counts = dict(self._counts)
         routers, peers = self._connection.links()
-        return {**counts, **self._requests.counters(), "routers": routers, "peers": peers}
+        requests = self._requests.counters()
+        return {**counts, **requests, "foreign_samples": self._foreign.count, "routers": routers, "peers": peers}
 
     def close(self) -> None:
         """Idempotent, never raises; at most 2 s, normally milliseconds."""
@@ -144,10 +169,16 @@ class ZenohBus:
         self._connection.close()
 
     def _declare(self, session: zenoh.Session) -> None:
-        for topic in Topic:
-            self._publishers[topic] = self._publisher(session, topic)
-        for name in Requests.NAMES:
-            self._declared.append(session.declare_queryable(f"{self._stem}/{name}", self._responder(name)))
+        for speaker in self._speakers:
+            speaker(session)
+        if self._speaks_json:
+            for topic in Topic:
+                self._publishers[topic] = self._publisher(session, topic)
+            for name in Requests.NAMES:
+                self._declared.append(session.declare_queryable(f"{self._stem}/{name}", self._responder(name)))
+        self._declared.append(self._foreign.watch(session, f"{self._stem}/**", self._hint))
+        self._zid = str(session.info.zid())
+        self._declared.append(session.liveliness().declare_token(session_token(self._stem, self._zid)))
         # Last, so that whoever sees the robot appear can ask it.
         self._declared.append(session.liveliness().declare_token(self._stem))
         log.info("on Zenoh as %s", self._stem)
@@ -161,7 +192,11 @@ class ZenohBus:
             encoding=json_or_jpeg,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=_PRIORITY.get(topic, zenoh.Priority.DATA),
+            allowed_destination=zenoh.Locality.REMOTE,  # the daemon listens on its own keys for others
         )
+
+    def _hint(self, key: str) -> str:
+        return "a command is a query (docs/zenoh.md)" if key.startswith(f"{self._stem}/cmd/") else ""
 
     def _responder(self, name: str) -> Callable[[zenoh.Query], None]:
         key = f"{self._stem}/{name}"
@@ -207,7 +242,16 @@ class ZenohBus:
         links = self._connection.links()
         if links != self._links:
             log.info("Zenoh: %d routers, %d peers connected (were %d, %d)", *links, *self._links)
+            if links[0] > self._links[0] and not self._config.allow_same_name:
+                threading.Thread(target=self._look_for_namesakes, name="zenoh-namesake", daemon=True).start()
             self._links = links
+
+    def _look_for_namesakes(self) -> None:
+        """A router that comes late may bring one; at the start refuse_namesake() looks."""
+        router = namesake(self._config, self._stem, self._zid)
+        if router:
+            self._count("namesakes")
+            log.error("robot.name: another daemon behind %s has the name %s; stop one of them", router, self._stem)
 
     def _count(self, *names: str) -> None:
         with self._count_lock:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import secrets
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -27,9 +28,18 @@ _RETRY_FIRST_S, _RETRY_MAX_S = 0.25, 1.0
 """Of a client without a router, and of a peer's links: a router that restarts is found within a second."""
 _REASON_CHARS, _LOOKED_AT_CHARS = 200, 2000
 """Of a Zenoh error: the log keeps one line; it repeats the file that it is about, however long that is."""
-_ONLY_FOUND: dict[str, Any] = {"scouting/multicast/autoconnect": {"router": [], "peer": [], "client": []}}
+_NOBODY: dict[str, list[str]] = {"router": [], "peer": [], "client": []}
+_ONLY_FOUND: dict[str, Any] = {"scouting/multicast/autoconnect": _NOBODY}
 """The daemon is found by multicast and connects to nobody it finds: its scouting socket takes answers from the network,
 and whoever forges one would have the daemon come to him."""
+_ONLY_INTRODUCED: dict[str, Any] = {"scouting/gossip/autoconnect": _NOBODY}
+"""A stranger found by multicast may be on the network, and would introduce the daemon to its peers there: they may come
+to it, where they can, and it goes to none of them."""
+_SMALL_ID = "000000"
+"""The end of a session id, which Zenoh compares first: of two peers that a router introduces, ROS 2's has only the one
+with the greater id connect (rmw_zenoh's autoconnect_strategy), so the daemon's is smaller than any of theirs."""
+_STAMPED = {"router": True, "peer": True, "client": True}
+"""What a late subscriber of ROS 2 gets from a publisher's cache must have a time."""
 _LOCAL_ROUTER = "tcp/127.0.0.1:7447"
 """Where a Zenoh router listens by default."""
 _RECEIVED: dict[str, Any] = {
@@ -49,6 +59,15 @@ _RECEIVED: dict[str, Any] = {
 """The daemon is sent requests only, of at most 4 KiB: what is far larger is dropped before it is put together."""
 
 
+_VISIT: dict[str, Any] = {
+    "mode": "client",
+    "listen/endpoints": [],
+    "connect/timeout_ms": 0,
+    "connect/exit_on_failure": True,
+    "scouting/multicast/enabled": False,
+}
+
+
 def session_config(config: Zenoh) -> zenoh.Config:
     """What the daemon opens: config_file whole when it is given, else our keys.
 
@@ -56,10 +75,17 @@ def session_config(config: Zenoh) -> zenoh.Config:
         BusError: an endpoint cannot be used; names the key.
         ConfigError: the file cannot be used.
     """
+    ros2 = set(config.wire) & {"rmw_zenoh", "ros2dds"}
     if config.config_file:
-        return _from_file(config.config_file)
+        out = _from_file(config.config_file)
+        if ros2:
+            out.insert_json5("timestamping/enabled", json.dumps(_STAMPED))
+        return out
     listen, connect = _checked_endpoints(config)
-    return _from_settings(_settings(config, listen, connect) | _RECEIVED | _ONLY_FOUND)
+    found = _ONLY_FOUND | (_ONLY_INTRODUCED if _meets_strangers(config, listen, connect) else {})
+    name = {"id": f"1{secrets.token_hex(12)}{_SMALL_ID}"}
+    stamped = {"timestamping/enabled": _STAMPED} if ros2 else {}
+    return _from_settings(_settings(config, listen, connect) | _RECEIVED | found | name | stamped)
 
 
 def watcher_config(config: Zenoh) -> zenoh.Config:
@@ -79,6 +105,26 @@ def watcher_config(config: Zenoh) -> zenoh.Config:
     return _from_settings(_settings(config, ["tcp/127.0.0.1:0"], [*connect, *_reachable(listen)]))
 
 
+def visitor_configs(config: Zenoh) -> list[zenoh.Config]:
+    """For a short look at who is there: a client of each router that is named, for clients see all that it serves.
+
+    Raises:
+        BusError: as session_config().
+    """
+    if config.config_file:
+        file = _from_file(config.config_file)
+        ends = _listed(file, "connect")
+        out = [_from_file(config.config_file) for _ in ends]
+    else:
+        _, ends = _checked_endpoints(config)
+        out = [zenoh.Config() for _ in ends]
+    for one, end in zip(out, ends, strict=True):
+        for key, value in _VISIT.items():
+            one.insert_json5(key, json.dumps(value))
+        one.insert_json5("connect/endpoints", json.dumps([end]))
+    return out
+
+
 def _checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
     """zenoh.listen and zenoh.connect.
 
@@ -87,7 +133,8 @@ def _checked_endpoints(config: Zenoh) -> tuple[list[str], list[str]]:
     """
     for keys, problem in endpoint_problems(config):
         raise BusError(f"{keys[0]}: {problem}")
-    router = [_LOCAL_ROUTER] if config.mode == "client" and not config.connect else []
+    needs_router = config.mode == "client" or "rmw_zenoh" in config.wire  # as every node of rmw_zenoh has
+    router = [_LOCAL_ROUTER] if needs_router and not config.connect else []
     return list(config.listen), [*config.connect, *router]
 
 
@@ -112,9 +159,14 @@ def _settings(config: Zenoh, listen: list[str], connect: list[str]) -> dict[str,
         "scouting/multicast/enabled": config.multicast,
         # By address: a name would be looked up by netlink, which the unit does without.
         "scouting/multicast/interface": "127.0.0.1",
-        # A stranger found by multicast may be on the network, and gossip would make us connect to its peers there.
-        "scouting/gossip/enabled": not (config.multicast and all(map(on_this_computer, [*listen, *connect]))),
+        # A router carries nothing between its peers: it introduces them to one another by gossip.
+        "scouting/gossip/enabled": bool(connect) or not _meets_strangers(config, listen, connect),
     }
+
+
+def _meets_strangers(config: Zenoh, listen: list[str], connect: list[str]) -> bool:
+    """By multicast, on a computer that the daemon itself does not leave."""
+    return config.multicast and all(map(on_this_computer, [*listen, *connect]))
 
 
 def _from_settings(settings: dict[str, Any]) -> zenoh.Config:

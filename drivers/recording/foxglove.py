@@ -1,63 +1,44 @@
-"""Messages that Foxglove shows without extensions, written by hand: two of its image schemas as Protocol Buffers, the
-rest as JSON. Protocol Buffers keep pixels as they are; in JSON they would grow by a third.
-
-Schemas and field numbers are those of foxglove.dev's published message schemas.
-"""
+"""Messages that Foxglove shows without extensions, in Protocol Buffers by Foxglove's own schemas."""
 
 from __future__ import annotations
 
-import json
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from ceilvo.drivers.pictures import decoded
 from ceilvo.errors import FileFormatError
 
-_VARINT, _BYTES, _FIXED32 = 0, 2, 5
-"""Wire types of protocol buffers (protobuf.dev, Encoding)."""
-_TYPE_INT32, _TYPE_INT64, _TYPE_MESSAGE, _TYPE_FIXED32, _TYPE_STRING, _TYPE_BYTES = 5, 3, 11, 7, 9, 12
-"""FieldDescriptorProto.Type of google/protobuf/descriptor.proto."""
+Array = NDArray[np.float64]
 
-Field = tuple[str, int, int, str]
-"""Name, number, type of descriptor.proto, name of the message type ("" for scalars)."""
-
-_TIME = ".google.protobuf.Timestamp"
-_RAW: Sequence[Field] = (
-    ("timestamp", 1, _TYPE_MESSAGE, _TIME),
-    ("width", 2, _TYPE_FIXED32, ""),
-    ("height", 3, _TYPE_FIXED32, ""),
-    ("encoding", 4, _TYPE_STRING, ""),
-    ("step", 5, _TYPE_FIXED32, ""),
-    ("data", 6, _TYPE_BYTES, ""),
-    ("frame_id", 7, _TYPE_STRING, ""),
-)
-"""Field numbers of foxglove.RawImage."""
-_COMPRESSED: Sequence[Field] = (
-    ("timestamp", 1, _TYPE_MESSAGE, _TIME),
-    ("data", 2, _TYPE_BYTES, ""),
-    ("format", 3, _TYPE_STRING, ""),
-    ("frame_id", 4, _TYPE_STRING, ""),
-)
-"""Field numbers of foxglove.CompressedImage."""
+MOST_SPHERES = 2000
+"""Landmarks in a scene, the nearest ones; chosen: 10 ms of work."""
+MOST_ARROWS = 200
+"""Particles in a scene."""
+_SPHERE_M, _ARROW_M, _LINE_M = 0.05, 0.15, 0.02
+"""Chosen: to be seen in a room."""
+_LANDMARK, _PARTICLE, _PATH = (0.95, 0.7, 0.1, 1.0), (0.3, 0.6, 1.0, 0.6), (0.2, 0.9, 0.4, 1.0)
+"""Red, green, blue, opacity."""
+_LINE_STRIP = 0
+"""LinePrimitive.LINE_STRIP."""
 
 
 def raw_image(unix_ns: int, gray: NDArray[np.uint8], frame_id: str) -> bytes:
     """A foxglove.RawImage of a grey picture (H, W), bit for bit."""
     h, w = gray.shape
-    return b"".join(
-        (
-            _timestamp(unix_ns),
-            _fixed32(2, w),
-            _fixed32(3, h),
-            _bytes(4, b"mono8"),
-            _fixed32(5, w),
-            _bytes(6, gray.tobytes()),
-            _bytes(7, frame_id.encode()),
-        )
-    )
+    m = RawImage(width=w, height=h, encoding="mono8", step=w, data=gray.tobytes(), frame_id=frame_id)
+    return _stamped(m, unix_ns)
 
 
 def read_raw_image(data: bytes) -> NDArray[np.uint8]:
@@ -66,21 +47,18 @@ def read_raw_image(data: bytes) -> NDArray[np.uint8]:
     Raises:
         FileFormatError: it is anything else.
     """
-    fields = dict(_fields(data))
+    m = _parsed(RawImage, data)
     try:
-        w, h, pixels = fields[2], fields[3], fields[6]
-        if fields[4] != b"mono8" or fields[5] != w or not isinstance(w, int) or not isinstance(h, int):
+        if m.encoding != "mono8" or m.step != m.width or not m.width or not m.height:
             raise ValueError("not a mono8 picture without gaps")
-        return np.frombuffer(pixels, np.uint8).reshape(h, w)  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError) as e:
-        raise FileFormatError(f"picture of {len(data)} bytes: {type(e).__name__} {e}; the recording is damaged") from e
+        return np.frombuffer(m.data, np.uint8).reshape(m.height, m.width)
+    except ValueError as e:
+        raise FileFormatError(f"picture of {len(data)} bytes: {e}; the recording is damaged") from e
 
 
 def compressed_image(unix_ns: int, data: bytes, image_format: str, frame_id: str) -> bytes:
     """A foxglove.CompressedImage; image_format is "jpeg" or "png"."""
-    return b"".join(
-        (_timestamp(unix_ns), _bytes(2, data), _bytes(3, image_format.encode()), _bytes(4, frame_id.encode()))
-    )
+    return _stamped(CompressedImage(data=data, format=image_format, frame_id=frame_id), unix_ns)
 
 
 def read_compressed_image(data: bytes) -> NDArray[np.uint8]:
@@ -89,132 +67,140 @@ def read_compressed_image(data: bytes) -> NDArray[np.uint8]:
     Raises:
         FileFormatError: it is anything else.
     """
-    picture = dict(_fields(data)).get(2)
-    gray = decoded(picture) if isinstance(picture, bytes) else None
+    gray = decoded(_parsed(CompressedImage, data).data)
     if gray is None:
         raise FileFormatError(f"picture of {len(data)} bytes cannot be decoded; the recording is damaged")
     return gray
 
 
-def pose_in_frame(unix_ns: int, frame_id: str, x_m: float, y_m: float, qz: float, qw: float) -> bytes:
-    """A foxglove.PoseInFrame: a position on the floor and a turn about z."""
-    pose = {"position": {"x": x_m, "y": y_m, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": qz, "w": qw}}
-    return _json({"timestamp": _time(unix_ns), "frame_id": frame_id, "pose": pose})
+def pose_in_frame(unix_ns: int, frame_id: str, pose: Array) -> bytes:
+    """A foxglove.PoseInFrame of (3,) [m, m, rad]: a place on the floor and a turn about z."""
+    m = PoseInFrame(frame_id=frame_id)
+    _set_pose(m.pose, pose)
+    return _stamped(m, unix_ns)
 
 
 def log_line(unix_ns: int, level: int, name: str, message: str) -> bytes:
     """A foxglove.Log; level is Python's (20 = info)."""
-    return _json({"timestamp": _time(unix_ns), "level": min(max(level // 10, 1), 5), "message": message, "name": name})
+    number: Any = min(max(level // 10, 1), 5)  # as LogLevel counts
+    return _stamped(Log(level=number, name=name, message=message), unix_ns)
 
 
-def _json(body: object) -> bytes:
-    return json.dumps(body, separators=(",", ":"), allow_nan=False).encode("ascii")
+def frame_transforms(unix_ns: int, *transforms: tuple[str, str, Array]) -> bytes:
+    """A foxglove.FrameTransforms of (parent, child, parent_from_child): (3,) planar, or (7,) x y z qx qy qz qw."""
+    m = FrameTransforms()
+    for parent, child, value in transforms:
+        t = m.transforms.add(parent_frame_id=parent, child_frame_id=child)
+        _set_time(t.timestamp, unix_ns)
+        where = value.tolist() if len(value) == 7 else [*value[:2].tolist(), 0.0, 0.0, 0.0, *_half_angle(value[2])]
+        t.translation.x, t.translation.y, t.translation.z = where[:3]
+        t.rotation.x, t.rotation.y, t.rotation.z, t.rotation.w = where[3:]
+    return bytes(m.SerializeToString())
 
 
-def _time(unix_ns: int) -> dict[str, int]:
-    return {"sec": unix_ns // 10**9, "nsec": unix_ns % 10**9}
+def camera_calibration(
+    unix_ns: int, frame_id: str, size_px: tuple[int, int], model: str, distortion: Iterable[float], matrix: Array
+) -> bytes:
+    """A foxglove.CameraCalibration; size is width and height, matrix (3, 3), model ROS's name of the lens model."""
+    m = CameraCalibration(frame_id=frame_id, width=size_px[0], height=size_px[1], distortion_model=model)
+    m.D.extend(distortion)
+    m.K.extend(matrix.ravel().tolist())
+    m.R.extend(np.eye(3).ravel().tolist())
+    m.P.extend(np.column_stack([matrix, np.zeros(3)]).ravel().tolist())
+    return _stamped(m, unix_ns)
+
+
+def scene_update(
+    unix_ns: int, frame_id: str, landmarks_m: Array, particles: Array, path_m: Array, pose: Array, ceiling_m: float
+) -> bytes:
+    """A foxglove.SceneUpdate: landmarks (L, 2) on the ceiling, particles (N, 3) and the path (P, 2) on the floor."""
+    m = SceneUpdate()
+    near = landmarks_m
+    if len(near) > MOST_SPHERES:
+        near = near[np.argpartition(np.hypot(*(near - pose[:2]).T), MOST_SPHERES)[:MOST_SPHERES]]
+    entity = _entity(m, "landmarks", unix_ns, frame_id)
+    for x, y in near.tolist():
+        sphere = entity.spheres.add()
+        sphere.pose.position.x, sphere.pose.position.y, sphere.pose.position.z = x, y, ceiling_m
+        sphere.pose.orientation.w = 1.0
+        sphere.size.x = sphere.size.y = sphere.size.z = _SPHERE_M
+        _set_colour(sphere.color, _LANDMARK)
+    entity = _entity(m, "particles", unix_ns, frame_id)
+    step = max(1, -(-len(particles) // MOST_ARROWS))
+    for particle in particles[::step]:
+        if np.isfinite(particle).all():
+            arrow = entity.arrows.add(shaft_length=0.7 * _ARROW_M, shaft_diameter=_LINE_M, head_length=0.3 * _ARROW_M)
+            arrow.head_diameter = 2.0 * _LINE_M
+            _set_pose(arrow.pose, particle)
+            _set_colour(arrow.color, _PARTICLE)
+    entity = _entity(m, "path", unix_ns, frame_id)
+    if len(path_m):
+        line = entity.lines.add(type=_LINE_STRIP, thickness=_LINE_M)
+        line.pose.orientation.w = 1.0
+        _set_colour(line.color, _PATH)
+        for x, y in path_m.tolist():
+            line.points.add(x=x, y=y, z=0.0)
+    return bytes(m.SerializeToString())
 
 
 # -- schemas
 
 
-def _object(**properties: object) -> dict[str, object]:
-    return {"type": "object", "properties": properties}
+def _schema(message: Any) -> bytes:
+    """The FileDescriptorSet of a message and of all that it needs."""
+    files = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: Any) -> None:
+        if file.name not in seen:
+            seen.add(file.name)
+            for needed in file.dependencies:
+                add(needed)
+            file.CopyToProto(files.file.add())
+
+    add(message.DESCRIPTOR.file)
+    return bytes(files.SerializeToString())
 
 
-_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
-_TIME_SCHEMA = _object(sec={"type": "integer"}, nsec={"type": "integer"})
-_XYZ = dict.fromkeys("xyz", _NUMBER)
+RAW_IMAGE_SCHEMA, COMPRESSED_IMAGE_SCHEMA = _schema(RawImage), _schema(CompressedImage)
+POSE_SCHEMA, LOG_SCHEMA, TRANSFORMS_SCHEMA = _schema(PoseInFrame), _schema(Log), _schema(FrameTransforms)
+CALIBRATION_SCHEMA, SCENE_SCHEMA = _schema(CameraCalibration), _schema(SceneUpdate)
 
-POSE_SCHEMA = _json(
-    _object(
-        timestamp=_TIME_SCHEMA,
-        frame_id=_TEXT,
-        pose=_object(position=_object(**_XYZ), orientation=_object(**_XYZ, w=_NUMBER)),
-    )
-)
-LOG_SCHEMA = _json(_object(timestamp=_TIME_SCHEMA, level={"type": "integer"}, message=_TEXT, name=_TEXT))
-ANY_SCHEMA = _json({"type": "object"})
+# -- parts
 
 
-def _descriptor(name: str, package: str, message: str, fields: Sequence[Field], needs: Sequence[str]) -> bytes:
-    """A FileDescriptorProto with one message."""
-    body = _bytes(1, message.encode())
-    for field, number, kind, type_name in fields:
-        one = _bytes(1, field.encode()) + _varint_field(3, number) + _varint_field(4, 1) + _varint_field(5, kind)
-        body += _bytes(2, one + (_bytes(6, type_name.encode()) if type_name else b""))
-    head = _bytes(1, name.encode()) + _bytes(2, package.encode())
-    return head + b"".join(_bytes(3, n.encode()) for n in needs) + _bytes(4, body) + _bytes(12, b"proto3")
+def _parsed(message: Any, data: bytes) -> Any:
+    try:
+        return message.FromString(data)
+    except DecodeError as e:
+        raise FileFormatError(f"message of {len(data)} bytes is not ours; the recording is damaged") from e
 
 
-def _schema(message: str, fields: Sequence[Field]) -> bytes:
-    """The FileDescriptorSet of a message with a timestamp in it."""
-    time_file = "google/protobuf/timestamp.proto"
-    seconds: Sequence[Field] = (("seconds", 1, _TYPE_INT64, ""), ("nanos", 2, _TYPE_INT32, ""))
-    files = (
-        _descriptor(time_file, "google.protobuf", "Timestamp", seconds, ()),
-        _descriptor(f"foxglove/{message}.proto", "foxglove", message, fields, (time_file,)),
-    )
-    return b"".join(_bytes(1, f) for f in files)
+def _stamped(message: Any, unix_ns: int) -> bytes:
+    _set_time(message.timestamp, unix_ns)
+    return bytes(message.SerializeToString())
 
 
-# -- Protocol Buffers on the wire
+def _set_time(timestamp: Any, unix_ns: int) -> None:
+    timestamp.seconds, timestamp.nanos = divmod(unix_ns, 10**9)
 
 
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
+def _set_pose(to: Any, pose: Array) -> None:
+    to.position.x, to.position.y = float(pose[0]), float(pose[1])
+    to.orientation.z, to.orientation.w = _half_angle(pose[2])
 
 
-def _varint_field(number: int, value: int) -> bytes:
-    return _varint(number << 3 | _VARINT) + _varint(value)
+def _half_angle(theta_rad: float) -> tuple[float, float]:
+    """qz and qw of a turn about z."""
+    return float(np.sin(theta_rad / 2.0)), float(np.cos(theta_rad / 2.0))
 
 
-def _fixed32(number: int, value: int) -> bytes:
-    return _varint(number << 3 | _FIXED32) + struct.pack("<I", value)
+def _set_colour(to: Any, rgba: tuple[float, float, float, float]) -> None:
+    to.r, to.g, to.b, to.a = rgba
 
 
-def _bytes(number: int, data: bytes) -> bytes:
-    return _varint(number << 3 | _BYTES) + _varint(len(data)) + data
-
-
-def _timestamp(unix_ns: int) -> bytes:
-    return _bytes(1, _varint_field(1, unix_ns // 10**9) + _varint_field(2, unix_ns % 10**9))
-
-
-def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    """Number and value of the fields of a message that has the kinds used here.
-
-    Raises:
-        FileFormatError: bytes missing, or another kind.
-    """
-    at = 0
-    while at < len(data):
-        tag, at = _read_varint(data, at)
-        if tag & 7 == _VARINT:
-            value, at = _read_varint(data, at)
-            yield tag >> 3, value
-            continue
-        size, at = (4, at) if tag & 7 == _FIXED32 else _read_varint(data, at)
-        if tag & 7 not in (_FIXED32, _BYTES) or at + size > len(data):
-            raise FileFormatError(f"message of {len(data)} bytes is cut short or not ours; the recording is damaged")
-        chunk, at = data[at : at + size], at + size
-        yield tag >> 3, (struct.unpack("<I", chunk)[0] if tag & 7 == _FIXED32 else chunk)
-
-
-def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while at < len(data) and shift < 64:
-        value |= (data[at] & 0x7F) << shift
-        shift, at = shift + 7, at + 1
-        if data[at - 1] < 0x80:
-            return value, at
-    raise FileFormatError(f"message of {len(data)} bytes is cut short or not ours; the recording is damaged")
-
-
-RAW_IMAGE_SCHEMA = _schema("RawImage", _RAW)
-COMPRESSED_IMAGE_SCHEMA = _schema("CompressedImage", _COMPRESSED)
+def _entity(scene: Any, name: str, unix_ns: int, frame_id: str) -> Any:
+    """It replaces the one of this name."""
+    entity = scene.entities.add(id=name, frame_id=frame_id)
+    _set_time(entity.timestamp, unix_ns)
+    return entity

@@ -26,6 +26,17 @@ _CHUNK_BYTES = 1 << 20
 """Of a chunk at the most; it ends after a second in any case (docs/recording.md)."""
 
 
+_ANYTHING = b'{"type":"object"}'
+"""Messages of several kinds on one topic, which nobody plots."""
+_MAY_BE_NULL = frozenset(
+    (
+        *("failure", "rms_m", "fit_residual", "unique_ancestors", "ess", "nis", "nis_low", "nis_high", "mode_weight"),
+        *("calibration_mean_nis", "estimate_age_s", "base_link_age_s", "used_rate_hz", "camera_rate_hz", "fps"),
+    )
+)
+"""Quantities of JSON messages that are not always known."""
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """Schema and encoding of a topic; an empty schema is inferred from the first message, which is JSON then."""
@@ -38,10 +49,13 @@ class Channel:
 
 FRAMES = Channel("/camera", "foxglove.RawImage", foxglove.RAW_IMAGE_SCHEMA, "protobuf")
 PICTURES = Channel("/camera/jpeg", "foxglove.CompressedImage", foxglove.COMPRESSED_IMAGE_SCHEMA, "protobuf")
-POSE = Channel("/pose", "foxglove.PoseInFrame", foxglove.POSE_SCHEMA)
-EVENT = Channel("/event", "foxglove.Log", foxglove.LOG_SCHEMA)
-FEATURES = Channel("/features", "ceilvo.features.1")
-INPUT = Channel("/input", "ceilvo.input.1")
+POSE = Channel("/pose", "foxglove.PoseInFrame", foxglove.POSE_SCHEMA, "protobuf")
+EVENT = Channel("/event", "foxglove.Log", foxglove.LOG_SCHEMA, "protobuf")
+TRANSFORMS = Channel("/tf", "foxglove.FrameTransforms", foxglove.TRANSFORMS_SCHEMA, "protobuf")
+CAMERA = Channel("/camera/calibration", "foxglove.CameraCalibration", foxglove.CALIBRATION_SCHEMA, "protobuf")
+SCENE = Channel("/scene", "foxglove.SceneUpdate", foxglove.SCENE_SCHEMA, "protobuf")
+FEATURES = Channel("/features", "ceilvo.features.1", _ANYTHING)
+INPUT = Channel("/input", "ceilvo.input.1", _ANYTHING)
 ESTIMATE = Channel("/estimate", "ceilvo.estimate.1")
 LATENCY = Channel("/latency", "ceilvo.latency.1")
 TELEGRAM = Channel("/telegram", "ceilvo.telegram.1")
@@ -144,10 +158,13 @@ class McapFile:
 
 
 def _schema_of(value: object) -> dict[str, object]:
-    """A JSON schema of what an example shows for certain; plots need it to offer fields."""
+    """A JSON schema of what an example shows for certain; plots need it to offer fields. It says nothing of what may be
+    null: Foxglove reads no schema in which a field has two types."""
     if isinstance(value, dict):
-        known = {k: _schema_of(v) for k, v in value.items() if v is not None and v != [] and not _nested(v)}
-        return {"type": "object", "properties": known}
+        said = {
+            k: v for k, v in value.items() if k not in _MAY_BE_NULL and v is not None and v != [] and not _nested(v)
+        }
+        return {"type": "object", "properties": {k: _schema_of(v) for k, v in said.items()}}
     if isinstance(value, list):
         return {"type": "array", "items": _schema_of(value[0])}
     return {"type": "boolean" if isinstance(value, bool) else "string" if isinstance(value, str) else "number"}

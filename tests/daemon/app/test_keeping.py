@@ -9,15 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from map_contents import key_poses
 from map_writer import estimate, landmarks
 from patience import PATIENCE_S, until
 
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.app.keeping import Keeper
+from ceilvo.daemon.app.keeping import COPY_NS, Keeper
 from ceilvo.daemon.app.process import Daemon, Plan
+from ceilvo.daemon.map.database.database import MapDatabase
+from ceilvo.daemon.map.database.key_pose_rows import kept as kept_of
+from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME, Store
+from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import load_state
-from ceilvo.daemon.map.store import STATE_NAME, Store
 from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.drivers.ports import CameraInfo
 from ceilvo.sim.camera import SimCamera
@@ -34,6 +38,8 @@ class Robot(Estimator):
     def __init__(self) -> None:
         self.told: Estimate | None = None
         self.doubted = 0.0
+        self.taken = key_poses("robot", 0)
+        self.not_taken = 0
 
     @property
     def last(self) -> Estimate | None:
@@ -44,6 +50,16 @@ class Robot(Estimator):
 
     def elsewhere(self) -> float:
         return self.doubted
+
+    def key_poses(self) -> KeyPoses:
+        return self.taken
+
+    def key_poses_kept(self, key_poses: KeyPoses | None) -> None:
+        assert key_poses is not None
+        self.taken = kept_of(self.taken, self.taken.stamp_ns > max(key_poses.stamp_ns, default=0))
+
+    def refused(self) -> int:
+        return self.not_taken
 
 
 class Writes(Store):
@@ -121,6 +137,31 @@ def test_a_camera_that_says_nothing_is_no_standing_robot(drive: Drive) -> None:
         drive.now_ns += TICK_NS
         drive.keeper.keep(drive.now_ns)
     assert drive.store.poses == 0
+
+
+def test_key_poses_go_with_the_map_and_wait_where_it_cannot_be_saved(drive: Drive) -> None:
+    drive.go(1.0, 0.5)
+    drive.robot.taken, drive.robot.not_taken = key_poses("robot", 5), 7
+    drive.folder.rename(drive.folder.with_name("away"))
+    drive.go(PERIOD_S, 0.5)
+    assert len(drive.robot.taken) == 5, "they wait"
+    drive.folder.with_name("away").rename(drive.folder)
+    drive.go(PERIOD_S, 0.5)
+    assert len(drive.robot.taken) == 0
+    with MapDatabase(drive.folder / MAP_NAME) as db:
+        (of_drive,), (session,) = db.content().key_poses, db.content().sessions
+    assert len(of_drive) == 5
+    assert (session.name, session.added, session.faded, session.refused) == ("robot", 30, 0, 7)
+
+
+def test_the_good_copy_is_made_anew_every_hour(drive: Drive) -> None:
+    drive.go(1.0, 0.5)
+    first = (drive.folder / "map.db.good").stat().st_ino
+    drive.go(60.0, 0.5)
+    assert (drive.folder / "map.db.good").stat().st_ino == first
+    drive.now_ns += COPY_NS
+    drive.go(1.0, 0.5)
+    assert (drive.folder / "map.db.good").stat().st_ino != first
 
 
 # --- in the process

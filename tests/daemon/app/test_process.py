@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import zenoh
 from daemon_thread import start
+from kept_maps import load_database
 from patience import PATIENCE_S, until
 
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.daemon.app.process import Daemon, Plan, run
-from ceilvo.daemon.map.map_file import load_map
 from ceilvo.drivers.bus.messages import Pose, decode_pose
 from ceilvo.drivers.camera.mock_camera import Crash, Good, MockCamera
 from ceilvo.drivers.host.systemd_notify import Notifier
@@ -133,7 +133,7 @@ def test_poses_reach_zenoh_and_base_and_the_end_is_orderly(world: World, base: S
     for telegram, pose in common:
         assert abs(telegram.x_m - pose.x_m) <= 1e-4
         assert abs(telegram.y_m - pose.y_m) <= 1e-4
-    assert (tmp_path / "map.json").exists() and (tmp_path / "state.json").exists()
+    assert (tmp_path / "map.db").exists() and (tmp_path / "state.json").exists()
     seqs = [p.seq for p in subscriber.poses]
     assert seqs == sorted(set(seqs))
 
@@ -158,8 +158,10 @@ def test_second_start_uses_the_stored_map(world: World, base: SimBase, tmp_path:
         assert loaded == (attempt == 1)
 
 
-@pytest.mark.parametrize("spoilt", ["state.json", "map.json"])
-def test_a_damaged_file_costs_no_map(world: World, base: SimBase, tmp_path: Path, spoilt: str) -> None:
+@pytest.mark.parametrize("spoilt", ["state.json", "map.db"])
+def test_a_damaged_file_costs_no_map(
+    world: World, base: SimBase, tmp_path: Path, spoilt: str, caplog: pytest.LogCaptureFixture
+) -> None:
     """The daemon began without the map and wrote the few landmarks of its first seconds over it."""
     held = []
     for run_ in range(3):
@@ -167,14 +169,14 @@ def test_a_damaged_file_costs_no_map(world: World, base: SimBase, tmp_path: Path
         camera = SimCamera(World(WorldSpec(seed=SEED)), 15.0, realtime=False, duration_s=8.0 if run_ == 0 else 1.0)
         daemon = Daemon(Plan(config, world.calibration, camera), Notifier({}))
         daemon.run()
-        stored = load_map(tmp_path / "map.json")
+        stored = load_database(tmp_path / "map.db")
         assert stored is not None
         held.append(set(stored.landmarks.ids.tolist()))
         if run_ == 0:
-            (tmp_path / "map.json.1").write_bytes((tmp_path / "map.json").read_bytes())
             (tmp_path / spoilt).write_bytes((tmp_path / spoilt).read_bytes()[:40])
         elif run_ == 1:
-            assert any(("without a pose" if spoilt == "state.json" else "an earlier map") in e for e in daemon.events)
+            assert any("without a pose" in e for e in daemon.events) == (spoilt == "state.json")
+            assert ("the last good copy" in caplog.text) == (spoilt == "map.db")
             assert (tmp_path / f"{spoilt}.rejected").exists()
     assert len(held[0]) > 30 and held[0] <= held[1] and held[0] <= held[2]
 

@@ -73,7 +73,9 @@ def samples() -> dict[str, bytes]:
         "particles": messages.encode_particles("robot1", 42, STAMP, particles, np.array([0.25, 0.75])),
         "map": messages.encode_map("robot1", STAMP, landmarks()),
         "calibration": messages.encode_calibration("robot1", calibration()),
-        "reply": messages.encode_reply("robot1", "save_map", {"file": "map.json", "landmarks": 57}),
+        "reply": messages.encode_reply(
+            "robot1", "save_map", {"did": "saved", "folder": "/var/lib/ceilvo", "landmarks": 57}
+        ),
         "error": messages.encode_error("robot1", "reset", "command reset: keep_map is 1, expected true or false"),
     }
 

@@ -67,11 +67,23 @@ def test_defaults_stay_on_this_computer() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"multicast": False}, {"connect": ("tcp/10.0.0.1:7447",)}, {"listen": ("tcp/[::]:7447",)}]
+    "changes",
+    [
+        {"multicast": False},
+        {"connect": ("tcp/10.0.0.1:7447",)},
+        {"connect": ("tcp/127.0.0.1:7447",)},
+        {"listen": ("tcp/[::]:7447",)},
+    ],
 )
 def test_gossip_where_the_configuration_leaves_the_computer_or_names_its_peers(changes: dict[str, Any]) -> None:
     c = session_config(replace(config.Zenoh(), **changes))
     assert json.loads(c.get_json("scouting/gossip/enabled")) is True
+
+
+def test_whom_a_router_of_this_computer_introduces_the_daemon_does_not_go_to() -> None:
+    """It is met by multicast too, and a stranger's friends may be on the network."""
+    c = session_config(replace(config.Zenoh(), connect=("tcp/127.0.0.1:7447",)))
+    assert json.loads(c.get_json("scouting/gossip/autoconnect")) == {"router": [], "peer": [], "client": []}
 
 
 def test_a_zenoh_file_is_passed_through_whole(tmp_path: Path) -> None:

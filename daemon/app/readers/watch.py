@@ -6,8 +6,8 @@ import sys
 import threading
 
 from ceilvo.config import Zenoh
-from ceilvo.daemon.app.signals import stop_on_signals
 from ceilvo.drivers.bus.watch import WatchOptions, watch
+from ceilvo.drivers.host.signals import stop_on_signals
 
 
 def watch_robots(config: Zenoh, robot: str, raw: bool, count: int | None) -> int:

@@ -1,0 +1,1 @@
+"""The daemon's wires as other people's programs read them."""

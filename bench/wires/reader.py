@@ -1,0 +1,179 @@
+"""A ROS 2 program that somebody else wrote (zenoh-ros2-sdk), in a process: `python -m ceilvo.bench.wires.reader PORT`.
+
+It says "ready" when its subscriptions stand. It takes the lines `initialpose X Y THETA`, `save_map`, `graph` and `end`;
+after the end, or the end of its input, it prints one line of JSON with all that it heard.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import math
+import os
+import sys
+from typing import Any
+
+from rosbags.typesys import Stores, get_typestore
+
+POSE, TF, ODOM = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+DIAGNOSTICS, TRIGGER = "diagnostic_msgs/msg/DiagnosticArray", "std_srvs/srv/Trigger"
+
+
+class _Kept(logging.Handler):
+    """Warnings of the SDK: unknown attachments, hashes, bytes that cannot be decoded."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(record.getMessage())
+
+
+class Reader:
+    """Everything it heard, as plain values."""
+
+    def __init__(self, port: int, latched: tuple[str, ...] = ("/tf_static",)) -> None:
+        from zenoh_ros2_sdk import ROS2Subscriber
+        from zenoh_ros2_sdk.qos import QosDurability, QosProfile
+
+        self._port, self._store = port, get_typestore(Stores.ROS2_JAZZY)
+        self.warnings = _Kept()
+        logging.getLogger("zenoh_ros2_sdk").addHandler(self.warnings)
+        self.poses: list[list[float]] = []
+        self.transforms: list[list[Any]] = []
+        self.odometry: list[list[float]] = []
+        self.states: list[dict[str, str]] = []
+        heard = {"/pose": (POSE, self._pose), "/tf": (TF, self._tf), "/tf_static": (TF, self._tf)}
+        heard |= {"/odom": (ODOM, self._odom), "/diagnostics": (DIAGNOSTICS, self._diagnostics)}
+        self._subscribers = []
+        for topic, (kind, take) in heard.items():
+            durability = QosDurability.TRANSIENT_LOCAL if topic in latched else QosDurability.VOLATILE
+            self._subscribers.append(
+                ROS2Subscriber(
+                    topic,
+                    kind,
+                    take,
+                    msg_definition=self._definition(kind),
+                    router_port=port,
+                    type_hash=self._store.hash_rihs01(kind),
+                    qos=QosProfile(durability=durability, history_depth=1),
+                )
+            )
+
+    def graph(self) -> dict[str, Any]:
+        """Topics with types, and the endpoints of each by node, hash and quality of service."""
+        from zenoh_ros2_sdk import discovery
+
+        topics = dict(discovery.get_topic_names_and_types(router_port=self._port))
+        out: dict[str, Any] = {}
+        for topic, kinds in topics.items():
+            info = discovery.get_topic_info(topic, router_port=self._port, verbose=True)
+            ends = [] if info is None else info.publishers or []
+            found = [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]
+            out[topic] = {"types": kinds, "publishers": found}
+        out["services"] = dict(discovery.get_service_names_and_types(router_port=self._port))
+        return out
+
+    def initial_pose(self, x_m: float, y_m: float, theta_rad: float) -> None:
+        from zenoh_ros2_sdk import ROS2Publisher
+
+        make = self._store.types
+        publisher = ROS2Publisher(
+            "/initialpose",
+            POSE,
+            msg_definition=self._definition(POSE),
+            router_port=self._port,
+            type_hash=self._store.hash_rihs01(POSE),
+        )
+        header = make["std_msgs/msg/Header"](
+            stamp=make["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id="map"
+        )
+        pose = make["geometry_msgs/msg/Pose"](
+            position=make["geometry_msgs/msg/Point"](x=x_m, y=y_m, z=0.0),
+            orientation=make["geometry_msgs/msg/Quaternion"](
+                x=0.0, y=0.0, z=math.sin(theta_rad / 2), w=math.cos(theta_rad / 2)
+            ),
+        )
+        import numpy as np
+
+        covariance = np.zeros(36)
+        covariance[[0, 7, 35]] = 0.25, 0.25, 0.0685
+        publisher.publish(
+            header=header, pose=make["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance)
+        )
+
+    def save_map(self) -> dict[str, Any]:
+        from zenoh_ros2_sdk import ROS2ServiceClient
+
+        client = ROS2ServiceClient(
+            "/save_map",
+            TRIGGER,
+            request_definition="uint8 structure_needs_at_least_one_member",
+            response_definition="bool success\nstring message",
+            router_port=self._port,
+            timeout=20.0,
+        )
+        answer: Any = client.call(structure_needs_at_least_one_member=0)
+        return {} if answer is None else {"success": bool(answer.success), "message": str(answer.message)}
+
+    def _definition(self, kind: str) -> str:
+        return self._store.generate_msgdef(kind, ros_version=2)[0]
+
+    def _pose(self, m: Any) -> None:
+        p, q = m.pose.pose.position, m.pose.pose.orientation
+        self.poses.append([_ns(m.header), p.x, p.y, 2.0 * math.atan2(q.z, q.w), *map(float, m.pose.covariance)])
+
+    def _odom(self, m: Any) -> None:
+        p, q = m.pose.pose.position, m.pose.pose.orientation
+        self.odometry.append([_ns(m.header), p.x, p.y, 2.0 * math.atan2(q.z, q.w)])
+
+    def _tf(self, m: Any) -> None:
+        for t in m.transforms:
+            v, q = t.transform.translation, t.transform.rotation
+            turn = 2.0 * math.atan2(q.z, q.w)
+            self.transforms.append([_ns(t.header), t.header.frame_id, t.child_frame_id, v.x, v.y, turn])
+
+    def _diagnostics(self, m: Any) -> None:
+        self.states.append({v.key: v.value for v in m.status[0].values})
+
+
+def _ns(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, epilog="example: python -m ceilvo.bench.wires.reader 7447")
+    parser.add_argument("port", type=int, help="of the router on this computer")
+    reader = Reader(parser.parse_args().port)
+    print("ready", flush=True)
+    saved: dict[str, Any] = {}
+    graph: dict[str, Any] = {}
+    for line in sys.stdin:
+        words = line.split()
+        if words[:1] == ["initialpose"]:
+            reader.initial_pose(*map(float, words[1:]))
+        elif words == ["save_map"]:
+            saved = reader.save_map()
+        elif words == ["graph"]:
+            graph = reader.graph()
+        elif words == ["end"]:
+            break
+        print("done", flush=True)
+    out = {
+        "poses": reader.poses,
+        "transforms": reader.transforms,
+        "odometry": reader.odometry,
+        "states": reader.states,
+        "graph": graph,
+        "saved": saved,
+        "warnings": reader.warnings.lines,
+    }
+    sys.stdout.write(json.dumps(out) + "\n")
+    sys.stdout.flush()
+    os._exit(0)  # the SDK's session ends with its process
+
+
+if __name__ == "__main__":
+    main()

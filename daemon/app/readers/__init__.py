@@ -1,0 +1,1 @@
+"""Programs beside the daemon that read it on Zenoh."""

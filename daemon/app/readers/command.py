@@ -1,0 +1,56 @@
+"""`ceilvod watch`, `view` and `vda5050`: programs beside the daemon that read it on Zenoh."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ceilvo.config import Config
+from ceilvo.config.arguments import command, from_up
+
+if TYPE_CHECKING:
+    from ceilvo.config.arguments import Commands
+
+Options = Callable[[argparse.ArgumentParser], None]
+ConfigOf = Callable[[argparse.Namespace], Config]
+
+
+def add(commands: Commands, config_options: Options, config_of: ConfigOf) -> None:
+    """The commands' parsers; `config_options` adds --config and --set, which `config_of` reads."""
+    p = command(commands, "watch", "print what a Zenoh subscriber gets", "ceilvod watch --robot robot1")
+    config_options(p)
+    p.add_argument("--robot", default="*", metavar="NAME", help="one robot (default: every one)")
+    p.add_argument("--json", action="store_true", help="every message as it came, one line each")
+    p.add_argument("--count", type=from_up(1), metavar="N", help="end after N poses")
+    p.set_defaults(do=lambda options: _watch(options, config_of(options)))
+
+    p = command(commands, "view", "show a running robot in Foxglove", "ceilvod view --foxglove --robot robot1")
+    config_options(p)
+    p.add_argument("--foxglove", action="store_true", required=True, help="by Foxglove's websocket")
+    p.add_argument("--robot", metavar="NAME", help="which one (default: robot.name)")
+    p.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: loopback only)")
+    p.add_argument("--port", type=from_up(0), default=8765, metavar="N", help="0 = a free one (default: 8765)")
+    p.set_defaults(do=lambda options: _view(options, config_of(options)))
+
+    p = command(commands, "vda5050", "tell a fleet by MQTT where the robot is", "ceilvod vda5050 --config config.yaml")
+    config_options(p)
+    p.set_defaults(do=lambda options: _vda5050(config_of(options)))
+
+
+def _watch(options: argparse.Namespace, config: Config) -> int:
+    from ceilvo.daemon.app.readers.watch import watch_robots
+
+    return watch_robots(config.zenoh, options.robot, options.json, options.count)
+
+
+def _view(options: argparse.Namespace, config: Config) -> int:
+    from ceilvo.daemon.app.readers.view import view_robot
+
+    return view_robot(config.zenoh, options.robot or config.robot.name, options.host, options.port)
+
+
+def _vda5050(config: Config) -> int:
+    from ceilvo.daemon.app.readers.vda5050 import tell_fleet
+
+    return tell_fleet(config)

@@ -1,0 +1,1 @@
+"""A running robot as other people's systems want it, from what it says on Zenoh."""

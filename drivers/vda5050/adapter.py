@@ -1,0 +1,216 @@
+"""Between a robot on Zenoh and a fleet manager on MQTT: says where the robot is, takes initial poses."""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ceilvo.config import Config
+from ceilvo.drivers.bus.messages import Pose, decode_pose
+from ceilvo.drivers.live.feed import ALIVE, GONE, Feed
+from ceilvo.drivers.ports import Topic
+from ceilvo.drivers.rate_limit import QuietLog
+from ceilvo.drivers.vda5050 import messages
+from ceilvo.drivers.vda5050.messages import Action, Robot
+from ceilvo.errors import BusError, ConfigError, one_line
+
+if TYPE_CHECKING:
+    import paho.mqtt.client as mqtt
+
+log = logging.getLogger(__name__)
+
+_SILENT_S = 2.0
+"""Without a pose for longer the robot is not localized; chosen: many frames of the slowest camera."""
+_ACTIONS = 20
+"""Latest ones that the state tells of."""
+_NO_STORE = "this robot keeps one map; docs/fleets.md says how maps are exchanged"
+_KEEPALIVE_S = 10
+_ENDED_S = 2.0
+"""That the last message may take."""
+
+
+class Adapter:
+    """run() is one thread's; MQTT's callbacks only fill a mailbox."""
+
+    def __init__(self, config: Config, clock: Callable[[], float] = time.monotonic) -> None:
+        """
+        Raises:
+            ConfigError: paho-mqtt is not installed, or a file cannot be used.
+        """
+        c = config.vda5050
+        self._config, self._vda, self._clock = config, c, clock
+        self._robot = Robot(c.version, c.manufacturer, c.serial_number or config.robot.name)
+        major = c.version.partition(".")[0]
+        self._stem = f"{c.interface_name}/v{major}/{c.manufacturer}/{self._robot.serial_number}"
+        self._numbers: dict[str, int] = {}
+        self._inbox: queue.Queue[bytes] = queue.Queue(100)
+        self._actions: deque[dict[str, object]] = deque(maxlen=_ACTIONS)
+        self._pose: Pose | None = None
+        self._heard_s: float | None = None
+        self._told: tuple[object, ...] = ()
+        self._due = {"state": 0.0, "visualization": 0.0}
+        self._quiet = QuietLog(log, 0.2, 10)
+        self._client = self._mqtt()
+
+    def run(self, stop: threading.Event, on_ready: Callable[[], None] = lambda: None) -> None:
+        """Until `stop` is set; a broker that is away is waited for.
+
+        Raises:
+            BusError: Zenoh cannot be used as configured.
+        """
+        self._client.connect_async(self._vda.host, self._vda.port, _KEEPALIVE_S)
+        self._client.loop_start()
+        try:
+            with Feed(replace(self._config.zenoh), self._config.robot.name, (Topic.POSE,)) as feed:
+                on_ready()
+                feed.each(stop, self._take, lambda: self._idle(feed))
+        finally:
+            last = self._publish("connection", messages.connection, "OFFLINE", retain=True)
+            if self._client.is_connected():
+                last.wait_for_publish(_ENDED_S)
+            self._client.disconnect()
+            self._client.loop_stop()
+
+    # -- the robot
+
+    def _take(self, topic: str, payload: bytes) -> None:
+        if topic == GONE:
+            self._heard_s = None
+        elif topic != ALIVE:
+            try:
+                self._pose, self._heard_s = decode_pose(payload), self._clock()
+            except BusError as e:
+                self._quiet.warning(str(e))
+                return
+            self._visualize(self._pose)
+
+    def _visualize(self, pose: Pose) -> None:
+        if self._clock() < self._due["visualization"]:
+            return
+        self._due["visualization"] = self._clock() + self._vda.visualization_period_s
+        number, at = self._next("visualization")
+        body = messages.visualization(self._robot, number, at, pose, self._vda.map_id)
+        if body is not None:
+            self._client.publish(f"{self._stem}/visualization", body, qos=0)
+
+    def _idle(self, feed: Feed) -> None:
+        while not self._inbox.empty():
+            self._act(feed, self._inbox.get())
+        silence = self._silence()
+        told = (silence, None if self._pose is None else self._pose.state, len(self._actions))
+        if told == self._told and self._clock() < self._due["state"]:
+            return
+        self._told, self._due["state"] = told, self._clock() + self._vda.state_period_s
+        self._publish("state", messages.state, self._pose, silence, self._vda.map_id, tuple(self._actions))
+
+    def _silence(self) -> str:
+        if self._pose is None:
+            return ""
+        if self._heard_s is None:
+            return "the localisation daemon has ended"
+        if self._clock() - self._heard_s > _SILENT_S:
+            return "the localisation daemon is silent"
+        return ""
+
+    # -- the fleet manager
+
+    def _act(self, feed: Feed, payload: bytes) -> None:
+        try:
+            actions = messages.instant_actions(payload)
+        except BusError as e:
+            self._quiet.warning(f"{e}; nothing was done")
+            return
+        for action in actions:
+            ok, text = self._done(feed, action)
+            if text:
+                self._actions.append(messages.action_state(self._robot, action, ok, text))
+                self._told = ()
+
+    def _done(self, feed: Feed, action: Action) -> tuple[bool, str]:
+        """Whether it was, and what came of it; "" for what is another's business."""
+        current = self._vda.map_id if self._pose is None else messages.map_of(self._pose, self._vda.map_id)
+        if action.kind in messages.MAP_ACTIONS:
+            wanted = action.parameters.get("mapId")
+            if action.kind == "enableMap" and wanted == current:
+                return True, f"{current} is the map that is loaded"
+            return False, f"{action.kind} {one_line(str(wanted), 60)}: {_NO_STORE}"
+        if action.kind not in messages.INITIAL_POSE:
+            return False, ""
+        try:
+            request = messages.initial_pose(action, current)
+        except BusError as e:
+            return False, str(e)
+        answer = feed.ask("cmd/initial_pose", request, self._token())
+        if answer is None:
+            return False, "the localisation daemon does not answer"
+        said: dict[str, Any] = json.loads(answer[1])
+        return answer[0], str(said.get("error") or said.get("result", {}).get("did") or "done")
+
+    def _token(self) -> bytes:
+        file = self._config.zenoh.command_token_file
+        return Path(file).read_bytes().strip() if file else b""
+
+    # -- MQTT
+
+    def _mqtt(self) -> mqtt.Client:
+        try:
+            import paho.mqtt.client as mqtt
+            from paho.mqtt.enums import CallbackAPIVersion
+        except ImportError as e:
+            raise ConfigError("vda5050: found no paho-mqtt, expected it; pip install 'ceilvo[vda5050]'") from e
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)
+        if self._vda.user:
+            client.username_pw_set(self._vda.user, self._password())
+        if self._vda.ca_file:
+            try:
+                client.tls_set(self._vda.ca_file)
+            except (OSError, ValueError) as e:
+                raise ConfigError(f"vda5050.ca_file: {self._vda.ca_file}: {one_line(str(e))}, expected PEM") from e
+        number, at = self._next("connection")
+        broken = messages.connection(self._robot, number, at, "CONNECTIONBROKEN")
+        client.will_set(f"{self._stem}/connection", broken, qos=1, retain=True)
+        client.reconnect_delay_set(1, 10)
+        client.on_connect = self._on_connect
+        client.on_message = self._on_message
+        return client
+
+    def _password(self) -> str | None:
+        file = self._vda.password_file
+        try:
+            return Path(file).read_text().strip() if file else None
+        except OSError as e:
+            raise ConfigError(f"vda5050.password_file: {file}: {e.strerror}, expected a file with a password") from e
+
+    def _on_connect(self, client: mqtt.Client, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
+        if reason.is_failure:
+            self._quiet.warning(f"vda5050: {self._vda.host}:{self._vda.port} refuses: {reason}")
+            return
+        log.info("on MQTT as %s", self._stem)
+        client.subscribe(f"{self._stem}/instantActions", qos=0)
+        self._publish("connection", messages.connection, "ONLINE", retain=True)
+        self._told = ()
+
+    def _on_message(self, _c: mqtt.Client, _u: Any, message: mqtt.MQTTMessage) -> None:
+        try:
+            self._inbox.put_nowait(bytes(message.payload))
+        except queue.Full:
+            self._quiet.warning("instantActions: more than can be done; this one was dropped")
+
+    def _publish(self, topic: str, make: Callable[..., bytes], *values: object, retain: bool = False) -> Any:
+        number, at = self._next(topic)
+        body = make(self._robot, number, at, *values)
+        return self._client.publish(f"{self._stem}/{topic}", body, qos=1 if retain else 0, retain=retain)
+
+    def _next(self, topic: str) -> tuple[int, int]:
+        """The header's number, counted by topic, and now."""
+        number = self._numbers.get(topic, 0)
+        self._numbers[topic] = number + 1
+        return number, time.time_ns()
