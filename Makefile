@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
-.PHONY: soak bench-faults bench-refine bench-place bench-latency bench-starved kill-test damage-matrix fuzz
+.PHONY: soak bench-wires bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
@@ -26,9 +26,11 @@ help:
 	@echo "make soak              the daemon with faults and floods for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
 	@echo "make bench-refine      maps of buildings before and after refinement"
+	@echo "make bench-fleet       50 robots, 15 of them lie, one map service killed 10 times: what is lost, bytes; ROBOTS=50"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
 	@echo "make bench-arm         installs ceilvo on an emulated 64-bit ARM and compares every pose (root)"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
+	@echo "make bench-wires       what ROS 2 programs get, what all wires cost, routers killed: SECONDS=30"
 	@echo "make bench-starved     one core, hogs on it, cameras of 2 to 90 Hz: states, ages, the rate that is used"
 	@echo "make kill-test         kill -9 while it saves, and of the whole daemon while it drives, KILLS=200 times each"
 	@echo "make damage-matrix     every file that it reads or keeps, damaged in every way, then a run: 1200 cases"
@@ -85,6 +87,9 @@ bench-faults: $(VENV)/.installed
 bench-refine: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.refine
 
+bench-fleet: $(VENV)/.installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.fleet --robots $(or $(ROBOTS),50) --kills $(or $(KILLS),10)
+
 bench-place: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.place faults --count $(or $(COUNT),300) --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place laps --hours $(or $(HOURS),10) --seed $(or $(SEED),1000) --resume
@@ -99,11 +104,14 @@ bench-arm: $(VENV)/.installed
 bench-latency: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.speed.latency --seconds $(or $(SECONDS),60)
 
+bench-wires: $(VENV)/.installed-dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.wires --seconds $(or $(SECONDS),30)
+
 bench-starved: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.starved --seconds $(or $(SECONDS),20)
 
 kill-test: $(VENV)/.installed-dev
-	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_files.py tests/faults/test_kill.py tests/daemon/map/database -k killed -q -s
+	KILLS=$(or $(KILLS),200) $(BIN)/python -m pytest tests/faults/test_files.py tests/faults/test_kill.py tests/daemon/map/database tests/daemon/fleet -k killed -q -s
 
 damage-matrix: $(VENV)/.installed-dev
 	DAMAGES=all $(BIN)/python -m pytest tests/faults/test_damage_matrix.py -q -s

@@ -144,7 +144,7 @@ def projection_matrix(
 
 def to_ceiling(ceiling_from_level: Array, uv_px: Array) -> Array:
     """(M, 2) metres on the ceiling in base for (M, 2) level pixels."""
-    s = np.column_stack([uv_px, np.ones(len(uv_px))]) @ ceiling_from_level.T  # eq. 7
+    s = uv_px @ ceiling_from_level[:, :2].T + ceiling_from_level[:, 2]  # eq. 7
     return np.asarray(s[:, :2] / s[:, 2:], np.float64)
 
 

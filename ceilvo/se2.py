@@ -77,9 +77,10 @@ def driven(twist: Array, duration_s: Array) -> Array:
 
 def mean_twist(start_from_end: Array, duration_s: float) -> Array:
     """(3,) the constant twist that drives start_from_end (3,) in so many seconds; the inverse of driven()."""
-    half = 0.5 * float(start_from_end[2])
-    along = rotation(-half) @ start_from_end[:2] / np.sinc(half / np.pi)
-    return np.array([*along, start_from_end[2]]) / duration_s
+    x, y, turn = start_from_end.tolist()
+    half = 0.5 * turn
+    c, s, chord = math.cos(half), math.sin(half), math.sin(half) / half if half else 1.0
+    return np.array([(c * x + s * y) / chord, (c * y - s * x) / chord, turn]) / duration_s
 
 
 def transform(a_from_b: Array, xy_b: Array) -> Array:
@@ -89,8 +90,8 @@ def transform(a_from_b: Array, xy_b: Array) -> Array:
 
 def compose_cov(a_from_b: Array, cov_ab: Array, b_from_c: Array, cov_bc: Array) -> Array:
     """(3, 3) covariance of compose(a_from_b, b_from_c) to first order, the two being independent."""
-    c, s = np.cos(a_from_b[2]), np.sin(a_from_b[2])
-    x, y = b_from_c[0], b_from_c[1]
+    theta, (x, y, _) = float(a_from_b[2]), b_from_c.tolist()
+    c, s = math.cos(theta), math.sin(theta)
     f = np.array([[1.0, 0.0, -s * x - c * y], [0.0, 1.0, c * x - s * y], [0.0, 0.0, 1.0]])
     g = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(f @ cov_ab @ f.T + g @ cov_bc @ g.T, dtype=np.float64)
@@ -107,3 +108,9 @@ def covariance_problem(cov: Array) -> str:
     if np.any(lowest < -_ROUNDING * scale[:, 0, 0]):
         return f"is not a covariance: an eigenvalue is negative ({lowest.min():.3g})"
     return ""
+
+
+def greatest_variance(cov: Array) -> float:
+    """Of a (2, 2) covariance, along whichever direction: its greater eigenvalue."""
+    a, b, d = float(cov[0, 0]), float(cov[0, 1]), float(cov[1, 1])
+    return 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)

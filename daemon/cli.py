@@ -22,13 +22,17 @@ from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
-from ceilvo.daemon.app.watch import watch_robots
+from ceilvo.daemon.app.readers import command as readers
+from ceilvo.daemon.building import commands as building
 from ceilvo.daemon.doctor.examination import examine
 from ceilvo.daemon.editing import command as map_command
+from ceilvo.daemon.fleet import words as fleet_words
 from ceilvo.daemon.replay.command import replay_recording
 from ceilvo.daemon.replay.replay import Outputs
-from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run
+from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run, runs_in
+from ceilvo.daemon.replay.runs import replay_runs
 from ceilvo.errors import CeilvoError, FileFormatError
+from ceilvo.tasks.workers import Workers, add_options
 
 log = logging.getLogger("ceilvo")
 
@@ -88,10 +92,13 @@ def _parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_record(commands)
     _add_replay(commands)
-    _add_watch(commands)
+    readers.add(commands, _config_options, _config)
     _add_check(commands)
     _add_doctor(commands)
-    map_command.add(commands)
+    words = map_command.add(commands)
+    fleet_words.add_to_map(words, _config_options)
+    building.add(words, DEFAULT_CONFIG)
+    fleet_words.add(commands, _config_options)
     _add_experiment(commands)
     return parser
 
@@ -144,7 +151,7 @@ def _add_replay(commands: Commands) -> None:
         "source",
         type=Path,
         metavar="SOURCE",
-        help="recording (MCAP file, or a folder of them), image folder (frames.csv) or video file",
+        help="recording (MCAP file, or a folder of runs), image folder (frames.csv) or video file",
     )
     _config_options(p)
     p.add_argument("--calibration", type=Path, metavar="FILE", help="default: SOURCE/calibration.yaml or the config's")
@@ -156,16 +163,8 @@ def _add_replay(commands: Commands) -> None:
     )
     p.add_argument("--reference", type=Path, metavar="FILE", help="TUM trajectory to compare with")
     p.add_argument("--align", choices=("none", "first", "se2"), default="none", help="before comparing (none)")
+    add_options(p)
     p.set_defaults(do=_replay)
-
-
-def _add_watch(commands: Commands) -> None:
-    p = command(commands, "watch", "print what a Zenoh subscriber gets", "ceilvod watch --robot robot1")
-    _config_options(p)
-    p.add_argument("--robot", default="*", metavar="NAME", help="one robot (default: every one)")
-    p.add_argument("--json", action="store_true", help="every message as it came, one line each")
-    p.add_argument("--count", type=from_up(1), metavar="N", help="end after N poses")
-    p.set_defaults(do=_watch)
 
 
 def _add_check(commands: Commands) -> None:
@@ -240,15 +239,13 @@ def _replay(options: argparse.Namespace) -> int:
     if is_recording(options.source):
         config = None if options.config is None else load_config(options.config, options.set)
         calibration = None if options.calibration is None else read_calibration(options.calibration)
-        run = Rerun(options.source, config, tuple(options.set), calibration)
+        run, workers = Rerun(options.source, config, tuple(options.set), calibration), Workers.of(options)
+        if len(runs_in(options.source)) > 1 or workers.scheduler:
+            return replay_runs(run, outputs, options.reference, options.align, workers)
         return replay_run(run, outputs, options.reference, options.align)
     config = _config(options)
     calibration = read_calibration(_calibration_file(options, config))
     return replay_recording(options.source, config, calibration, outputs, options.reference, options.align)
-
-
-def _watch(options: argparse.Namespace) -> int:
-    return watch_robots(_config(options).zenoh, options.robot, options.json, options.count)
 
 
 def _check(options: argparse.Namespace) -> int:

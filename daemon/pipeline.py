@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
@@ -51,7 +52,11 @@ class PipelineState:
 
 
 class Pipeline:
-    """Frame -> crossings -> motion -> path -> belief -> state."""
+    """Frame -> crossings -> motion -> path -> belief -> state.
+
+    Attributes:
+        seen: crossings of the last step, as odometry and filter took them.
+    """
 
     def __init__(self, calibration: Calibration, config: Config, rng: np.random.Generator) -> None:
         settings = config.filter
@@ -64,6 +69,7 @@ class Pipeline:
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
         self.seq = 0
+        self.seen: Crossings | None = None
         self.reset()
 
     def step(self, frame: Frame, wheels: WheelMotion | None = None, on_stage_done: OnStageDone = ignore) -> Estimate:
@@ -90,7 +96,7 @@ class Pipeline:
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing)
         self.odometry.heights.learn(motion)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s)
-        crossings = None if placed is None else self.odometry.directed(placed)
+        self.seen = crossings = None if placed is None else self.odometry.directed(placed)
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.travelled(track, 0 if crossings is None else len(crossings))
@@ -125,7 +131,7 @@ class Pipeline:
             failure=motion.failure or "",
             inliers=motion.inliers,
             crossings=crossings,
-            position_sigma_m=float(np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0))),
+            position_sigma_m=float(np.sqrt(max(se2.greatest_variance(cov[:2, :2]), 0.0))),
             heading_sigma_rad=float(np.sqrt(max(cov[2, 2], 0.0))),
             nis=health.nis if health.nis_dof else 1.0,
             nis_dof=health.nis_dof if view is not None else 0,

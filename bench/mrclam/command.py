@@ -29,6 +29,7 @@ from ceilvo.bench.results.store import Store, exit_code, fingerprint, run_all
 from ceilvo.errors import ConfigError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
+from ceilvo.tasks.workers import Workers, add_options
 
 FILES = tuple(f"mrclam/{name}.py" for name in ("data", "noise", "run", "peers", "stonesoup"))
 DATASET = "mrclam/MRCLAM_Dataset6"
@@ -71,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--particles", type=int, default=500, metavar="N", help="of the particle filters (500)")
     p.add_argument("--seeds", type=int, default=3, metavar="N", help="repetitions of whole runs (3)")
     p.add_argument("--trials", type=int, default=60, metavar="N", help="starts, and jumps, over all test robots (60)")
-    p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes at once; above 1 disturbs times (1)")
+    add_options(p)  # more than one process disturbs times
     p.add_argument(
         "--raw", action="store_true", help="leave latency and bias of sensors and odometry in (off: taken out)"
     )
@@ -100,16 +101,8 @@ def experiment(args: argparse.Namespace, folder: Path) -> None:
     code = fingerprint(FILES, str(folder.resolve()), repr((noise, bias)), str(args.trials), _contents(folder))
     store = Store(args.json.with_suffix(".jsonl"), code, lambda k: Cell(**k))
     jobs = {c: Job(c, folder, noise, args.trials // len(testing), bias) for c in cells}
-    run_all(store, cells, asdict, _Work(jobs), args.jobs)
+    run_all(store, cells, asdict, measure, Workers.of(args), jobs)
     _report(args, [*training, *testing], noise, bias, tried, {c: store.results[c] for c in cells})
-
-
-@dataclass(frozen=True)
-class _Work:
-    jobs: dict[Cell, Job]
-
-    def __call__(self, cell: Cell) -> dict[str, Any]:
-        return measure(self.jobs[cell])
 
 
 def _warm_up(run: Run, world: World) -> None:

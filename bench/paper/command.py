@@ -42,6 +42,7 @@ from ceilvo.bench.results.store import Store, exit_code, fingerprint, run_all
 from ceilvo.errors import ConfigError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
+from ceilvo.tasks.workers import Workers, add_options
 
 PARTICLES = (20, 50, 100, 200, 500)
 """Numbers of particles on the axes of figures 6 to 9; chosen, the paper's text names none."""
@@ -84,7 +85,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--settings", default=",".join(SETTINGS), metavar="A,B", help="default: %(default)s")
     p.add_argument("--filters", default=",".join(ABOUT), metavar="A,B", help="default: %(default)s")
     p.add_argument("--particles", default=",".join(map(str, PARTICLES)), metavar="N,N", help="default: %(default)s")
-    p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes at once (1)")
+    add_options(p)
     p.add_argument("--json", type=Path, default=Path("build/bench/paper.json"), metavar="FILE")
     p.add_argument("--pictures", type=Path, default=Path("build/bench/paper"), metavar="DIR")
     p.add_argument("--no-pictures", action="store_true")
@@ -127,7 +128,7 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 def measured(args: argparse.Namespace, cells: list[Cell]) -> tables.Results:
     store = Store(args.json.with_suffix(".jsonl"), fingerprint(FILES), lambda k: Cell(**k))
-    run_all(store, cells, as_key, run, args.jobs)
+    run_all(store, cells, as_key, run, Workers.of(args))
     return {c: store.results[c] for c in cells}
 
 

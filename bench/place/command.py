@@ -27,6 +27,7 @@ from ceilvo.bench.results.store import Store, exit_code, fingerprint, one_thread
 from ceilvo.daemon import pipeline
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
+from ceilvo.tasks.workers import Workers, add_options
 
 _FILES = (
     *(f"place/{name}.py" for name in ("case", "studies")),
@@ -83,7 +84,7 @@ def _command(commands: Any, name: str, about: str, count: int | None) -> argpars
     if count is not None:
         p.add_argument("--count", type=int, default=count)
     p.add_argument("--seed", type=int, default=0, help=_TUNING)
-    p.add_argument("--jobs", type=int, default=1, help="processes")
+    add_options(p)
     p.add_argument("--out", type=Path, default=_OUT / f"{name}.json", help="single runs go beside it, as .jsonl")
     p.add_argument("--resume", action="store_true", help="go on where the file ends, with the same code")
     return p
@@ -101,7 +102,7 @@ def _run(
     if not a.resume:
         lines.unlink(missing_ok=True)
     store = Store(lines, fingerprint(_FILES, Path(pipeline.__file__).read_text()), of_dict)
-    run_all(store, keys, as_dict, work, a.jobs)
+    run_all(store, keys, as_dict, work, Workers.of(a))
     return [store.results[key] for key in keys]
 
 

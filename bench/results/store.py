@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -18,8 +16,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import ceilvo.bench
 import ceilvo.daemon
 from ceilvo.errors import CeilvoError
+from ceilvo.tasks.workers import Workers, each
 
 Key = TypeVar("Key")
+Item = TypeVar("Item")
 Result = dict[str, Any]
 ROOMS = ("odometry", "slam", "relocalisation", "integrity")
 INTERRUPTED = 130
@@ -100,30 +100,29 @@ def fingerprint(bench_files: Sequence[str], *more: str) -> str:
 
 def rooms(daemon: Path) -> list[Path]:
     """Every source in the daemon's rooms that make up a filter and its state machine."""
-    return sorted(p for room in ROOMS for p in (daemon / room).rglob("*.py"))
+    return sorted(p for room in ROOMS for kind in ("*.py", "*.so") for p in (daemon / room).rglob(kind))
 
 
 def run_all(
     store: Store[Key],
     keys: Iterable[Key],
     as_dict: Callable[[Key], Mapping[str, Any]],
-    work: Callable[[Key], Result],
-    jobs: int,
+    work: Callable[[Item], Result],
+    workers: Workers,
+    items: Mapping[Key, Item] | None = None,
 ) -> None:
-    """Run what the store does not hold yet, with a progress bar; work must be importable where jobs > 1."""
+    """Run what the store does not hold yet, with a progress bar.
+
+    Args:
+        work: as tasks.workers.each.
+        items: what it is given of each key; None: the key itself.
+    """
     todo = [k for k in keys if k not in store.results]
+    given: list[Any] = [k if items is None else items[k] for k in todo]
     one_thread()
     bars = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*bars, console=Console(stderr=True)) as progress:
         task = progress.add_task("runs", total=len(todo))
-        if jobs == 1:
-            for key in todo:
-                store.add(key, as_dict(key), work(key))
-                progress.advance(task)
-            return
-        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-            futures = {pool.submit(work, key): key for key in todo}
-            for done in as_completed(futures):
-                key = futures[done]
-                store.add(key, as_dict(key), done.result())
-                progress.advance(task)
+        for k, figures in each(work, given, workers):
+            store.add(todo[k], as_dict(todo[k]), figures)
+            progress.advance(task)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,9 +13,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from ceilvo.config import Config
 from ceilvo.config.arguments import from_up
 from ceilvo.daemon.map.database.copies import keep_copy, open_map
-from ceilvo.types import Landmarks
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.sim.world import World, WorldSpec
+from ceilvo.types import Frame, Landmarks
 
 _T = TypeVar("_T")
 
@@ -25,6 +29,10 @@ STRIP_M = 2.0
 CHANGED, NEW = 600, 100
 """Of a minute of driving."""
 SEED = 1
+PAUSE_S = 0.015
+"""Between steps; chosen: half of a camera's period."""
+SPAN_S = 6.0
+"""Of each figure of steps; chosen."""
 
 
 def hall(count: int, rng: np.random.Generator) -> Landmarks:
@@ -57,6 +65,42 @@ def driven(m: Landmarks, rng: np.random.Generator, anywhere: bool) -> Landmarks:
     )
 
 
+class Steps:
+    """Another thread that estimates a standing robot's pose from one picture, again and again, as the daemon does."""
+
+    def __init__(self) -> None:
+        world = World(WorldSpec(seed=SEED))
+        gray = world.renderer.render(world.initial_pose, np.random.default_rng(SEED))
+        self._pipeline = Pipeline(world.calibration, Config(), np.random.default_rng(SEED))
+        self._gray, self._took_ms, self._seq = gray, list[float](), 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> Steps:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.wait(PAUSE_S):
+            self._seq += 1
+            start = time.perf_counter()
+            self._pipeline.step(Frame(self._seq, self._seq * 33_000_000, self._gray))
+            self._took_ms.append(1e3 * (time.perf_counter() - start))
+
+    def during(self, what: str, do: Callable[[], object]) -> None:
+        """Print what steps take while something is done over and over for SPAN_S."""
+        self._took_ms.clear()
+        end = time.perf_counter() + SPAN_S
+        while time.perf_counter() < end:
+            do()
+        ms = np.array(self._took_ms)
+        print(f"steps {what}: median {np.median(ms):.1f} ms, p99 {np.quantile(ms, 0.99):.1f} ms of {len(ms)}")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--landmarks", type=from_up(CHANGED), default=100_000, metavar="N", help="in the map (100000)")
@@ -83,6 +127,10 @@ def main() -> int:
                 f"save of {CHANGED} changed {name} and {NEW} new of {len(m)}: median {np.median(wall):.1f} ms, "
                 f"most {max(wall):.1f} ms; of the processor {np.median(cpu):.1f} ms"
             )
+        with Steps() as steps:
+            steps.during("alone", lambda: time.sleep(0.1))
+            steps.during("beside saves without a pause", lambda: db.save(driven(m, rng, False), 0.1, "bench"))
+            steps.during("beside good copies without a pause", lambda: keep_copy(db))
         db.close()
     return 0
 

@@ -11,8 +11,10 @@ from pathlib import Path
 from ceilvo.config import Config
 from ceilvo.config.zenoh_names import needs_network
 from ceilvo.daemon.doctor.findings import Finding, fine, note, wrong
+from ceilvo.daemon.map.database.database import MapDatabase
+from ceilvo.daemon.map.kept.kept_map import OLD_NAME
+from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.vision import kernel
 from ceilvo.drivers.host.machine import Machine
 from ceilvo.errors import FileFormatError
@@ -122,8 +124,20 @@ def disk(machine: Machine, state_dir: Path | None, config: Config | None) -> Ite
         yield note("state", f"{room}, recordings may want {wanted / 1e6:.0f}; lower recorder.ring_bytes and kept_bytes")
     else:
         yield fine("state", room)
+    yield from _kept(state_dir)
+
+
+def _kept(state_dir: Path) -> Iterator[Finding]:
+    """Map and pose of the robot can be read; before the first start with a database, an older map."""
+    path = state_dir / MAP_NAME
     try:
-        load_map(state_dir / MAP_NAME)
+        if os.path.lexists(path):
+            with MapDatabase(path) as db:
+                poses = sum(len(k) for k in db.content().key_poses)
+                held = f"{len(db.content().landmarks)} landmarks, {poses} key poses"
+                yield fine("map", f"{path}: {held}, version {db.version}, hash {db.hash[:12]}")
+        else:
+            load_map(state_dir / OLD_NAME)
         load_state(state_dir / STATE_NAME)
     except FileFormatError as e:
         yield wrong("state", f"{e}")

@@ -199,7 +199,8 @@ class StateMachine:
 
     def _set_above(self, name: str, value: float, limit: float, text: str) -> None:
         """A condition entered above the limit; a value that is not a number is above it."""
-        self._set(name, not value <= limit, value < LEAVE_RATIO * limit, text.format(value, limit))
+        enter = not value <= limit
+        self._set(name, enter, value < LEAVE_RATIO * limit, text.format(value, limit) if enter else "")
 
     def _set(self, name: str, enter: bool, leave: bool, text: str) -> None:
         if enter:

@@ -57,8 +57,8 @@ def coast(config: Odometry, last: LastTwist, dt_s: float) -> tuple[Displacement,
     """
     steps = max(math.ceil(dt_s / _STEP_S - _SMALL_S), 1)
     ends_s = np.linspace(last.since_s, last.since_s + dt_s, steps + 1).tolist()
-    moved, cov = np.zeros(3), np.zeros((3, 3))
-    for start_s, end_s in pairwise(ends_s):
+    moved, cov = _arc(last.twist, ends_s[0], ends_s[1]), _cov(config, last, ends_s[0], ends_s[1])
+    for start_s, end_s in pairwise(ends_s[1:]):
         step, step_cov = _arc(last.twist, start_s, end_s), _cov(config, last, start_s, end_s)
         moved, cov = se2.compose(moved, step), se2.compose_cov(moved, cov, step, step_cov)
     return Displacement(moved), cov

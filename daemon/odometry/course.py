@@ -48,7 +48,7 @@ class Course:
 
     def reach_m(self, sigmas: float) -> float:
         """How far off its prediction the robot can be."""
-        return sigmas * math.sqrt(max(float(np.linalg.eigvalsh(self.cov[:2, :2])[-1]), 0.0))
+        return sigmas * math.sqrt(max(se2.greatest_variance(self.cov[:2, :2]), 0.0))
 
 
 def contradicted(found: Registration, config: Odometry, course: Course) -> str:
@@ -115,7 +115,7 @@ def _repeated(fit: RigidFit, course: Course, config: Odometry) -> bool:
 
 
 def _noise_m(fit: RigidFit) -> float:
-    return _COURSE_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(fit.cov[:2, :2])[-1]))
+    return _COURSE_SIGMAS * math.sqrt(max(se2.greatest_variance(fit.cov[:2, :2]), 0.0))
 
 
 def _noise_rad(fit: RigidFit) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.odometry import kernel
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 _SLACK = 1e-12
@@ -18,17 +20,16 @@ def mutual_nearest(a: Array, kind_a: Ints, b: Array, kind_b: Ints, radius: float
 
     Points and radius are in one unit; kinds are (N,) and (M,).
     """
-    if len(a) == 0 or len(b) == 0:
-        none = np.zeros(0, np.int64)
-        return none, none
     if len(a) * len(b) > MOST_PAIRS:
         return _among_many(a, kind_a, b, kind_b, radius)
-    d2 = np.subtract.outer(a[:, 0], b[:, 0]) ** 2 + np.subtract.outer(a[:, 1], b[:, 1]) ** 2
-    d2[kind_a[:, None] != kind_b[None, :]] = np.inf
-    j = np.argmin(d2, axis=1)
-    i = np.arange(len(a))
-    good = (np.argmin(d2, axis=0)[j] == i) & (d2[i, j] < radius * radius)
-    return i[good], j[good]
+    i, j = kernel.mutual_nearest(
+        np.ascontiguousarray(a, np.float64),
+        np.ascontiguousarray(kind_a, np.int64),
+        np.ascontiguousarray(b, np.float64),
+        np.ascontiguousarray(kind_b, np.int64),
+        radius,
+    )
+    return i, j
 
 
 def _among_many(a: Array, kind_a: Ints, b: Array, kind_b: Ints, radius: float) -> tuple[Ints, Ints]:

@@ -10,6 +10,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
+from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion
@@ -116,7 +117,7 @@ def register(
 
 def has_points(crossings: Crossings) -> bool:
     """Whether there are other features than crossings of lines."""
-    return bool(np.any(crossings.crossing_type >= LINE_CROSSINGS))
+    return int(crossings.crossing_type.max(initial=0)) >= LINE_CROSSINGS
 
 
 def fewest(crossings: Crossings, config: Odometry) -> int:
@@ -134,14 +135,14 @@ def expected_turn(ref: Crossings, crossings: Crossings, predicted_rad: float) ->
 def direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
     """ref_from_curr rotation from the change of dominant direction: the branch modulo 90 deg nearest the prediction."""
     change = psi_ref - psi_curr
-    branch = np.round((predicted - change) / (0.5 * np.pi))
-    return float(change + branch * 0.5 * np.pi)
+    branch = round((predicted - change) / (0.5 * math.pi))
+    return float(change + branch * 0.5 * math.pi)
 
 
 def view_size_m(crossings: Crossings) -> float:
     """About the diameter of what a view shows: twice the median distance from its centre."""
-    xy = crossings.xy_base_m
-    return 2.0 * float(np.median(np.hypot(*(xy - xy.mean(axis=0)).T)))
+    radius_m: float = kernel.median_radius(crossings.xy_base_m)
+    return 2.0 * radius_m
 
 
 def _overlap(fit: RigidFit, ref: Crossings) -> float:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, turned_type
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints
 
@@ -28,6 +28,8 @@ _FEWEST = 3
 CROWD_M = 0.1
 """Cell in which, with its neighbours, crossings share the worth of one: they are of one lamp's corner, or one vent;
 chosen: less than the smallest tile."""
+LINE_M = 0.04
+"""Crossings that differ by less across a line lie on it: as is said of landmarks in a row, lattice.ALIGNED_M."""
 _MOST_SPEAKERS = 128
 """Crossings of a view that vote and are looked for in the other one; chosen for time, which grows with their number."""
 
@@ -39,6 +41,7 @@ class Sight:
     Attributes:
         xy, types: (N, 2) m, and (N,) of those that speak for the view, rare types first.
         worth: (N,) one divided among the crossings that lie close together, as those of a vent's slats do.
+        lines: (N, 2) numbers of the two lines that meet there, one's own for each point.
         low: (2,) cell of the picture's corner.
         bits: (H, W) which types are within reach of each cell; and bit 15, that it lies among the crossings.
     """
@@ -46,6 +49,7 @@ class Sight:
     xy: Array
     types: Ints
     worth: Array
+    lines: Ints
     low: Ints
     bits: NDArray[np.uint16]
 
@@ -66,7 +70,8 @@ class Sight:
             picture[row[of], column[of]] = 1 << t
             bits |= np.asarray(cv2.dilate(picture, disc), np.uint16)
         which = _rare_first(types)[:_MOST_SPEAKERS]
-        return Sight(xy[which], types[which], 1.0 / crowd(xy, CROWD_M)[which], low, bits)
+        lines = lines_through(xy, types, crossings.psi_rad)
+        return Sight(xy[which], types[which], 1.0 / crowd(xy, CROWD_M)[which], lines[which], low, bits)
 
     def turned(self, turn_rad: float, quarters: int) -> tuple[Array, Ints]:
         """Its crossings (N, 2) and types (N,) as seen from axes that are turned back."""
@@ -89,6 +94,33 @@ def is_in(bits: NDArray[np.uint16], types: Ints) -> NDArray[np.bool_]:
 def _rare_first(types: Ints) -> Ints:
     count = np.bincount(types, minlength=CROSSING_TYPES)
     return np.asarray(np.argsort(count[types], kind="stable"))
+
+
+def lines_through(xy: Array, types: Ints, axis_rad: float) -> Ints:
+    """(N, 2) numbers of the lines through crossings (N, 2), along both axes; points are on none but their own."""
+    across = xy @ rotation(axis_rad)
+    out = np.empty((len(xy), 2), np.int64)
+    for axis in (0, 1):
+        order = np.argsort(across[:, axis], kind="stable")
+        out[order, axis] = np.cumsum(np.diff(across[order, axis], prepend=-np.inf) > LINE_M)
+    point = np.flatnonzero(types >= LINE_CROSSINGS)
+    out[point] = len(xy) + 1 + np.arange(len(point))[:, None]
+    return out
+
+
+def by_line(events: NDArray[np.bool_], lines: Ints) -> Array:
+    """(K, N) of events (K, N) at crossings of lines (N, 2): one divided among those that one line may have caused.
+
+    Of 843 pairs of views in rooms of 5, 20 and 60 m a wrong displacement seemed e^12 times likelier than the true one
+    in 3, else in 10: lines were called by another type.
+    """
+    out = events.astype(np.float64)
+    most = np.ones_like(out)
+    for axis in (0, 1):
+        number, index = np.unique(lines[:, axis], return_inverse=True)
+        on_line = np.eye(len(number))[index.reshape(-1)]
+        np.maximum(most, (out @ on_line)[:, index.reshape(-1)], out=most)
+    return np.asarray(out / most)
 
 
 def crowd(xy: Array, cell_m: float) -> Array:
@@ -132,7 +164,7 @@ class Matched:
     Attributes:
         counts: (K, 4, 9) by type, the worth of crossings of now where there was one of the same type, only one of
             another type, or none though it would have been seen; and of crossings before where now there is none though
-            it would be seen.
+            it would be seen. A line that is called something else takes all its crossings with it: they count as one.
     """
 
     at: Array
@@ -146,7 +178,7 @@ class Matched:
         there = before.at(xy + shifts[:, None])
         back = now.at((before.xy - shifts[:, None]) @ rotation(turn_rad))
         same = is_in(there, types)
-        other = (there & np.uint16(SHOWN - 1) > 0) & ~same
+        other = by_line((there & np.uint16(SHOWN - 1) > 0) & ~same, now.lines)
         gone, lost = there == SHOWN, back == SHOWN
         one = np.eye(CROSSING_TYPES)[types] * now.worth[:, None]
         then = np.eye(CROSSING_TYPES)[before.types] * before.worth[:, None]

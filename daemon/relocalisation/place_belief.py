@@ -138,19 +138,21 @@ class PlaceBelief:
     def at_another_spot(self) -> bool:
         return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
 
-    def weigh(self, log_ratio: Array, unmapped: Callable[[], Array] | None = None) -> None:
+    def weigh(self, log_ratio: Array, unmapped: Callable[[int], Array] | None = None) -> None:
         """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known, and what says
-        (P,) how much of what is seen lies on ground that is not known at each of them (None: nothing); it is asked only
-        where another place leads.
+        (P,) how much of what speaks for one of them lies on ground that is not known at each (None: nothing).
 
-        What another place than the tracked one explains so well may be because ceilings are alike: then new ground
-        would show the same, so it is no worse for that.
+        What the likeliest other place than the tracked one explains so well may be because ceilings are alike: then
+        new ground would show the same, so it is no worse for that: any, or while the tracked place leads, only its own.
         """
-        best = int(np.argmax(self.log_weight + self.seen[:, 0] + log_ratio[:, 0]))
-        if best > 0 and unmapped is not None:
+        if len(self) > 1 and unmapped is not None:
+            weight = self.log_weight + self.seen[:, 0] + log_ratio[:, 0]
+            best = 1 + int(np.argmax(weight[1:]))
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
-            share = max(_too_much(self.seen[best] + view) - _too_much(self.seen[best]), 0.0) * unmapped()
+            share = max(_too_much(self.seen[best] + view) - _too_much(self.seen[best]), 0.0) * unmapped(best)
             share[best] = 0.0
+            if weight[best] < weight[0]:
+                share[1:] = 0.0
             log_ratio = log_ratio + np.column_stack([share, np.zeros(len(self))])
         if not self.spot_views:
             self.spot_m = self.spot_rad = 0.0

@@ -248,7 +248,8 @@ class Relocaliser:
         if not self.sure and not s.belief.spot_views:
             self._search(view, pose)
         evidence.take(self._worth(view))
-        s.belief.weigh(self._log_ratio(evidence, pose), lambda: evidence.unmapped(rival_poses(s.belief.places, pose)))
+        poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
+        s.belief.weigh(self._log_ratio(evidence, poses, pose), lambda best: evidence.unmapped(poses, poses[best], grid))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 
@@ -270,7 +271,7 @@ class Relocaliser:
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings, evidence: ViewEvidence) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
         s = self.state
-        if doubt.unmeasured:
+        if doubt.elsewhere >= doubts.JUMPED:
             s.belief.renew()
         s.looked, s.spots = Coverage(), 0
         pose = self.filter.estimate()[0]
@@ -306,9 +307,8 @@ class Relocaliser:
         odds += np.log(ENTERS) if s.spots > 0 else 0.0  # else it would have been listed before
         s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
 
-    def _log_ratio(self, evidence: ViewEvidence, pose: Array) -> Array:
-        """(P, 2) of all places; those far off are looked up in the index, and nothing is missing there."""
-        poses = rival_poses(self.state.belief.places, pose)
+    def _log_ratio(self, evidence: ViewEvidence, poses: Array, pose: Array) -> Array:
+        """(P, 2) of all places' poses (P, 3); those far off are looked up in the index."""
         far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
         out = np.empty((len(poses), 2))
         out[~far] = evidence.log_ratio(poses[~far])

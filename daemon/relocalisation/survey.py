@@ -20,8 +20,9 @@ MEASURED_M = 6.0
 """How often chance explains a feature is measured on the map so far around the robot; chosen."""
 MEASURE_AGAIN_M = 1.0
 """And again after so much of the way."""
-FEWEST_MEASURED = 25
-"""Landmarks that it takes, else what was measured last holds; chosen: an office view has as many joints."""
+FEWEST_MEASURED, FURTHEST_M = 60, 48.0
+"""Landmarks but for the commonest type that it takes; where there are fewer, the map twice, four and eight times as far
+around is asked, as a robot that drives on over new ground leaves it; chosen: the corners of fifteen lamps."""
 INDEXED_M = 2.5
 """What a view may change of the map lies so near the robot; most cameras see less."""
 
@@ -64,13 +65,27 @@ class MapSurvey:
         near = rest_of(near, submap_from)
         chance = Chance.unmeasured(near) if self.chance is None else self.chance
         named = self.index.named(near.ids)
-        out = Surroundings.of(near, self.coverage, chance, reach_m, named)
-        if self.measured_m < MEASURE_AGAIN_M or len(near) < FEWEST_MEASURED:
+        out = Surroundings.of(near, self.coverage, chance, reach_m, axis_rad, named)
+        if self.measured_m < MEASURE_AGAIN_M:
             return out
-        lattice = Lattice.of(near, axis_rad)
+        self.chance, self.measured_m = self._measured(filter_, pose, axis_rad, submap_from, out), 0.0
+        return Surroundings.of(near, self.coverage, self.chance, reach_m, axis_rad, named)
+
+    def _measured(
+        self, filter_: PoseFilter, pose: Array, axis_rad: float, submap_from: int | None, out: Surroundings
+    ) -> Chance:
+        """How often chance explains a feature, on as much of the map around a pose (3,) as it takes."""
+        around_m = MEASURED_M
+        while _rare(out.landmarks) < FEWEST_MEASURED and around_m < FURTHEST_M:
+            around_m *= 2.0
+            wider = rest_of(filter_.landmarks_near(pose[None, :2], around_m)[1], submap_from)
+            if len(wider) > len(out.landmarks):
+                own = self.index.named(wider.ids)
+                out = Surroundings.of(wider, self.coverage, out.chance, out.reach_m, axis_rad, own)
+        named = out.landmarks.of(self.index.named(out.landmarks.ids))
+        lattice = Lattice.of(out.landmarks, axis_rad)
         shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
-        self.chance, self.measured_m = Chance.measured(near.of(named), out.raster, self.coverage, shifts), 0.0
-        return Surroundings.of(near, self.coverage, self.chance, reach_m, named)
+        return Chance.measured(named, out.raster, self.coverage, shifts)
 
     def learnt(self, filter_: PoseFilter, visible_m: Array) -> None:
         """The filter has learnt from a view that showed all there is in a polygon (V, 2) in base, (0, 2) for none."""
@@ -81,6 +96,11 @@ class MapSurvey:
         self.index.sync(near)
         there = self.index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
         self.index.remove(np.setdiff1d(there, near.ids))
+
+
+def _rare(landmarks: Landmarks) -> int:
+    """How many are not of the commonest type."""
+    return len(landmarks) - int(np.max(np.bincount(landmarks.crossing_type), initial=0))
 
 
 def aligned_pose(lattice: Lattice, expected: Array, view: Observations, evidence: ViewEvidence) -> Array:

@@ -47,18 +47,19 @@ def replay_recording(
         estimates = replay(_frames(camera), pipeline, calibration, outputs, progress(), str(source))
     finally:
         camera.close()
-    report(estimates, config.service.seed, source, reference, align)
+    sys.stdout.write(report(estimates, config.service.seed, source, reference, align))
     return 0
 
 
-def report(estimates: list[Estimate], seed: int, source: Path, reference: Path | None, align: Alignment) -> None:
-    """Print what came out, and its distance from a reference if there is one."""
+def report(estimates: list[Estimate], seed: int, source: Path, reference: Path | None, align: Alignment) -> str:
+    """Lines about what came out, and its distance from a reference if there is one."""
     statistics = RunStatistics(seed)
     for estimate in estimates:
         statistics.add(estimate)
-    sys.stdout.write(format_replay(estimates, statistics.summary()))
+    text = format_replay(estimates, statistics.summary())
     if reference is not None:
-        sys.stdout.write(format_error(distance(estimates, reference, align), (str(source), str(reference))))
+        text += format_error(distance(estimates, reference, align), (str(source), str(reference)))
+    return text
 
 
 def distance(estimates: list[Estimate], reference: Path, align: Alignment) -> TrajectoryError:

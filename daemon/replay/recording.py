@@ -22,17 +22,18 @@ from ceilvo.config.rendering import render_config
 from ceilvo.daemon.pipeline import Pipeline, PipelineState
 from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose, input_json
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
-from ceilvo.daemon.replay.trajectory import estimate_json, half_angle
+from ceilvo.daemon.replay.trajectory import estimate_json
 from ceilvo.daemon.vision.kernel import COMPILED
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_file import Head, Message
 from ceilvo.drivers.recording.recorder import Recorder, RecorderCounters
+from ceilvo.drivers.recording.scene import CAMERA_FRAME, Scenery
 from ceilvo.drivers.recording.storage import Ring, SingleFile
 from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError, FileFormatError
 from ceilvo.json_values import json_value
-from ceilvo.types import Estimate, Frame, State
+from ceilvo.types import Array, Estimate, Frame, State
 
 log = logging.getLogger("ceilvo")
 
@@ -48,12 +49,19 @@ class RecordingTap:
     """Turns what happens in the daemon into messages for a recorder. Thread-safe; no method waits or raises."""
 
     def __init__(
-        self, recorder: Recorder, clock: Clock, frames: str, features: bool = False, jpeg_rate_hz: float = 5.0
+        self,
+        recorder: Recorder,
+        clock: Clock,
+        scenery: Scenery,
+        frames: str,
+        features: bool = False,
+        jpeg_rate_hz: float = 5.0,
     ) -> None:
         self._recorder, self._clock, self._frames, self._features = recorder, clock, frames, features
         self._picture_period_ns = int(1e9 / jpeg_rate_hz)
         self._next_picture_ns = 0
         self._number = 0
+        self._scenery = scenery
         self._last: Estimate | None = None
         self._faults: frozenset[str] = frozenset()
 
@@ -86,7 +94,7 @@ class RecordingTap:
         if estimate is not None:
             messages.append(Message(mcap_file.ESTIMATE, stamp_ns, lambda _: estimate_json(estimate).encode(), number))
             if np.isfinite(estimate.pose).all():
-                messages.append(Message(mcap_file.POSE, stamp_ns, lambda unix_ns: _pose(unix_ns, estimate), number))
+                messages += self._scenery.messages(estimate, lambda: _look(pipeline))
         self._recorder.put(*messages, size=size)
         if estimate is not None:
             self._watch(estimate)
@@ -197,7 +205,7 @@ def recording_of(
     Raises:
         FileFormatError: the file cannot be made, or is there already.
     """
-    settings = config.recorder
+    settings, scenery = config.recorder, Scenery(calibration)
     if file is not None:
         head = _head(config, calibration, clock, "recording", "lossless")
         try:
@@ -205,13 +213,13 @@ def recording_of(
             storage = SingleFile(file, head, clock(), settings.reserve_bytes)
         except OSError as e:
             raise FileFormatError(f"{file}: cannot be recorded to: {e.strerror}; name another file") from e
-        return RecordingTap(Recorder(storage, clock, note), clock, "lossless")
+        return RecordingTap(Recorder(storage, clock, note), clock, scenery, "lossless")
     if not settings.enabled or state_dir is None:
         return None
     head = _head(config, calibration, clock, "flight", settings.frames)
     recorder = Recorder(Ring(state_dir / "recorder", settings, head), clock, note)
     features = settings.features and settings.frames != "lossless"
-    return RecordingTap(recorder, clock, settings.frames, features, settings.jpeg_rate_hz)
+    return RecordingTap(recorder, clock, scenery, settings.frames, features, settings.jpeg_rate_hz)
 
 
 def versions() -> dict[str, str]:
@@ -243,15 +251,14 @@ def _continuation(frozen: PipelineState, method: str, estimate: Estimate, number
         return input_json(SetPose(estimate.pose, np.eye(3), "a recording begins"), number)
 
 
+def _look(pipeline: Pipeline) -> tuple[Array, Array]:
+    return pipeline.landmarks().xy_map_m, pipeline.filter.particles()[0]
+
+
 def _raw(unix_ns: int, frame: Frame) -> bytes:
-    return foxglove.raw_image(unix_ns, frame.gray, "camera")
+    return foxglove.raw_image(unix_ns, frame.gray, CAMERA_FRAME)
 
 
 def _jpeg(unix_ns: int, frame: Frame) -> bytes:
     data = cv2.imencode(".jpg", frame.gray, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-    return foxglove.compressed_image(unix_ns, np.asarray(data, np.uint8).tobytes(), "jpeg", "camera")
-
-
-def _pose(unix_ns: int, estimate: Estimate) -> bytes:
-    x, y, theta = (float(v) for v in estimate.pose)
-    return foxglove.pose_in_frame(unix_ns, "map", x, y, *half_angle(theta))
+    return foxglove.compressed_image(unix_ns, np.asarray(data, np.uint8).tobytes(), "jpeg", CAMERA_FRAME)

@@ -50,11 +50,13 @@ def replay(
     outputs: Outputs,
     progress: Callable[[int], None] = lambda done: None,
     source: str = "recording",
+    watch: Callable[[Input, Estimate], None] = lambda _given, _estimate: None,
 ) -> list[Estimate]:
     """Estimates of all frames and silences, in order; frames whose size is not the calibration's are refused.
 
     Args:
         source: names the inputs in messages.
+        watch: called after each estimate with the input that it came from; the pipeline is as it was left then.
 
     Raises:
         FileFormatError: a frame of another size or not after the one before, a recorded state whose parts do not go
@@ -80,6 +82,7 @@ def replay(
             if estimate is None:
                 continue
             estimates.append(estimate)
+            watch(given, estimate)
             path.append(estimate.pose)
             for writer in (tum, jsonl):
                 if writer is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,28 +36,38 @@ _BLANK = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True)
 class Rerun:
-    """What to replay. None and () take what was recorded."""
+    """What to replay. None and () take what was recorded.
+
+    Attributes:
+        source: names it.
+        files: of one run, in their order; (): source, or all in it.
+    """
 
     source: Path
     config: Config | None = None
     overrides: tuple[str, ...] = ()
     calibration: Calibration | None = None
+    files: tuple[Path, ...] = ()
 
 
 @dataclass
-class _Tally:
+class Tally:
     """What was read on the way.
 
     Attributes:
         recorded: hash of the recorded estimate by number of its input; the second as today's program would write it.
         numbers: of the inputs that give an estimate, in order.
         missing: inputs that the recorder had dropped.
+        begun_ns: since 1970, of the first input.
+        unix_minus_monotonic_ns: of the run.
         why_not: why this cannot give the recorded estimates; empty when it should.
     """
 
     recorded: dict[int, tuple[int, int]] = field(default_factory=dict)
     numbers: list[int] = field(default_factory=list)
     missing: int = 0
+    begun_ns: int = 0
+    unix_minus_monotonic_ns: int = 0
     why_not: str = ""
 
 
@@ -65,40 +76,101 @@ def is_recording(source: Path) -> bool:
     return source.suffix == _SUFFIX if not source.is_dir() else any(source.glob(f"*{_SUFFIX}"))
 
 
-def replay_run(run: Rerun, outputs: Outputs, reference: Path | None, align: Alignment) -> int:
-    """Returns the exit code: 1 when the estimates should be the recorded ones and are not."""
-    recordings = _opened(run.source)
-    first = recordings[0]
+def runs_in(source: Path) -> list[tuple[Path, ...]]:
+    """The files of each run in a folder, in the order of their names; of a file itself.
+
+    Raises:
+        FileFormatError: one is no recording.
+    """
+    runs: list[list[Recording]] = []
+    for recording in map(open_recording, sorted(source.glob(f"*{_SUFFIX}")) if source.is_dir() else [source]):
+        if not runs or _begins(recording, runs[-1][0]):
+            runs.append([])
+        runs[-1].append(recording)
+    return [tuple(r.path for r in run) for run in runs]
+
+
+def _begins(recording: Recording, first: Recording) -> bool:
+    """Whether it is of another run than the one before."""
+    return recording.metadata.get("start") == "fresh" or recording.attachments != first.attachments
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run that can be replayed.
+
+    Attributes:
+        recordings: its files.
+        inputs: what the pipeline was given then, once.
+    """
+
+    recordings: tuple[Recording, ...]
+    config: Config
+    calibration: Calibration
+    inputs: Iterator[Input]
+    tally: Tally
+
+    def pipeline(self) -> Pipeline:
+        """A new one, as the run began with."""
+        return Pipeline(self.calibration, self.config, np.random.default_rng(self.config.service.seed))
+
+
+def opened(run: Rerun) -> Opened:
+    """What a run was recorded with.
+
+    Raises:
+        FileFormatError: a file cannot be read, or is of another run.
+    """
+    recordings = _recordings(run)
+    first, tally = recordings[0], Tally()
     config = run.config
     if config is None:
         config = parse_config(first.text(mcap_file.CONFIG), f"{first.path}:config.yaml", run.overrides)
     calibration = run.calibration
     if calibration is None:
         calibration = parse_calibration(first.text(mcap_file.CALIBRATION), f"{first.path}:calibration.yaml")
-    cv2.setNumThreads(config.service.opencv_threads)
-    pipeline = Pipeline(calibration, config, np.random.default_rng(config.service.seed))
-    tally = _Tally()
-    estimates = replay(_inputs(recordings, tally), pipeline, calibration, outputs, progress(), str(run.source))
-    report(estimates, config.service.seed, run.source, reference, align)
-    for recording in recordings:
+    return Opened(tuple(recordings), config, calibration, _inputs(recordings, tally), tally)
+
+
+def replay_run(run: Rerun, outputs: Outputs, reference: Path | None, align: Alignment) -> int:
+    """Returns the exit code: 1 when the estimates should be the recorded ones and are not."""
+    text, code = replayed(run, outputs, reference, align, progress())
+    sys.stdout.write(text)
+    return code
+
+
+def replayed(
+    run: Rerun,
+    outputs: Outputs,
+    reference: Path | None,
+    align: Alignment,
+    progress: Callable[[int], None] = lambda _done: None,
+) -> tuple[str, int]:
+    """What replay_run() prints, and its exit code."""
+    given = opened(run)
+    cv2.setNumThreads(given.config.service.opencv_threads)
+    pipeline, source = given.pipeline(), str(run.source)
+    estimates = replay(given.inputs, pipeline, given.calibration, outputs, progress, source)
+    lines = [report(estimates, given.config.service.seed, run.source, reference, align)]
+    for recording in given.recordings:
         if recording.problem:
-            print(f"{recording.path}: {recording.problem}; all up to there was read")
-    text, same = _verdict(run, first, tally, estimates)
-    print(f"recorded   {text}")
-    return 0 if same else 1
+            lines.append(f"{recording.path}: {recording.problem}; all up to there was read\n")
+    text, same = _verdict(run, given.recordings[0], given.tally, estimates)
+    return "".join([*lines, f"recorded   {text}\n"]), 0 if same else 1
 
 
-def _opened(source: Path) -> list[Recording]:
+def _recordings(run: Rerun) -> list[Recording]:
     """The file, or those of a folder in the order of their names, which must be of one run."""
-    files = sorted(source.glob(f"*{_SUFFIX}")) if source.is_dir() else [source]
+    source = run.source
+    files = run.files or (sorted(source.glob(f"*{_SUFFIX}")) if source.is_dir() else [source])
     recordings = [open_recording(f) for f in files]
     for r in recordings[1:]:
-        if r.metadata.get("start") == "fresh" or r.attachments != recordings[0].attachments:
+        if _begins(r, recordings[0]):
             raise FileFormatError(f"{r.path}: begins another run than {files[0].name}; replay it by itself")
     return recordings
 
 
-def _inputs(recordings: Sequence[Recording], tally: _Tally) -> Iterator[Input]:
+def _inputs(recordings: Sequence[Recording], tally: Tally) -> Iterator[Input]:
     """Every input, with the frame if it was kept, else what vision had found in it, else whatever picture there is."""
     kept = {t.topic: _Kept() for t in (mcap_file.FRAMES, mcap_file.FEATURES, mcap_file.PICTURES)}
     expected = 0
@@ -113,13 +185,16 @@ def _inputs(recordings: Sequence[Recording], tally: _Tally) -> Iterator[Input]:
             except FileFormatError as e:
                 raise FileFormatError(f"{recording.path}: {e}") from e
             expected = number + 1
+            tally.begun_ns = tally.begun_ns or message.log_ns
             if isinstance(found, FrameInput | Sighting | Silence):
                 tally.numbers.append(number)
+                stamp_ns = found.frame.stamp_ns if isinstance(found, FrameInput) else found.stamp_ns
+                tally.unix_minus_monotonic_ns = message.log_ns - stamp_ns
             if found is not None:
                 yield found
 
 
-def _input(message: Recorded, kept: Mapping[str, _Kept], expected: int, tally: _Tally) -> tuple[int, Input | None]:
+def _input(message: Recorded, kept: Mapping[str, _Kept], expected: int, tally: Tally) -> tuple[int, Input | None]:
     """A message of the inputs with its number; None for a frame of which nothing was kept.
 
     Raises:
@@ -172,7 +247,7 @@ def _seen(given: FrameInput, picture: bytes | None) -> FrameInput | None:
     return FrameInput(Frame(given.frame.seq, given.frame.stamp_ns, gray))
 
 
-def _verdict(run: Rerun, first: Recording, tally: _Tally, estimates: list[Estimate]) -> tuple[str, bool]:
+def _verdict(run: Rerun, first: Recording, tally: Tally, estimates: list[Estimate]) -> tuple[str, bool]:
     """One line, and False when there is a difference that should not be."""
     if run.config is not None or run.overrides or run.calibration is not None:
         return "not compared: another configuration or calibration was asked for", True

@@ -202,7 +202,7 @@ class JointFilter:
         if state.known is None:
             state.joint.seen_at[obs.label[matched]] = state.now
             self._keep_up(obs, obs.label[believed], len(matched))
-            upkeep.settle(state.joint, state.now, self.settings.birth_sightings)
+            state.counters["refused"] += upkeep.settle(state.joint, state.now, self.settings.birth_sightings)
             unknown = np.flatnonzero(obs.label == NO_LANDMARK)
             if len(unknown):
                 self._be_born(obs, unknown)
@@ -266,7 +266,7 @@ class JointFilter:
         if len(which):
             j.give_birth(obs.xy_base_m[which], obs.var_m2[which], obs.crossing_type[which], state.now)
             state.counters["births"] += len(which)
-            upkeep.settle(j, state.now, cfg.birth_sightings)
+            state.counters["refused"] += upkeep.settle(j, state.now, cfg.birth_sightings)
 
     def _count(self, matched: int, inliers: int) -> None:
         c = self._state.counters

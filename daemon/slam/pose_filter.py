@@ -77,11 +77,13 @@ COUNTERS = (
     "tile_slips",
     "faded",
     "map_full",
+    "refused",
 )
 """Updates; observations matched to a landmark, and those of them that the gate refused; updates most of whose
 observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
 the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling; landmarks
-dropped because they are no longer there; features not learnt and newborn landmarks forgotten as the map is full."""
+dropped because they are no longer there; features not learnt and newborn landmarks forgotten as the map is full;
+newborn landmarks forgotten because they were not seen again."""
 
 
 TINY = 1e-300

@@ -90,12 +90,14 @@ def duplicates(j: JointMap, seen: Ints, now: int, gate_m: float) -> tuple[int, i
     return (a, b) if (j.sightings[a], j.ids[b]) >= (j.sightings[b], j.ids[a]) else (b, a)
 
 
-def settle(j: JointMap, now: int, birth_sightings: int) -> None:
-    """Show the newborn landmarks that were seen often enough, and forget those that were not for too long."""
+def settle(j: JointMap, now: int, birth_sightings: int) -> int:
+    """Show the newborn landmarks that were seen often enough, and forget those that were not for too long; how many."""
     newborn = np.arange(j.size, len(j))
     j.confirm(newborn[j.sightings[newborn] >= birth_sightings])
     newborn = np.arange(j.size, len(j))
-    j.forget(newborn[now - j.seen_at[newborn] > EXPIRES_UPDATES])
+    never_again = newborn[now - j.seen_at[newborn] > EXPIRES_UPDATES]
+    j.forget(never_again)
+    return len(never_again)
 
 
 def make_room(j: JointMap, most: int, now: int) -> int:

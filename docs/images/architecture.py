@@ -20,7 +20,9 @@ import house  # noqa: E402
 PURE, IMPURE, SHARED, OUTSIDE, LINE = "#d8ecd8", "#fbe3c8", "#dce6f5", "#ececec", "#444444"
 SAID = {
     "cli": "ceilvod and its words",
+    "building": "maps of buildings from many drives: refined, joined, built",
     "editing": "ceilvod map: looking at maps, editing, undoing",
+    "fleet": "maps that a fleet shares: the service, a robot's side",
     "refinement": "a map made better from all that was seen",
     "doctor": "what is wrong with this installation?",
     "app": "process, estimator thread, outputs, requests, screen",
@@ -63,14 +65,21 @@ CAPTION = (
     "Italic: what the stage remembers (filter: the default one)."
 )
 TOWERS = (
-    (7.95, 1.5, "app", IMPURE, "daemon/map", "map and last\npose on disk\n\nimported by\napp, doctor,\nediting"),
+    (
+        7.95,
+        1.5,
+        "app",
+        IMPURE,
+        "daemon/map",
+        "map and last\npose on disk\n\nimported by app,\nbuilding, doctor,\nfleet, editing,\nrefinement",
+    ),
     (
         9.55,
         1.55,
         "replay",
         IMPURE,
         "drivers",
-        "camera/, base/,\nbus/, recording/,\nhost/, ports.py\n\nimported by replay,\napp, doctor; sim,\ncalib, bench",
+        "camera/, base/,\nbus/, recording/,\nhost/, ports.py\n\nby replay, fleet,\napp, doctor; sim,\ncalib, bench",
     ),
     (
         11.2,
@@ -83,7 +92,7 @@ TOWERS = (
 )
 """Beside the floors: x, width, floor above, colour, name, text."""
 CALIB = "commissioning: commands/, solve/, targets/, session/, ...\nmay import all but bench; nobody imports it"
-BENCH = "studies: paper/, mrclam/, vision/, faults/, soak/, ...\nmay import all but calib; nobody imports it"
+BENCH = "studies: paper/, mrclam/, vision/, faults/, fleet/, ...\nmay import all but calib; nobody imports it"
 
 
 def box(ax: Axes, at: tuple[float, float, float, float], colour: str, name: str = "", text: str = "") -> None:

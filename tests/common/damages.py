@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import random
 import re
 import shutil
+import sqlite3
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_maps import as_version_1
 from map_texts import edited, signed
 from map_writer import estimate, landmarks
 from robot_site import (
@@ -22,8 +25,10 @@ from robot_site import (
     CALIBRATION,
     CONFIG,
     CONFIG_FILES,
+    DATABASES,
     EARLIER,
     FLIGHT,
+    GOOD,
     KEPT,
     MAP,
     MAPS,
@@ -33,10 +38,13 @@ from robot_site import (
     POSE,
     STATE_FILES,
     Site,
+    load_any,
+    write_map,
 )
 
 from ceilvo.calibration_file import write_calibration
-from ceilvo.daemon.map.map_file import load_map, save_map, save_state
+from ceilvo.daemon.map.database.schema import SCHEMA_VERSION
+from ceilvo.daemon.map.map_file import load_map, save_state
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Landmarks, State
 
@@ -110,7 +118,11 @@ def _number(value: float) -> Damage:
 
     def damage(site: Site, name: str) -> bool:
         path = site.path(name)
-        if name in MAPS:
+        if name in DATABASES:
+            with contextlib.closing(sqlite3.connect(path)) as db:
+                db.execute("UPDATE landmarks SET x = ? WHERE id = 5", (value,))
+                db.commit()
+        elif name in MAPS:
             document = json.loads(path.read_text())
             xy = np.frombuffer(base64.b64decode(document["content"]["landmarks"]["xy_map_m"]), "<f8").copy()
             xy[10] = value
@@ -135,10 +147,10 @@ def _huge_doubt(value: float) -> Damage:
     def damage(site: Site, name: str) -> bool:
         path = site.path(name)
         if name in MAPS:
-            own = load_map(path)
+            own = load_any(path)
             assert own is not None
             cov = np.tile(value * np.eye(2), (len(own.landmarks), 1, 1))
-            save_map(path, replace(own.landmarks, cov_m2=cov), AXIS_RAD)
+            write_map(path, replace(own.landmarks, cov_m2=cov), AXIS_RAD)
         elif name == POSE:
             save_state(path, np.array([1.6, 1.0, 0.0]), value * np.eye(3), State.TRACKING, 2**62)
         return name in (*MAPS, POSE)
@@ -149,7 +161,10 @@ def _huge_doubt(value: float) -> Damage:
 def _version(change: int) -> Damage:
     def damage(site: Site, name: str) -> bool:
         path = site.path(name)
-        if name in (*MAPS, POSE):
+        if name in DATABASES:
+            with contextlib.closing(sqlite3.connect(path)) as db:
+                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + change}")
+        elif name in (*MAPS, POSE):
             document = json.loads(path.read_text())
             path.write_text(signed({**document, "version": document["version"] + change}))
         elif name == CALIBRATION:
@@ -160,7 +175,10 @@ def _version(change: int) -> Damage:
 
 
 def _older(site: Site, name: str) -> bool:
-    """As ceilvo 0.1 wrote it; poses and calibrations have had one version only."""
+    """As an older ceilvo wrote it; calibrations have had one version only."""
+    if name in DATABASES:
+        as_version_1(site.path(name))
+        return True
     if name not in MAPS:
         return False
     own = load_map(site.path(name))
@@ -186,7 +204,7 @@ def _another_robots(site: Site, name: str) -> bool:
     path = site.path(name)
     if name in MAPS:
         theirs = landmarks(120)
-        save_map(path, replace(theirs, xy_map_m=theirs.xy_map_m + 0.17), 0.6)
+        write_map(path, replace(theirs, xy_map_m=theirs.xy_map_m + 0.17), 0.6)
     elif name == POSE:
         save_state(path, np.array([40.0, -30.0, 2.0]), estimate(1).cov, State.TRACKING, 5)
     elif name == CALIBRATION:
@@ -286,7 +304,7 @@ class Case:
         return all(DAMAGES[damage](site, name) for name, damage in self.spoilt)
 
 
-PAIRS = ((MAP, EARLIER), (MAP, POSE), (EARLIER, POSE), (MAP, OWNER), (MAP, OLDEST))
+PAIRS = ((MAP, GOOD), (MAP, POSE), (GOOD, POSE), (MAP, OWNER), (MAP, EARLIER))
 IN_PAIRS = ("empty", "cut at 50%", "bit flipped, 0", "not a number, signed", "newer version", "another robot's", "junk")
 IN_PAIRS = (*IN_PAIRS, "gone", "a folder with a file", "a link to itself", "a link to nothing", "a pipe")
 
@@ -299,3 +317,5 @@ def cases() -> Iterator[Case]:
         yield from (Case(((name, damage),), generations=False) for damage in DAMAGES)
     for first, second in PAIRS:
         yield from (Case(((first, a), (second, b))) for a in IN_PAIRS for b in IN_PAIRS)
+    for damage in IN_PAIRS:
+        yield from (Case(tuple((name, damage) for name in DATABASES[:k])) for k in (3, 4))

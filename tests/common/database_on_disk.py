@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import errno
+import logging
 import sys
 from pathlib import Path
 
+import kept_maps
+import map_writer
 from map_contents import landmarks, same_landmarks
 
 from ceilvo.daemon.map.database.copies import copy_of, keep_copy, open_map
+from ceilvo.daemon.map.kept.store import MAP_NAME, Store
+from ceilvo.drivers.host.ownership import owner_of_folder
 from ceilvo.errors import FileFormatError
 
 
@@ -63,5 +68,31 @@ def read_only(folder: Path) -> None:
         print(e)
 
 
+def count(folder: Path) -> None:
+    """Landmarks of a robot's map."""
+    print(kept_maps.count(folder / MAP_NAME))
+
+
+def start_when_full(folder: Path) -> None:
+    """A robot that starts on a disk without a byte to spare, and saves once there is room."""
+    logging.basicConfig(format="%(levelname)s %(message)s", stream=sys.stdout)
+    before = Store(folder)
+    assert before.save(map_writer.landmarks(300), 0.25, map_writer.estimate(1))
+    before.close()
+    filler = folder / "filler"
+    _fill(filler)
+    with owner_of_folder(folder):
+        store = Store(folder)
+        found = store.load()
+        assert found is not None and len(found.map.landmarks) == 300 and found.state is not None
+        for n in range(3):
+            assert not store.save(map_writer.landmarks(301), 0.25, map_writer.estimate(2 + n))
+        filler.unlink()
+        assert store.save(map_writer.landmarks(301), 0.25, map_writer.estimate(5)), store.error
+        store.close()
+    count(folder)
+
+
 if __name__ == "__main__":
-    {"full": full, "read-only": read_only}[sys.argv[1]](Path(sys.argv[2]))
+    do = {"full": full, "read-only": read_only, "count": count, "start when full": start_when_full}[sys.argv[1]]
+    do(Path(sys.argv[2]))

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("ceilvo", "daemon", "drivers", "calib", "sim", "bench")
 FLOORS = (
     *("ceilvo", "vision", "odometry", "slam", "slam/paper", "relocalisation"),
-    *("integrity", "pipeline", "replay", "refinement", "app", "doctor", "editing", "cli"),
+    *("integrity", "pipeline", "replay", "refinement", "editing", "fleet", "app", "doctor", "building", "cli"),
 )
 """From the ground up; all but the first are in daemon/. A floor imports itself and what lies below."""
 ENTRANCES = ("daemon/pipeline", "daemon/cli")

@@ -13,6 +13,7 @@ import pytest
 REPO = Path(__file__).resolve().parents[2]
 Done = subprocess.CompletedProcess[str]
 UNIT = REPO / "systemd" / "ceilvod.service"
+MAPD_UNIT = UNIT.with_name("ceilvo-mapd.service")
 INSTALL = REPO / "systemd" / "install.sh"
 
 as_root = pytest.mark.skipif(
@@ -26,10 +27,10 @@ def run_installer(kit: Path, root: Path, *args: str, python: Path | str = sys.ex
     return subprocess.run(command, capture_output=True, text=True)
 
 
-def unit_settings() -> dict[str, list[str]]:
+def unit_settings(unit: Path = UNIT) -> dict[str, list[str]]:
     """Key to values, in order; the keys of this unit are unique across its sections."""
     out: dict[str, list[str]] = {}
-    for line in UNIT.read_text().splitlines():
+    for line in unit.read_text().splitlines():
         if "=" in line and not line.startswith("#"):
             key, _, value = line.partition("=")
             out.setdefault(key, []).append(value)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ceilvo.daemon.map.store import Store
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.types import Displacement, Estimate, FilterHealth, Landmarks, Motion, Pose, State, Twist
 
 LANDMARKS = 400

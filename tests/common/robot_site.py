@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from kept_maps import load_database, write_database
 from map_writer import estimate, landmarks
 
 from ceilvo.config import Config
 from ceilvo.config.rendering import render_config
-from ceilvo.daemon.map.map_file import load_map, save_map, save_state
+from ceilvo.daemon.map.database.faults import MAGIC
+from ceilvo.daemon.map.map_file import StoredMap, load_map, save_map, save_state
 from ceilvo.errors import FileFormatError
 from ceilvo.sim.rig import simulated_camera
 from ceilvo.types import Landmarks, State
@@ -25,14 +28,16 @@ SAME_M = 0.05
 """A landmark so near where it was is the same: runs go on learning; chosen, far less than between two landmarks."""
 KNOWN_M2 = 1.0
 """A landmark that is known less well is not known: a map may say so, and the next view puts it elsewhere."""
-MAP, EARLIER, OLDEST, SMALLER, POSE = "map.json", "map.json.1", "map.json.2", "map.smaller.json", "state.json"
+MAP, GOOD, EARLIER, OLDEST = "map.db", "map.db.good", "map.db.1", "map.db.2"
+OLD, SMALLER, POSE = "map.json", "map.smaller.json", "state.json"
 COMMANDS, OWNER = "commands.jsonl", ".owner"
 RECORDER, MARK, FLIGHT = "recorder", "recorder/ring/run", "recorder/ring/flight-000000.mcap"
-KEPT = (MAP, EARLIER, OLDEST, SMALLER, POSE, COMMANDS, OWNER)
+KEPT = (MAP, GOOD, EARLIER, OLDEST, OLD, SMALLER, POSE, COMMANDS, OWNER)
 STATE_FILES = (*KEPT, RECORDER, MARK, FLIGHT)
 CONFIG, CALIBRATION, ZENOH, TOKEN = "config.yaml", "calibration.yaml", "zenoh.json5", "token"
 CONFIG_FILES = (CONFIG, CALIBRATION, ZENOH, TOKEN)
-MAPS = (MAP, EARLIER, OLDEST, SMALLER)
+DATABASES = (MAP, GOOD, EARLIER, OLDEST)
+MAPS = (*DATABASES, OLD, SMALLER)
 
 
 @dataclass(frozen=True)
@@ -66,10 +71,28 @@ class Site:
 def own_of(path: Path) -> int:
     """How many of the robot's own landmarks a map file has, where they were learnt; 0 where it is no map."""
     try:
-        stored = load_map(path)
+        stored = load_any(path)
     except FileFormatError:
         return 0
     return 0 if stored is None else own_among(stored.landmarks)
+
+
+def load_any(path: Path) -> StoredMap | None:
+    """A map in a database, with its log, or in JSON; looking at it changes nothing."""
+    if not is_database(path):
+        return load_map(path)
+    with tempfile.TemporaryDirectory() as folder:
+        for end in ("", "-wal"):
+            if path.with_name(path.name + end).exists():
+                shutil.copyfile(path.with_name(path.name + end), Path(folder) / f"map.db{end}")
+        return load_database(Path(folder) / "map.db")
+
+
+def is_database(path: Path) -> bool:
+    if not path.is_file() or not os.access(path, os.R_OK):
+        return False
+    with path.open("rb") as f:
+        return f.read(len(MAGIC)) == MAGIC
 
 
 def own_among(found: Landmarks) -> int:
@@ -79,13 +102,19 @@ def own_among(found: Landmarks) -> int:
     return int(np.count_nonzero(off_m < SAME_M))
 
 
+def write_map(path: Path, own: Landmarks, map_axis_rad: float) -> None:
+    (write_database if path.name in DATABASES else save_map)(path, own, map_axis_rad)
+
+
 def make_site(root: Path, frames: Path, generations: bool = True) -> Site:
     """A robot that has its files from some runs; without generations it had but one."""
     site = Site(root)
     (site.state / MARK).parent.mkdir(parents=True)
-    counts = {MAP: OWN, EARLIER: OWN - 10, OLDEST: OWN - 20, SMALLER: 100} if generations else {MAP: OWN}
+    counts = {MAP: OWN, GOOD: OWN - 5}
+    if generations:
+        counts |= {EARLIER: OWN - 10, OLDEST: OWN - 20, OLD: OWN - 30, SMALLER: 100}
     for name, count in counts.items():
-        save_map(site.path(name), landmarks(count), AXIS_RAD)
+        write_map(site.path(name), landmarks(count), AXIS_RAD)
         os.utime(site.path(name), (1e9 - 1e5 * (OWN - count), 1e9 - 1e5 * (OWN - count)))
     save_state(site.path(POSE), np.array([1.6, 1.0, 0.0]), estimate(1).cov, State.TRACKING, 7)
     site.path(COMMANDS).write_text('{"unix_ns": 1, "command": "save_map", "who": "owner"}\n')

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from patience import PATIENCE_S, until
@@ -21,8 +21,14 @@ class SimulatedDaemon:
     """Killed at the end if it still runs. Its log and summary go to `folder`."""
 
     def __init__(
-        self, state_dir: Path, folder: Path, *settings: str, environment: Mapping[str, str] | None = None
+        self,
+        state_dir: Path,
+        folder: Path,
+        *settings: str,
+        environment: Mapping[str, str] | None = None,
+        enter: Sequence[str] = (),
     ) -> None:
+        """enter: what to put before the command; the process that it starts must become the daemon."""
         port = free_port()
         self.log = folder / "ceilvod.log"
         words = ["run", "--simulate", "--summary", str(folder / "summary.json")]
@@ -39,7 +45,7 @@ class SimulatedDaemon:
         clean = {k: v for k, v in os.environ.items() if k not in _NOT_FOR_IT}
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "ceilvo.daemon.cli", *words],
+                [*enter, sys.executable, "-m", "ceilvo.daemon.cli", *words],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

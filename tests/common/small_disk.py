@@ -57,9 +57,13 @@ class SmallDisk:
 
     def inside(self, *command: str | Path) -> subprocess.CompletedProcess[str]:
         """Run a command that sees the disk as `folder`: SQLite follows links, and /proc's lead nowhere."""
+        return subprocess.run([*self.enter, *map(str, command)], capture_output=True, text=True, check=False)
+
+    @property
+    def enter(self) -> list[str]:
+        """What to put before a command that shall see the disk as `folder`."""
         user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
-        enter = ["nsenter", "--target", str(self._keeper.pid), "--mount", *user, "--"]
-        return subprocess.run([*enter, *map(str, command)], capture_output=True, text=True, check=False)
+        return ["nsenter", "--target", str(self._keeper.pid), "--mount", *user, "--"]
 
     def close(self) -> None:
         self._keeper.communicate("")

@@ -19,7 +19,7 @@ from ceilvo.drivers.recording.mcap_reader import open_recording
 from ceilvo.types import Frame
 
 MOST_RETURNS = 4
-MOST_ATTRIBUTES, MOST_METHODS = 8, 12
+MOST_ATTRIBUTES, MOST_METHODS = 9, 12  # a stage each, the number of the frame, and what it showed
 PAGE = "daemon/pipeline.py"
 
 

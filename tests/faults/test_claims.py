@@ -18,8 +18,8 @@ from ceilvo.bench.place.ceiling.worlds import Lamps, WorldSpec, make_world
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.tally import Tally
 from ceilvo.daemon.app.requests import handlers
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.map.map_file import StoredMap
-from ceilvo.daemon.map.store import Store
 from ceilvo.drivers.bus.commands import InitialPose, Relocalise, Reset
 from ceilvo.drivers.bus.requests import Handlers
 from ceilvo.sim.rig import simulated_calibration

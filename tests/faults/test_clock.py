@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_maps import load_database
 from patience import PATIENCE_S
 from simulated_daemon import SimulatedDaemon
 
 from ceilvo.bench.soak.parts import STEM
 from ceilvo.daemon.app.command_log import NAME
-from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME
+from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
+from ceilvo.daemon.map.map_file import load_state
 from ceilvo.types import State
 
 LIBRARY = next(iter(Path("/usr/lib").glob("**/faketime/libfaketimeMT.so.1")), None)
@@ -66,5 +67,5 @@ def test_the_clock_steps_by_hours_while_it_drives(tmp_path: Path) -> None:
     assert (apart_s > 0).all() and apart_s.max() < 60.0, "stamps follow the wall clock"
     off_mm = [int(mm) for mm in re.findall(r"s (?:TRACKING|DEGRADED), .* error (\d+) mm", said)]
     assert off_mm and max(off_mm) < 300, "a pose that is called good is wrong"
-    stored = load_map(state_dir / MAP_NAME)
+    stored = load_database(state_dir / MAP_NAME)
     assert stored is not None and len(stored.landmarks) > 10

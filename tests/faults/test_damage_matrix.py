@@ -9,6 +9,7 @@ import os
 import random
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,11 +21,14 @@ from damages import DAMAGES, SEED, Case, cases
 from robot_site import (
     CONFIG,
     CONFIG_FILES,
+    DATABASES,
     EARLIER,
+    GOOD,
     KEPT,
     LENS,
     MAP,
     MARK,
+    OLD,
     OLDEST,
     OWNER,
     POSE,
@@ -33,13 +37,15 @@ from robot_site import (
     TOKEN,
     ZENOH,
     Site,
+    is_database,
+    load_any,
     make_site,
     own_among,
     own_of,
 )
 
+from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.map.store import Store
 from ceilvo.errors import EXIT_CONFIG, FileFormatError
 from ceilvo.sim.record import record
 from ceilvo.sim.rig import simulated_calibration
@@ -101,6 +107,8 @@ def examine(case: Case, root: Path, frames: Path, forks: Forks) -> Outcome | Non
     before, most, reached = site.contents(), site.own_landmarks(), reached_by_a_start(site)
     lines = lines_expected(site, names)
     made_way = {n: raw for n, raw in before.items() if raw and unusable(site, n)}
+    if usable(site, MAP):
+        made_way.pop(GOOD, None)  # the next copy replaces it
     log = root / "log"
     code = forks.run(arguments(site, frames, names), log)
     text, after = log.read_text(errors="replace"), site.contents()
@@ -157,38 +165,71 @@ def unusable(site: Site, name: str) -> bool:
     if name == OWNER:
         small = path.is_file() and not path.is_symlink() and path.stat().st_size <= LOCK_BYTES
         return os.path.lexists(path) and not (small and os.access(path, os.R_OK | os.W_OK))
-    if name not in (MAP, EARLIER, OLDEST, POSE):
+    if name not in (*DATABASES, OLD, POSE) or not os.path.lexists(path):
         return False
     try:
+        if name in DATABASES:
+            return not is_database(path) or load_any(path) is None
         (load_state if name == POSE else load_map)(path)
     except FileFormatError:
         return True
     return False
 
 
+def usable(site: Site, name: str) -> bool:
+    return os.path.lexists(site.path(name)) and not unusable(site, name)
+
+
+def newer(site: Site, name: str) -> bool:
+    """A database of a newer ceilvo is whole, but not for this one."""
+    if not is_database(site.path(name)):
+        return False
+    try:
+        load_any(site.path(name))
+    except FileFormatError as e:
+        return "newer ceilvo" in str(e)
+    return False
+
+
 def lines_expected(site: Site, names: set[str]) -> dict[str, int]:
     """Of each damaged file of the state directory: one where the daemon meets it and cannot use it.
 
-    It reads a map of an earlier run where the later ones cannot be used, and else sees whether it is a file, before it
-    makes a new one.
+    It reads the good copy where the map cannot be used, maps of earlier runs where neither can, and that of an older
+    ceilvo last. Before it makes a new copy or a generation it sees whether what lies there is a file.
     """
-    met = {POSE, OWNER, MAP}
-    if not site.path(MAP).exists() or unusable(site, MAP):
-        met |= {EARLIER} | ({OLDEST} if not site.path(EARLIER).exists() or unusable(site, EARLIER) else set())
-    else:
-        met |= {n for n in (EARLIER, OLDEST) if not site.path(n).is_file()}
-    lines = {n: int(n in met and unusable(site, n)) for n in names & {*KEPT}}
+    lines = Counter({n: int(unusable(site, n)) for n in (POSE, OWNER)})
+    chain = [EARLIER, OLDEST, OLD]
+    link = site.path(MAP).is_symlink() and site.path(MAP).is_file()
+    lines[MAP] += link  # a copy of what it leads to is used
+    lines[GOOD] += _is_no_file(site, GOOD) and (usable(site, MAP) or not site.path(GOOD).exists())
+    if not usable(site, MAP):
+        lines[MAP] += newer(site, MAP)
+        gone = newer(site, MAP) or not os.path.lexists(site.path(MAP))
+        if usable(site, GOOD):
+            lines[MAP] += 2  # what is wrong, and that the copy is used
+        elif site.path(GOOD).exists():
+            lines.update((MAP, GOOD))
+        else:
+            lines[MAP] += not gone
+    found = next((n for n in (MAP, GOOD, *chain) if usable(site, n)), None)
+    if found not in (MAP, GOOD):
+        met = chain if found is None else chain[: chain.index(found)]
+        lines.update(n for n in met if unusable(site, n))
+    if found is not None:
+        lines.update(n for n in (EARLIER, OLDEST) if not lines[n] and _is_no_file(site, n))
     recorder = site.path(RECORDER)
     shut = os.path.lexists(recorder) and not (recorder.is_dir() and os.access(recorder, os.W_OK | os.X_OK))
-    return lines | {n: int(k) for n, k in {RECORDER: shut, MARK: site.path(MARK).is_dir()}.items() if n in names}
+    lines |= Counter({RECORDER: int(shut), MARK: int(site.path(MARK).is_dir())})
+    return {n: lines[n] for n in names & {*KEPT, RECORDER, MARK}}
+
+
+def _is_no_file(site: Site, name: str) -> bool:
+    return os.path.lexists(site.path(name)) and not site.path(name).is_file()
 
 
 def reached_by_a_start(site: Site) -> int:
     """Own landmarks of the map that the next start uses, were it the next one now."""
-    for name in (MAP, EARLIER, OLDEST):
-        if site.path(name).exists() and not unusable(site, name):
-            return own_of(site.path(name))
-    return 0
+    return next((own_of(site.path(n)) for n in (*DATABASES, OLD) if usable(site, n)), 0)
 
 
 def test_no_damage_of_any_file_destroys_a_map(tmp_path: Path, frames: Path) -> None:

@@ -2,35 +2,42 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import database_on_disk
 import pytest
 import small_disk
-from map_writer import estimate, landmarks
 from simulated_daemon import SimulatedDaemon
 from small_disk import SmallDisk
 
-from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME, Store
-from ceilvo.drivers.host.ownership import owner_of_folder
+from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
+from ceilvo.daemon.map.map_file import load_state
 
 WHY_NOT = small_disk.why_not()
+CHILD = Path(database_on_disk.__file__)
 pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)
 
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[SmallDisk]:
-    made = SmallDisk(tmp_path / "disk")
+    made = SmallDisk(tmp_path / "disk", size="16m")
     yield made
     made.close()
 
 
-def saved(folder: Path) -> tuple[int, int]:
-    """Landmarks and stamp of what lies there; both files are whole, and nothing half-written lies beside them."""
-    stored, state = load_map(folder / MAP_NAME), load_state(folder / STATE_NAME)
-    assert stored is not None and state is not None
-    return len(stored.landmarks), state.stamp_ns
+def landmarks_on(disk: SmallDisk, folder: Path) -> int:
+    """Of a map that is whole."""
+    done = disk.inside(sys.executable, "-W", "error", CHILD, "count", folder)
+    assert done.returncode == 0, done.stderr
+    return int(done.stdout)
+
+
+def stamp_in(folder: Path) -> int:
+    """Of the last pose; 0 where there is none."""
+    state = load_state(folder / STATE_NAME)
+    return 0 if state is None else state.stamp_ns
 
 
 def half_written(folder: Path) -> list[str]:
@@ -38,46 +45,39 @@ def half_written(folder: Path) -> list[str]:
 
 
 def test_full_read_only_and_gone_while_it_runs(tmp_path: Path, disk: SmallDisk) -> None:
-    folder, aside = disk.path / "state", disk.path / "aside"
+    seen, folder, aside = disk.folder / "state", disk.path / "state", disk.path / "aside"
     folder.mkdir()
     troubles = {
-        "No space left on device": (disk.fill, disk.free),
-        "Read-only file system": (disk.make_read_only, disk.make_writable),
-        "No such file or directory": (lambda: folder.rename(aside), lambda: aside.rename(folder)),
+        f"{MAP_NAME}: cannot be written: database or disk is full": (disk.fill, disk.free),
+        f"{STATE_NAME}: cannot be written: Read-only file system": (disk.make_read_only, disk.make_writable),
+        f"{seen}: no such folder": (lambda: folder.rename(aside), lambda: aside.rename(folder)),
     }
-    with SimulatedDaemon(folder, tmp_path) as daemon:
-        daemon.until(lambda: (folder / STATE_NAME).exists() and saved(folder)[0] > 10, "a map")
+    with SimulatedDaemon(seen, tmp_path, enter=disk.enter) as daemon:
+        daemon.until(lambda: (folder / STATE_NAME).exists() and landmarks_on(disk, seen) > 10, "a map")
         for error, (begin, end) in troubles.items():
-            before = saved(folder)
+            before_ns = stamp_in(folder)
             begin()
             daemon.until_saving(error)
             daemon.until_poses(5)
             if folder.exists():
-                assert saved(folder) >= before and half_written(folder) == []
+                assert stamp_in(folder) >= before_ns and half_written(folder) == []
             end()
             daemon.until_saving("")
-            daemon.until(lambda least=before[1]: saved(folder)[1] > least, "a later pose on disk")
-        last = saved(folder)
+            daemon.until(lambda least=before_ns: stamp_in(folder) > least, "a later pose on disk")
+        last = landmarks_on(disk, seen)
         assert daemon.end() == 0
     log = daemon.said()
     assert log.count("map and pose not saved") == log.count("map and pose are saved again") == len(troubles)
-    assert [log.count(f"cannot be written: {error}") for error in troubles] == [1, 1, 1]
+    assert [log.count(error) for error in troubles] == [1, 1, 1]
     assert "Traceback" not in log
-    kept = Store(folder).load()
-    assert kept is not None and len(kept.map.landmarks) >= last[0] and kept.state is not None
+    assert landmarks_on(disk, seen) >= last
 
 
-def test_a_start_on_a_full_disk(disk: SmallDisk, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_start_on_a_full_disk(disk: SmallDisk) -> None:
     """It ended with a traceback, again and again: the process id did not go into the lock file."""
-    assert Store(disk.path).save(landmarks(300), 0.25, estimate(1))
-    disk.fill()
-    with owner_of_folder(disk.path):
-        store = Store(disk.path)
-        found = store.load()
-        assert found is not None and len(found.map.landmarks) == 300
-        for n in range(3):
-            assert not store.save(landmarks(301), 0.25, estimate(2 + n))
-        disk.free()
-        assert store.save(landmarks(301), 0.25, estimate(5))
-    assert [r.getMessage()[:22] for r in caplog.records if r.levelname == "ERROR"] == ["map and pose not saved"]
-    assert saved(disk.path) == (301, 5)
+    done = disk.inside(sys.executable, "-W", "error", CHILD, "start when full", disk.folder)
+    assert done.returncode == 0, done.stderr
+    *said, count = done.stdout.splitlines()
+    assert count == "301"
+    assert [line[:28] for line in said if line.startswith("ERROR")] == ["ERROR map and pose not saved"]
+    assert stamp_in(disk.path) == 5

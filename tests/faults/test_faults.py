@@ -24,9 +24,9 @@ from ceilvo.bench.soak.floods import ask_until
 from ceilvo.bench.soak.parts import STEM, Listener, PoseRow, free_port, set_base_fault
 from ceilvo.config import Config
 from ceilvo.daemon.app.process import Daemon, Plan
-from ceilvo.daemon.app.signals import watch_threads
 from ceilvo.drivers.bus.requests import Requests
 from ceilvo.drivers.camera.mock_camera import MockCamera
+from ceilvo.drivers.host.signals import watch_threads
 from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.camera import SimCamera
@@ -242,7 +242,7 @@ def test_what_cannot_be_saved_is_told_once_and_saved_when_it_can_be(
     aside = robot.folder / "aside"
     robot.state_dir.rename(aside)
     try:
-        robot.until_health("store_error", lambda v: "cannot be written" in str(v))
+        robot.until_health("store_error", lambda v: "no such folder" in str(v))
         robot.until_health("recorder", lambda v: "No such file" in str(v))
     finally:
         aside.rename(robot.state_dir)

@@ -14,10 +14,11 @@ import time
 from pathlib import Path
 
 from daemon_forks import Forks
+from kept_maps import load_database
 from patience import until
 
-from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.map.store import MAP_NAME, STATE_NAME
+from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
+from ceilvo.daemon.map.map_file import load_state
 from ceilvo.files import REJECTED
 
 KILLS = int(os.environ.get("KILLS", "10"))
@@ -41,13 +42,13 @@ def half_written(folder: Path) -> set[str]:
 
 def landmarks_in(folder: Path) -> int:
     """Of a whole map; its pose is whole, too."""
-    stored, state = load_map(folder / MAP_NAME), load_state(folder / STATE_NAME)
+    stored, state = load_database(folder / MAP_NAME), load_state(folder / STATE_NAME)
     assert state is not None or stored is None, "a map is written first"
     return 0 if stored is None else len(stored.landmarks)
 
 
 def wait_for_kill(folder: Path, rng: random.Random) -> None:
-    """A random moment; every other time the next one in which a file is half-written."""
+    """A random moment; every other time the next one in which a pose or a copy is half-written."""
     threading.Event().wait(rng.uniform(0.0, LONGEST_S))
     if rng.random() < 0.5:
         end_s = time.monotonic() + LONGEST_S

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 import stranger
+from kept_maps import load_database
 
 from ceilvo.daemon.app.command_log import NAME as COMMANDS
-from ceilvo.daemon.map.map_file import load_map
-from ceilvo.daemon.map.store import MAP_NAME
+from ceilvo.daemon.map.kept.store import MAP_NAME
 
 SECONDS = float(os.environ.get("CEILVO_ATTACK_S", "6"))
 BARE = """
@@ -82,5 +82,5 @@ def test_a_default_daemon_comes_to_nobody_and_answers_nobody(worlds: stranger.Wo
         daemon.terminate()
         daemon.communicate()
     assert not (tmp_path / COMMANDS).exists(), "nobody told it anything"
-    stored = load_map(tmp_path / MAP_NAME)
+    stored = load_database(tmp_path / MAP_NAME)
     assert stored is not None and len(stored.landmarks), "the map is as it learnt it"

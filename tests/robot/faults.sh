@@ -200,9 +200,10 @@ kills() {
 }
 corrupt_state() {
   systemctl stop ceilvod
-  echo 'half a fi' >/var/lib/ceilvo/map.json
+  echo 'half a fi' >/var/lib/ceilvo/map.db
   systemctl start ceilvod
-  wait_for 10 said 'set aside as map.json.rejected' || return 1
+  wait_for 10 said 'set aside as map.db.rejected' || return 1
+  wait_for 10 said 'the last good copy, map.db.good of' || return 1
   wait_for 20 in_state TRACKING
 }
 corrupt_calibration() {

@@ -1,9 +1,11 @@
 """The rules of the house (docs/architecture.md), read from the sources without running them.
 
-- A room imports only what lies below it: FLOORS. daemon/map stands on ceilvo beside the stairs; only app, doctor and
-  editing use it. Of the floors only relocalisation/filters.py, which makes filters, knows the rivals in slam/paper.
+- A room imports only what lies below it: FLOORS. daemon/map stands on ceilvo beside the stairs; only app, doctor,
+  editing, refinement and fleet use it. Of the floors only relocalisation/filters.py, which makes filters, knows the
+  rivals in slam/paper.
 - The rooms up to pipeline.py are pure: no clock, I/O, logging, threads or randomness but a Generator with a seed.
-- drivers import only ceilvo; only app, replay and doctor join them to the daemon; only app/simulation.py imports sim.
+- drivers import only ceilvo; only app, replay, doctor and fleet join them to the daemon; only app/simulation.py imports
+  sim.
 - Nobody imports bench or calib but themselves; bench/fuzz/targets reads what all of them read, calib's files too.
 - No circles, of modules or of rooms. Small folders, small files, no folder written as a prefix, shallow classes.
 
@@ -34,10 +36,12 @@ TOPS = {
     "calib": {"ceilvo", "drivers", "daemon", "sim", "calib"},
     "bench": {"ceilvo", "drivers", "daemon", "sim", "bench"},
 }
-JOIN_DRIVERS = ("daemon/app", "daemon/replay", "daemon/doctor")
+FLEET = ("daemon/fleet", "daemon/fleet/service", "daemon/fleet/robot")
+JOIN_DRIVERS = ("daemon/app", "daemon/app/readers", "daemon/replay", "daemon/doctor", *FLEET[1:])
 SIMULATION = "daemon/app/simulation.py"
 FACTORY = "daemon/relocalisation/filters.py"
-MAP, MAP_USERS = "daemon/map", ("daemon/app", "daemon/doctor", "daemon/editing", "daemon/refinement")
+MAP = "daemon/map"
+MAP_USERS = ("daemon/app", "daemon/building", "daemon/doctor", "daemon/editing", "daemon/refinement", *FLEET)
 FUZZ = "bench/fuzz/targets"
 
 PURE_UP_TO = FLOORS.index("pipeline")

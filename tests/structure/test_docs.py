@@ -74,9 +74,10 @@ def test_commands_and_their_options_exist(page: Path, capsys: pytest.CaptureFixt
             continue
         text = help_of(found[1], found[2], capsys)
         assert text is not None, f"{page.name}: {snippet}"
-        below = re.match(r" ([a-z]\w*)\b", found[3])
-        if below and f"{{{below[1]}" in text.replace(",", "{"):
-            text = help_of(found[1], f"{found[2]} {below[1]}", capsys) or text
+        words, rest = found[2], found[3]
+        while (below := re.match(r" ([a-z]\w*)\b(.*)", rest)) and f"{{{below[1]}" in re.sub("[,}]", "{", text):
+            words, rest = f"{words} {below[1]}", below[2]
+            text = help_of(found[1], words, capsys) or text
         for option in re.findall(r"--[\w-]+", found[3]):
             assert option in text, f"{page.name}: {snippet}: {option}"
 
@@ -119,7 +120,7 @@ def test_files_named_exist(page: Path) -> None:
 @pages
 def test_keys_named_exist(page: Path) -> None:
     """`section.key` is a key of config.yaml, or of the calibration, which has a camera section, too."""
-    suffixes = "yaml|json|jsonl|py|md|service"
+    suffixes = "yaml|json|jsonl|py|md|service|db"
     calibration_camera = {"id", "kind", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "readout_s"}
     for snippet in INLINE.findall(prose(page)) + re.findall(r"--set (\S+)", page.read_text(encoding="utf-8")):
         found = re.match(rf"({'|'.join(SECTIONS)})\.(?!(?:{suffixes})$)([a-z]\w*)(?=$|[:=\s])", snippet)

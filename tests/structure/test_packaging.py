@@ -17,6 +17,8 @@ from ceilvo.daemon.vision import kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("daemon", "drivers", "calib", "sim", "bench")
+EXTRAS = {"cryptography", "filterpy", "matplotlib", "msgpack", "particles", "stonesoup"}
+"""Libraries of the extras, for benches, plots and fleets."""
 
 
 def run(*command: str | Path, cwd: Path, **env: str) -> str:
@@ -97,8 +99,14 @@ def test_the_wheel_holds_every_source_and_nothing_else(wheel: Path) -> None:
             assert z.read(inside) == path.read_bytes(), f"{inside} differs; changed while the wheel was built?"
     assert expected <= names
     others = {n for n in names - expected if not n.endswith((".yaml", ".json"))}
-    loops = {f"ceilvo/daemon/vision/kernel/{name}" for name in ("pixels", "points")}
-    assert {n.partition(".")[0] for n in others} == loops  # their sources and, with a compiler, themselves
+    vision, odometry = (
+        ("following", "joins", "lines", "pixels", "points", "spreads"),
+        ("followed_lines", "homographies", "views"),
+    )
+    loops = {f"ceilvo/daemon/vision/kernel/{name}" for name in vision}
+    loops |= {f"ceilvo/daemon/odometry/kernel/{name}" for name in odometry}
+    shared = {f"ceilvo/daemon/vision/kernel/{name}" for name in ("picture", "solve")}  # included by several
+    assert {n.partition(".")[0] for n in others} == loops | shared  # their sources and, with a compiler, themselves
     assert {n.partition(".")[0] for n in others if n.endswith(".so")} == (loops if kernel.COMPILED else set())
 
 
@@ -117,7 +125,7 @@ def test_every_module_imports_from_the_installed_copy(installed: Path, tmp_path:
     )
     found = python(installed, code, tmp_path).splitlines()
     missing = {f.split()[1].partition(".")[0] for f in found if f.startswith("extra ")}
-    assert missing <= {"matplotlib", "filterpy", "particles", "stonesoup"}  # of the extras, for benches and plots
+    assert missing <= EXTRAS
     files = [f for f in found if not f.startswith("extra ")]
     assert len(found) == len(names) and len(files) > 20
     assert [f for f in files if not f.startswith(str(installed))] == []

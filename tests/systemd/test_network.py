@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from installer import as_root, run_installer, unit_settings
+from installer import MAPD_UNIT, as_root, run_installer, unit_settings
 
 
 @as_root
@@ -24,3 +24,42 @@ def test_the_unit_has_the_network_only_where_the_configuration_needs_it(
         assert not network or "RestrictAddressFamilies=AF_NETLINK\n" in drop_in.read_text()
     assert unit_settings()["IPAddressDeny"] == ["any"]
     assert unit_settings()["IPAddressAllow"] == ["localhost"]
+
+
+@as_root
+def test_a_fleets_map_service_comes_when_asked_for_stays_with_an_upgrade_and_goes(
+    kit: Path, tmp_path: Path, python: Path
+) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    options = ("--wheel", str(kit / "ceilvo-9.9.9-py3-none-any.whl"), "--no-deps")
+    unit, state = root / "etc/systemd/system/ceilvo-mapd.service", root / "var/lib/ceilvo-mapd"
+    first = run_installer(kit, root, *options, "--fleet", python=python)
+    assert first.returncode == 0, first.stderr
+    assert unit.read_bytes() == MAPD_UNIT.read_bytes() and "ceilvo-mapd:" in (root / "etc/passwd").read_text()
+    config, drop_in = root / "etc/ceilvo/mapd.yaml", unit.with_name("ceilvo-mapd.service.d") / "10-network.conf"
+    assert config.exists() and not drop_in.exists()
+    config.write_text("listen: tcp/0.0.0.0:7447")
+    again = run_installer(kit, root, *options, python=python)
+    assert again.returncode == 0, again.stderr
+    assert unit.exists() and drop_in.exists() and config.read_text().startswith("listen")
+    assert not (root / "etc/systemd/system/ceilvod.service.d").exists()
+    (state / "building.db").write_text("mine")
+    assert run_installer(root / "opt/ceilvo/share/ceilvo", root, "uninstall").returncode == 0
+    assert not unit.exists() and not drop_in.parent.exists() and (state / "building.db").exists()
+    assert "ceilvo-mapd:" not in (root / "etc/passwd").read_text()
+    assert run_installer(kit, root, "uninstall", "--purge").returncode == 0
+    assert not state.exists()
+
+
+def test_the_map_service_is_closed_in_as_the_daemon_is() -> None:
+    daemon, mapd = unit_settings(), unit_settings(MAPD_UNIT)
+    of_devices = {"DeviceAllow", "SupplementaryGroups", "Nice", "OOMScoreAdjust", "ConfigurationDirectory"}
+    of_devices |= {"RuntimeDirectory", "RuntimeDirectoryMode", "Wants"}
+    assert daemon.keys() - mapd.keys() == of_devices
+    start = daemon["Description"], daemon["User"]
+    assert start != (mapd["Description"], mapd["User"])
+    closed = [
+        name for name in daemon if name.startswith(("Protect", "Private", "Restrict", "System", "No", "IP", "Cap"))
+    ]
+    assert len(closed) > 20 and all(daemon[name] == mapd[name] for name in closed)

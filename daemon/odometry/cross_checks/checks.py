@@ -63,6 +63,7 @@ class CrossChecks:
         self._reversal, self._turned_camera = Reversal(), TurnedCamera()
         self._active: list[str] = []
         self._counters = {kind.value: 0 for kind in Kind}
+        self._admitted: tuple[Crossings | None, WheelMotion | None, Suspicion | None] | None = None
 
     @property
     def state(self) -> CrossChecksState:
@@ -84,6 +85,7 @@ class CrossChecks:
         self._standing.state, self._reversal.state = state.standing, state.reversal
         self._turned_camera.state = state.turned_camera
         self._active, self._counters = state.active, state.counters
+        self._admitted = None
 
     @property
     def counters(self) -> dict[str, int]:
@@ -96,13 +98,14 @@ class CrossChecks:
         self.state = CrossChecksState(pictures=old.pictures, delay=old.delay, counters=old.counters)
 
     def admit(self, crossings: Crossings | None, wheels: WheelMotion | None, elapsed_s: float) -> Admitted:
-        """What of a frame odometry may use; changes nothing.
+        """What of a frame odometry may use; changes nothing that step() would see.
 
         Args:
             wheels: what the base reports since the frame before.
             elapsed_s: time since then.
         """
         repeat = self._repeat(crossings, wheels)
+        self._admitted = crossings, wheels, repeat
         if repeat is not None:
             return Admitted(None, self.usable_wheels(wheels, elapsed_s), repeat.reason)
         return Admitted(crossings, self.usable_wheels(wheels, elapsed_s))
@@ -161,7 +164,9 @@ class CrossChecks:
             wheels: as the base reports them, whatever admit() made of them.
             elapsed_s: time since the frame before, 0 for the first.
         """
-        repeat = self._repeat(crossings, wheels)
+        told, self._admitted = self._admitted, None
+        known = told is not None and told[0] is crossings and told[1] is wheels
+        repeat = told[2] if told is not None and known else self._repeat(crossings, wheels)
         if crossings is not None:
             self._pictures.add(crossings, motion)
         self._paths.add(motion, wheels, elapsed_s)

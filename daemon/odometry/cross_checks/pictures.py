@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
 from ceilvo.types import Array, Crossings, Ints, Motion
 
@@ -92,6 +93,7 @@ class Pictures:
 
     def __init__(self) -> None:
         self.state = PicturesState()
+        self._newest: tuple[Crossings, Picture] | None = None
 
     def judge(self, crossings: Crossings, wheels_stand: bool) -> Suspicion | None:
         """Whether a picture is one of the last ones; changes nothing.
@@ -99,7 +101,7 @@ class Pictures:
         Args:
             wheels_stand: they say that the robot does not move, so two pictures in a row may be alike.
         """
-        new, s = _picture(crossings), self.state
+        new, s = self._picture(crossings), self.state
         if not s.last or not len(crossings):
             return None
         newest_first = s.last[::-1]
@@ -117,17 +119,22 @@ class Pictures:
         alike = [len(p.sample) == len(new.sample) for p in old]
         if not len(new.sample) or not all(alike):
             return np.ones(len(old), bool)
-        before = np.stack([p.sample for p in old]).astype(np.int16)
-        near = np.abs(before - new.sample) <= 2.0 * _QUIET * self.state.noise_grey
-        near |= (new.sample <= _BLACK) | (new.sample >= _GLARE) | (before <= _BLACK) | (before >= _GLARE)
-        return np.asarray(near.mean(axis=1) >= _LEAST_NEAR)
+        before = np.stack([p.sample for p in old])
+        near = kernel.alike(new.sample, before, 2.0 * _QUIET * self.state.noise_grey, _BLACK, _GLARE)
+        return np.asarray(near / len(new.sample) >= _LEAST_NEAR)
 
     def add(self, crossings: Crossings, motion: Motion) -> None:
         """Keep a picture, refused ones as well, and learn the camera's noise from pictures that stand."""
-        new, s = _picture(crossings), self.state
+        new, s = self._picture(crossings), self.state
         if s.last:
             self._learn(new, s.last[-1], motion)
         s.last = [*s.last[-RING + 1 :], new]
+
+    def _picture(self, crossings: Crossings) -> Picture:
+        """What is kept of them; the same frame is asked for twice."""
+        if self._newest is None or self._newest[0] is not crossings:
+            self._newest = crossings, _picture(crossings)
+        return self._newest[1]
 
     def _learn(self, new: Picture, before: Picture, motion: Motion) -> None:
         s = self.state
@@ -168,8 +175,8 @@ class Pictures:
 
 
 def _picture(crossings: Crossings) -> Picture:
-    own = crossings.cov_base_m2 - crossings.common_cov_m2
-    sigma_m = float(np.sqrt(np.mean(own[:, [0, 1], [0, 1]]))) if len(crossings) else 0.0
+    own = np.einsum("mii->mi", crossings.cov_base_m2) - np.diag(crossings.common_cov_m2)
+    sigma_m = float(np.sqrt(np.mean(own))) if len(crossings) else 0.0
     return Picture(crossings.sample_gray, crossings.xy_base_m, crossings.crossing_type, sigma_m)
 
 
@@ -177,12 +184,8 @@ def _difference(a: Picture, b: Picture) -> float | None:
     """Mean absolute difference, grey levels, of the calm share of the samples; None without enough of them."""
     if len(a.sample) != len(b.sample):
         return None
-    clear = (a.sample > _BLACK) & (a.sample < _GLARE) & (b.sample > _BLACK) & (b.sample < _GLARE)
-    off = np.abs(a.sample[clear].astype(np.int64) - b.sample[clear])
-    if len(off) < _FEWEST_SAMPLES:
-        return None
-    calm = round(_CALM_SHARE * len(off))
-    return float(np.partition(off, calm - 1)[:calm].mean())
+    clear, difference = kernel.calm_difference(a.sample, b.sample, _CALM_SHARE, _BLACK, _GLARE)
+    return difference if clear >= _FEWEST_SAMPLES else None
 
 
 def _same_crossings(a: Picture, b: Picture) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ceilvo.daemon.odometry import kernel
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints
 
@@ -45,7 +46,7 @@ class SeenLines:
         axis, kind, apparent, of_crossing = [], [], [], np.zeros((len(crossings), 2), np.int64)
         first = 0
         for own in (0, 1):
-            number, at = _grouped(from_camera[:, own], kinds[own])
+            number, at = kernel.grouped(np.ascontiguousarray(from_camera[:, own]), kinds[own], _SAME_M)
             of_crossing[:, own] = first + number
             turned = (own + quarters) % 4
             sign = 1 if turned < 2 else -1
@@ -54,13 +55,3 @@ class SeenLines:
             axis.append(np.full(len(at), turned % 2))
             first += len(at)
         return SeenLines(np.concatenate(axis), np.concatenate(kind), np.concatenate(apparent), of_crossing, normals)
-
-
-def _grouped(value_m: Array, kind: Ints) -> tuple[Ints, Ints]:
-    """(M,) number of the line of each value, and (L,) one of the values of each line."""
-    order = np.lexsort((value_m, kind))
-    begins = np.ones(len(order), bool)
-    begins[1:] = (np.diff(value_m[order]) > _SAME_M) | (np.diff(kind[order]) != 0)
-    number = np.empty(len(order), np.int64)
-    number[order] = np.cumsum(begins) - 1
-    return number, order[begins]

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
+from ceilvo.daemon.odometry.kernel.arguments import RatioNoise
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.types import Array, Ints
 
@@ -28,6 +30,7 @@ _SIGMA_M, _SIGMA_RATIO = 0.0004, 0.002
 however far it is followed, for what lens and tilt leave; chosen."""
 _INDEPENDENT = 8.0
 """Measurements of a line that err on their own, at most; chosen, for the same reason."""
+_NOISE = RatioNoise(_STEP_M, _SIGMA_M, _SIGMA_RATIO, _INDEPENDENT)
 _PATIENCE = 4
 """Frames in a row in which a line may be missing; chosen."""
 _OUTLIER_SIGMAS, _OUTLIER_M = 4.0, 0.003
@@ -160,28 +163,17 @@ class Tracks:
 
     def ratios(self) -> tuple[Array, Array]:
         """(T,) how fast each moves past, over the camera; (T,) its standard deviation, infinite where not measured."""
-        ratio, known, safe, bent = self._fitted()
-        error = np.maximum(_SIGMA_M, np.sqrt(bent)) / np.sqrt(safe * np.minimum(_INDEPENDENT / self._count(), 1.0))
-        return ratio, np.where(known, np.hypot(error, _SIGMA_RATIO), np.inf)
+        return self._fitted()[:2]
 
     def steady(self) -> Bools:
         """(T,) lines that were measured often and moved evenly: others are two that lie over each other."""
-        bent = self._fitted()[3]
+        bent = self._fitted()[2]
         return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= (_STEADY * _SIGMA_M) ** 2))
 
-    def _count(self) -> Array:
-        return np.asarray(np.maximum(self.sums[:, 0], 1.0))
-
-    def _fitted(self) -> tuple[Array, Bools, Array, Array]:
-        """(T,) each: the ratio, whether the camera moved at all, its spread in m^2, and what the fit leaves in m^2."""
-        _, s, a, ss, sa, aa = self.sums.T
-        n = self._count()
-        spread = ss - s * s / n
-        known = spread > _STEP_M**2
-        safe = np.where(known, spread, 1.0)
-        ratio = np.where(known, -(sa - s * a / n) / safe, 1.0)
-        bent = np.maximum(aa - a * a / n - ratio**2 * spread, 0.0) / np.maximum(n - 2.0, 1.0)
-        return ratio, known, safe, bent
+    def _fitted(self) -> tuple[Array, Array, Array]:
+        """As kernel.line_ratios()."""
+        ratio, sigma, bent = kernel.line_ratios(self.sums, _NOISE)
+        return ratio, sigma, bent
 
     def rescaled(self, factor: float) -> None:
         """What the camera moved until now was so many times too long."""

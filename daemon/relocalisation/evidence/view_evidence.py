@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, turned_type
-from ceilvo.daemon.odometry.sight import crowd, is_in
+from ceilvo.daemon.odometry.sight import by_line, crowd, is_in, lines_through
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, REACH_M, VISIBLE, TypeRaster
@@ -43,6 +43,10 @@ CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
 """How likely each of those is; chosen: ceilings change seldom and mostly little."""
 INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines; chosen."""
+LINE_FEATURES = 2.0
+"""What is missing or mistaken along one line is worth so many of those together, one in all: a line that is missed or
+called something else takes all its crossings with it. A wall's edge that was missed once took eleven landmarks along,
+and contradicted the map by e^8."""
 LAMP_CELL_M, LAMP_FEATURES = 0.4, 4.0
 """Rare features of a cell and the eight around it are one lamp's, and are worth so many together: where one corner is,
 the others are; chosen."""
@@ -57,6 +61,8 @@ MOST_RARE, MOST_COMMON = 40, 16
 AT_ONCE = 256
 """Poses weighed at once, so that their arrays stay in the cache; chosen."""
 _QUARTER = 0.5 * np.pi
+_TINY = 1e-12
+"""In place of a sum that is zero."""
 
 
 def combined(log_ratio: Array) -> Array:
@@ -74,6 +80,7 @@ class Surroundings:
         coverage: which ground the map knows.
         chance: how often a wrong place explains a feature.
         reach_m: how far from the tracked pose all that a pose sees is in it.
+        axis_rad: direction of the ceiling's lines in the map, modulo 90 deg.
     """
 
     landmarks: Landmarks
@@ -81,6 +88,7 @@ class Surroundings:
     coverage: Coverage
     chance: Chance
     reach_m: float
+    axis_rad: float
 
     @staticmethod
     def of(
@@ -88,11 +96,12 @@ class Surroundings:
         coverage: Coverage,
         chance: Chance,
         reach_m: float,
+        axis_rad: float,
         named: NDArray[np.bool_] | None = None,
     ) -> Surroundings:
         """Of landmarks, of which some (L,) may be mistaken names of others."""
         raster = TypeRaster.of(landmarks.xy_map_m, landmarks.crossing_type, chance.rare, named)
-        return Surroundings(landmarks, raster, coverage, chance, reach_m)
+        return Surroundings(landmarks, raster, coverage, chance, reach_m, axis_rad)
 
 
 class ViewEvidence:
@@ -111,12 +120,16 @@ class ViewEvidence:
         self._expected = around.landmarks.of(rare[kind] & (kind < LINE_CROSSINGS))
         self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
         self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
+        self._expected_lines = self._lines_of(self._expected.xy_map_m, self._expected.crossing_type)
         self._gain, self._mistaken, self._loss = _tables(
             around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0
         )
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
         self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, rare, corners_m=view.visible_m)
+        self._lines = lines_through(
+            self._view.xy_base_m, self._view.crossing_type, around.axis_rad - self._view.heading_rad
+        )
         self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
         self.take(worth)
 
@@ -141,12 +154,17 @@ class ViewEvidence:
         out[near] = _mixed(score[near] + missed(poses[near]))
         return out
 
-    def unmapped(self, poses: Array) -> Array:
-        """(M,) share of the features that poses (M, 3) see on ground of which the map does not know what is there."""
-        if not len(self._view):
-            return np.zeros(len(poses))
+    def unmapped(self, poses: Array, best: Array, grid: TypeGrid) -> Array:
+        """(M,) share of what speaks for a pose (3,) that poses (M, 3) see on ground of which the map knows nothing."""
+        speaks = self._speaks_for(best[None], grid)
         views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
-        return np.asarray(1.0 - np.mean(np.minimum(views / VIEWS, 1.0), axis=1))
+        return np.asarray((1.0 - np.minimum(views / VIEWS, 1.0)) @ speaks / max(float(np.sum(speaks)), _TINY))
+
+    def _speaks_for(self, pose: Array, grid: TypeGrid) -> Array:
+        """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
+        at, types = _moved(pose, self._view.xy_base_m), self._types[self._turns(pose)]
+        each = self._each(at, types, *self._found_in(grid, at, types))[0, :, 0]
+        return np.asarray(np.maximum(each * self._worth[0], 0.0))
 
     @property
     def reach_m(self) -> float:
@@ -187,12 +205,17 @@ class ViewEvidence:
 
     def _scored(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
         """(M, R) of features (M, K) seen at (M, K, 2): whether a landmark of their type is there, or one beside."""
+        return np.asarray(np.einsum("mkr,rk->mr", self._each(at, types, matched, other), self._worth))
+
+    def _each(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
+        """(M, K, R) the same of each, but for its worth."""
         views = self._around.coverage.views(at)
         step = views // _VIEWS_PER_STEP
         none = np.where(other[..., None], self._mistaken[step, types], self._loss[step, types])
         each = np.where(matched[..., None], self._gain[step, types], none)
-        each *= np.where(matched, np.minimum(views / VIEWS, 1.0), views >= VIEWS)[..., None]
-        return np.asarray(np.einsum("mkr,rk->mr", each, self._worth))
+        known = np.where(matched, np.minimum(views / VIEWS, 1.0), views >= VIEWS)
+        known = np.where(matched, known, _worth_by_line(~matched & (known > 0.0), self._lines))
+        return np.asarray(each * known[..., None])
 
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
@@ -203,7 +226,7 @@ class ViewEvidence:
         surprise = self._surprise(landmarks.crossing_type, landmarks.visibility, self._expected_lamp)
         kind = np.broadcast_to(landmarks.crossing_type, (len(poses), len(landmarks)))
         missed = self._is_missed(poses[:, None], landmarks.xy_map_m, kind)
-        return np.asarray(missed @ surprise)
+        return np.asarray(_worth_by_line(missed, self._expected_lines) @ surprise)
 
     def _missed_in(self, grid: TypeGrid, poses: Array) -> Array:
         """(M, R) the same anywhere on the map."""
@@ -221,8 +244,18 @@ class ViewEvidence:
         )
         surprise = self._surprise(kind, blocks.visibility.take(slot) / 255.0, _of_lamp(xy, np.ones(len(xy), bool)))
         missed = np.flatnonzero(self._is_missed(poses[which], xy[of], kind[of]))
-        np.add.at(out, which[missed], surprise[of[missed]])
+        of, which = of[missed], which[missed]
+        most = np.ones(len(missed))
+        for number in self._lines_of(xy, kind).T:
+            lines = which * (int(number.max(initial=0)) + 1) + number[of]
+            _, index, count = np.unique(lines, return_inverse=True, return_counts=True)
+            np.maximum(most, count[index.reshape(-1)], out=most)
+        np.add.at(out, which, surprise[of] * np.minimum(LINE_FEATURES / most, 1.0)[:, None])
         return out
+
+    def _lines_of(self, xy_map_m: Array, kind: Ints) -> Ints:
+        """(N, 2) numbers of the lines through landmarks (N, 2) of types (N,)."""
+        return lines_through(xy_map_m, kind, self._around.axis_rad)
 
     def _is_missed(self, poses: Array, xy_map_m: Array, kind: Ints) -> NDArray[np.bool_]:
         """(...,) whether landmarks (..., 2) of types (...,) would be in view from poses (..., 3) and are not seen."""
@@ -240,6 +273,12 @@ class ViewEvidence:
         each = [np.minimum(np.log((1.0 - hit) / (1.0 - q[:, None])), 0.0) for q in by_chance]
         worth = self._worth_of_missed
         return np.asarray(np.concatenate(each, axis=1) * _by_kind(worth * lamp, np.sqrt(worth) * lamp).T)
+
+
+def _worth_by_line(events: NDArray[np.bool_], lines: Ints) -> Array:
+    """(M, K) of events (M, K) at crossings of lines (K, 2); of those along one line LINE_FEATURES in all at most."""
+    share = by_line(events, lines)
+    return np.asarray(np.where(events, np.minimum(LINE_FEATURES * share, 1.0), 0.0))
 
 
 def _by_kind(any_: Array, alike: Array) -> Array:

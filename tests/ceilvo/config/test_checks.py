@@ -160,5 +160,11 @@ def test_notes_are_no_errors() -> None:
         wide = notes(replace(Config(), [f"zenoh.listen=['{end}']"]))
         assert len(wide) == 1
         assert wide[0].startswith(f"zenoh.listen: {end} may be reached from the network")
+    far = ["zenoh.connect=[tcp/192.168.0.2:7447]"]
+    assert [n.split(" is found")[0] for n in notes(replace(Config(), far))] == [
+        "zenoh.mode: peer behind tcp/192.168.0.2:7447"
+    ]
+    assert notes(replace(Config(), [*far, "zenoh.mode=client"])) == ()
+    assert notes(replace(Config(), ["zenoh.connect=[tcp/127.0.0.1:7447]"])) == ()
     for end in ("tcp/127.0.0.1:0", "tcp/[::1]:7447", "tcp/localhost:7447"):
         assert notes(replace(Config(), [f"zenoh.listen=['{end}']"])) == ()

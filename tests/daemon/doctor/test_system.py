@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 from fake_machine import RUNNING, fake, levels, wrongs
+from kept_maps import write_database
+from map_writer import landmarks
 
 from ceilvo.config import Config, Zenoh
 from ceilvo.daemon.doctor.findings import fine
@@ -79,7 +81,12 @@ def test_the_state_directory(tmp_path: Path) -> None:
     assert levels(disk(fake(tmp_path, free=5 * 10**8), folder, config)) == ["note"]
     assert levels(disk(fake(tmp_path, free=5 * 10**8), folder, None)) == ["fine"]
     (folder / "map.json").write_text("{}")
-    assert "map.json" in wrongs(disk(fake(tmp_path), folder, config))[0]
+    assert "map.json" in wrongs(disk(fake(tmp_path), folder, config))[0], "it would be imported"
+    write_database(folder / "map.db", landmarks(30))
+    kept = list(disk(fake(tmp_path), folder, config))[-1]
+    assert (kept.level, kept.check) == ("fine", "map") and "map.db: 30 landmarks, 0 key poses, version 1" in kept.text
+    (folder / "map.db").write_text("half a fi")
+    assert "expected a database of maps" in wrongs(disk(fake(tmp_path), folder, config))[0]
 
 
 def test_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ def around(landmarks: Landmarks) -> Surroundings:
     same = np.full((2, CROSSING_TYPES), 0.2)
     same[:, 4] = 0.98
     chance = Chance(same, np.minimum(same + 0.1, 0.99))
-    return Surroundings.of(landmarks, Coverage.of(landmarks, 0.6), chance, 3.0)
+    return Surroundings.of(landmarks, Coverage.of(landmarks, 0.6), chance, 3.0, 0.0)
 
 
 def ratio(landmarks: Landmarks, view: Observations, poses: Array) -> Array:

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ceilvo.daemon.relocalisation.evidence.view_evidence import ALIKE
 from ceilvo.daemon.relocalisation.lattice import rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAD_M, LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
 from ceilvo.types import Array
@@ -183,6 +184,21 @@ def test_a_place_at_the_floor_stays_there_when_the_likeliest_one_falls() -> None
     belief.weigh(np.array([[0.0, 0.0], [-60.0, -60.0]]))
     share, unknown = belief.shares()
     assert np.argmax(share) == 0 and abs(np.log(share[0] / unknown) - LEAST) < 0.2
+
+
+@pytest.mark.parametrize("unmapped", [0.0, 1.0])
+def test_new_ground_is_no_worse_for_what_a_place_that_is_alike_explains(unmapped: float) -> None:
+    """The robot drives on over ground that nobody mapped; half a turn away the map looks the same. Before another place
+    led, new ground was given nothing: a doubt of 1e-4 grew until the robot was told that it is half a turn off."""
+    belief = PlaceBelief()
+    belief.add(RIVALS[:1], np.array([-9.0]))
+    for _ in range(6):
+        belief.moved(STEP_M, 1.0)
+        belief.leave_spot()
+        belief.weigh(np.array([[0.0, 0.0], [3.0, 0.05]]), lambda best: np.array([unmapped, unmapped])[: best + 1])
+    odds = float(np.log(belief.shares()[0][1] / belief.shares()[0][0]))
+    gained = -9.0 + 6 * 0.05 - np.log(ALIKE) if unmapped else -9.0 + 6 * 3.0
+    assert odds == pytest.approx(gained, abs=0.2)
 
 
 def test_more_places_than_are_kept_are_cut_and_that_is_said() -> None:

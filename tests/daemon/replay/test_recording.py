@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from ceilvo.calibration_file import parse_calibration, render_calibration
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
@@ -153,7 +154,7 @@ def test_a_stored_map_is_part_of_the_recording(
 ) -> None:
     for name in ("first", "second"):
         said = drive(world, tmp_path / f"{name}.mcap", state_dir=str(tmp_path)).said
-    (tmp_path / "map.json").unlink()
+    (tmp_path / "map.db").unlink()
     assert cli.main(["replay", str(tmp_path / "second.mcap"), "--jsonl", str(tmp_path / "again.jsonl")]) == 0
     assert (tmp_path / "again.jsonl").read_text() == "".join(estimate_json(e) for e in said)
     assert json.loads(topic(tmp_path / "second.mcap", "/input")[0].data)["input"] == "known_map"
@@ -250,7 +251,7 @@ def test_a_lost_camera_keeps_the_last_minutes(world: World, base: SimBase, tmp_p
     pictures = [m for f in files for m in topic(f, "/camera/jpeg")]
     estimates = [m for f in files for m in topic(f, "/estimate")]
     assert len(estimates) > len(pictures) >= 3
-    events = [json.loads(m.data)["message"] for f in files for m in topic(f, "/event")]
+    events = [Log.FromString(m.data).message for f in files for m in topic(f, "/event")]
     assert any("unplugged" in e for e in events)
 
 
@@ -295,11 +296,17 @@ def test_pictures_alone_are_no_exact_replay(world: World, tmp_path: Path, capsys
     assert "not compared: it has JPEG pictures" in out
 
 
-def test_files_of_two_runs_are_not_one(world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fly(world, tmp_path, 0.5)
-    fly(world, tmp_path, 0.5)
-    assert cli.main(["replay", str(tmp_path / "recorder" / "ring")]) == 1
-    assert "begins another run than flight-000000.mcap" in capsys.readouterr().err
+def test_two_runs_in_a_folder_are_replayed_each_by_itself(
+    world: World, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ring, results = tmp_path / "recorder" / "ring", {}
+    said = [fly(world, tmp_path, 0.5).said, fly(world, tmp_path, 0.5).said]
+    for jobs in ("1", "2"):
+        words = ["--jsonl", str(tmp_path / f"{jobs}.jsonl"), "--jobs", jobs]
+        assert cli.main(["replay", str(ring), *words]) == 0
+        results[jobs] = [p.read_text() for p in sorted(tmp_path.glob(f"{jobs}-*.jsonl"))]
+        assert capsys.readouterr().out.count("are the same to the last bit") == 2
+    assert results["1"] == results["2"] == ["".join(map(estimate_json, run)) for run in said]
 
 
 def test_without_a_state_directory_nothing_is_recorded(world: World, tmp_path: Path) -> None:
