@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -30,7 +30,6 @@ from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
 from ceilvo.daemon.app.keeping import Keeper, store_of
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
-from ceilvo.daemon.app.screen import Screen
 from ceilvo.daemon.app.telemetry import Telemetry, Truth
 from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
@@ -50,6 +49,9 @@ from ceilvo.drivers.ports import Base, Camera
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
 from ceilvo.types import State
+
+if TYPE_CHECKING:
+    from ceilvo.daemon.app.screen import Screen
 
 log = logging.getLogger("ceilvo")
 
@@ -164,7 +166,7 @@ class Daemon:
                 self._base.start()
             self._thread.start()
             self._notifier.ready("waiting for the camera")
-            with Screen() if self._plan.screen else nullcontext() as screen:
+            with _screen() if self._plan.screen else nullcontext() as screen:
                 self._supervise(screen)
             summary = self._telemetry.summary()
         summary |= self._recorder_counters()
@@ -308,6 +310,12 @@ class Daemon:
         if last is not None and last.motion.failure == self._camera_reason:
             return _SILENT_PERIOD_S
         return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES * self._capture.rate.used_period_s)
+
+
+def _screen() -> Screen:
+    from ceilvo.daemon.app.screen import Screen  # a service has no terminal
+
+    return Screen()
 
 
 def plan_real(

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from ceilvo.daemon.app.telemetry import ShownBase, Snapshot
 from ceilvo.types import State
 
 Array = NDArray[np.float64]
@@ -54,66 +54,6 @@ _STYLE = {
 _ARROWS, _ASCII_ARROWS = "→↗↑↖←↙↓↘", "E7N7W7S7"
 _UNICODE = {"landmark": "·", "path": "∙", "truth": "○", "box": "┌┐└┘─│"}
 _ASCII = {"landmark": ".", "path": ":", "truth": "o", "box": "++++-|"}
-
-
-@dataclass(frozen=True)
-class BaseLink:
-    """age_s: since the base last answered, None = never."""
-
-    age_s: float | None = None
-    sent: int = 0
-    failed: int = 0
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """All that the screen shows, taken at one instant.
-
-    Attributes:
-        pose, sigma: map_from_base and its standard deviations, (3,) [m, m, rad].
-        truth: (3,) when it is known.
-        latency_ms: (median, p99) by stage.
-        base: None when the base is disabled; zenoh_samples likewise.
-        landmarks_xy_m, path_xy_m: (L, 2) and (K, 2) for the plot.
-        room_m: x_min, y_min, x_max, y_max of the plot; None = what has been seen so far.
-        events: newest last.
-    """
-
-    title: str = "ceilvo"
-    state: State = State.INIT
-    reason: str = ""
-    quality: float = 0.0
-    uptime_s: float = 0.0
-    pose: Array = field(default_factory=lambda: np.zeros(3))
-    sigma: Array = field(default_factory=lambda: np.zeros(3))
-    truth: Array | None = None
-    fps: float = 0.0
-    frames: int = 0
-    drops: int = 0
-    latency_ms: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
-    ess_ratio: float = 1.0
-    unique_ancestors: int | None = None
-    mode_weight: float = 1.0
-    particles: int = 0
-    nis: float = 0.0
-    landmarks: int = 0
-    crossings: int = 0
-    inliers: int = 0
-    base: BaseLink | None = None
-    zenoh_samples: int | None = None
-    landmarks_xy_m: Array | None = None
-    path_xy_m: Array | None = None
-    room_m: tuple[float, float, float, float] | None = None
-    events: tuple[str, ...] = ()
-
-    @property
-    def error(self) -> tuple[float, float] | None:
-        """Position (m) and signed heading (rad) error against the truth."""
-        if self.truth is None:
-            return None
-        off = self.pose - self.truth
-        turn = (float(off[2]) + math.pi) % (2.0 * math.pi) - math.pi
-        return math.hypot(float(off[0]), float(off[1])), turn
 
 
 class Screen:
@@ -259,7 +199,7 @@ def _error(error: tuple[float, float]) -> str:
     return f"{error[0] * 1e3:9.1f} mm, {math.degrees(error[1]):+.3f} deg"
 
 
-def _base(link: BaseLink | None) -> str:
+def _base(link: ShownBase | None) -> str:
     if link is None:
         return "   off"
     age = "silent" if link.age_s is None else f"{min(link.age_s * 1e3, 99999):6.0f} ms ago"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.app.screen import BaseLink as ScreenBase
-from ceilvo.daemon.app.screen import Snapshot
 from ceilvo.daemon.integrity.staleness import StalenessMonitor
 from ceilvo.daemon.integrity.states import UNUSABLE
 from ceilvo.daemon.map.kept.store import Store
@@ -38,6 +38,66 @@ def _moving(estimate: Estimate) -> bool:
     """Where the robot stands the same few errors would be counted for as long as it does."""
     vx, vy, omega = estimate.twist
     return bool(np.hypot(vx, vy) > _MOVING_MPS or abs(omega) > _MOVING_RADPS)
+
+
+@dataclass(frozen=True)
+class ShownBase:
+    """age_s: since the base last answered, None = never."""
+
+    age_s: float | None = None
+    sent: int = 0
+    failed: int = 0
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All that the screen shows, taken at one instant.
+
+    Attributes:
+        pose, sigma: map_from_base and its standard deviations, (3,) [m, m, rad].
+        truth: (3,) when it is known.
+        latency_ms: (median, p99) by stage.
+        base: None when the base is disabled; zenoh_samples likewise.
+        landmarks_xy_m, path_xy_m: (L, 2) and (K, 2) for the plot.
+        room_m: x_min, y_min, x_max, y_max of the plot; None = what has been seen so far.
+        events: newest last.
+    """
+
+    title: str = "ceilvo"
+    state: State = State.INIT
+    reason: str = ""
+    quality: float = 0.0
+    uptime_s: float = 0.0
+    pose: Array = field(default_factory=lambda: np.zeros(3))
+    sigma: Array = field(default_factory=lambda: np.zeros(3))
+    truth: Array | None = None
+    fps: float = 0.0
+    frames: int = 0
+    drops: int = 0
+    latency_ms: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    ess_ratio: float = 1.0
+    unique_ancestors: int | None = None
+    mode_weight: float = 1.0
+    particles: int = 0
+    nis: float = 0.0
+    landmarks: int = 0
+    crossings: int = 0
+    inliers: int = 0
+    base: ShownBase | None = None
+    zenoh_samples: int | None = None
+    landmarks_xy_m: Array | None = None
+    path_xy_m: Array | None = None
+    room_m: tuple[float, float, float, float] | None = None
+    events: tuple[str, ...] = ()
+
+    @property
+    def error(self) -> tuple[float, float] | None:
+        """Position (m) and signed heading (rad) error against the truth."""
+        if self.truth is None:
+            return None
+        off = self.pose - self.truth
+        turn = (float(off[2]) + math.pi) % (2.0 * math.pi) - math.pi
+        return math.hypot(float(off[0]), float(off[1])), turn
 
 
 class Telemetry:
@@ -159,7 +219,7 @@ class Telemetry:
             landmarks_xy_m=landmarks.xy_map_m,
             path_xy_m=np.array([p[:2] for p in tuple(self._path)]).reshape(-1, 2),
             room_m=room_m,
-            base=None if link is None else ScreenBase(link.link_age_s, link.telegrams_sent, link.telegrams_failed),
+            base=None if link is None else ShownBase(link.link_age_s, link.telegrams_sent, link.telegrams_failed),
             zenoh_samples=None if self._bus is None else self._bus.counters()["samples"],
             events=events,
         )

@@ -137,7 +137,7 @@ disk_full() {
   begin disk
   fallocate -l "$(df --output=avail -B1 / | tail -1)" /fill 2>/dev/null
   dd if=/dev/zero of=/fill2 bs=4k 2>/dev/null
-  wait_for 25 health_has '"store_error": "[^"]*No space left' || return 1
+  wait_for 25 health_has '"store_error": "[^"]*(No space left|disk is full)' || return 1
   is_good || return 1
   rm -f /fill /fill2
   end disk

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from ceilvo.daemon.app.screen import HEIGHT, WIDTH, BaseLink, Screen, Snapshot, plot, render, status_line
+from ceilvo.daemon.app.screen import HEIGHT, WIDTH, Screen, plot, render, status_line
+from ceilvo.daemon.app.telemetry import ShownBase, Snapshot
 from ceilvo.types import State
 
 RUNNING = Snapshot(
@@ -37,7 +38,7 @@ RUNNING = Snapshot(
     landmarks=81,
     crossings=26,
     inliers=22,
-    base=BaseLink(0.012, 813, 4),
+    base=ShownBase(0.012, 813, 4),
     zenoh_samples=1201,
     landmarks_xy_m=np.array([[0.0, 0.0], [2.0, 2.0]]),
     path_xy_m=np.array([[0.0, -0.5], [0.5, -0.5]]),
@@ -78,7 +79,7 @@ def test_figures_are_on_the_screen() -> None:
 
 
 def test_what_is_off_or_unknown_says_so() -> None:
-    text = "\n".join(drawn(Snapshot(base=BaseLink())))
+    text = "\n".join(drawn(Snapshot(base=ShownBase())))
     assert "unknown" in text
     assert "silent, 0 sent" in text
     assert text.count(" off") == 1
@@ -111,7 +112,7 @@ snapshots: st.SearchStrategy[Snapshot] = st.builds(
     latency_ms=st.dictionaries(st.text(max_size=20), st.tuples(st.floats(0, 1e6), st.floats(0, 1e6)), max_size=14),
     ess_ratio=st.floats(0, 1),
     nis=numbers,
-    base=st.none() | st.builds(BaseLink, st.none() | st.floats(0, 1e6), st.integers(0, 10**9), st.integers(0, 10**9)),
+    base=st.none() | st.builds(ShownBase, st.none() | st.floats(0, 1e6), st.integers(0, 10**9), st.integers(0, 10**9)),
     zenoh_samples=st.none() | st.integers(0, 10**12),
     landmarks_xy_m=st.none() | points,
     path_xy_m=st.none() | points,
