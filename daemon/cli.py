@@ -22,17 +22,7 @@ from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
-from ceilvo.daemon.app.readers import command as readers
-from ceilvo.daemon.building import commands as building
-from ceilvo.daemon.doctor.examination import examine
-from ceilvo.daemon.editing import command as map_command
-from ceilvo.daemon.fleet import words as fleet_words
-from ceilvo.daemon.replay.command import replay_recording
-from ceilvo.daemon.replay.replay import Outputs
-from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run, runs_in
-from ceilvo.daemon.replay.runs import replay_runs
 from ceilvo.errors import CeilvoError, FileFormatError
-from ceilvo.tasks.workers import Workers, add_options
 
 log = logging.getLogger("ceilvo")
 
@@ -51,7 +41,8 @@ BENCHES = {"paper": "paper", "mrclam": "mrclam", "speed": "speed.filter_step"}
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 fine, 78 wrong configuration or calibration, 1 anything else, 2 wrong arguments."""
-    options = _parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    options = _parser(words[:1]).parse_args(words)
     _log_to_stderr("info")
     try:
         return int(options.do(options))
@@ -66,8 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
 
 
-def entry() -> None:
-    """The command as installed."""
+def entry() -> NoReturn:
+    """The command, to its end."""
     leave(main())
 
 
@@ -81,7 +72,8 @@ def leave(code: int) -> NoReturn:
     sys.exit(code)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(first: Sequence[str]) -> argparse.ArgumentParser:
+    """Of all commands; where the first word is a robot's own, of those alone: a restart need not wait for the rest."""
     parser = argparse.ArgumentParser(
         prog="ceilvod",
         description="Localisation of indoor robots that look at the ceiling.",
@@ -91,6 +83,13 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_run(commands)
     _add_record(commands)
+    if {*first} & {"run", "record"}:
+        return parser
+    from ceilvo.daemon.app.readers import command as readers
+    from ceilvo.daemon.building import commands as building
+    from ceilvo.daemon.editing import command as map_command
+    from ceilvo.daemon.fleet import words as fleet_words
+
     _add_replay(commands)
     readers.add(commands, _config_options, _config)
     _add_check(commands)
@@ -141,6 +140,8 @@ def _run_options(p: argparse.ArgumentParser) -> None:
 
 
 def _add_replay(commands: Commands) -> None:
+    from ceilvo.tasks.workers import add_options
+
     p = command(
         commands,
         "replay",
@@ -233,6 +234,12 @@ def _run_simulated(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
+    from ceilvo.daemon.replay.command import replay_recording
+    from ceilvo.daemon.replay.replay import Outputs
+    from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run, runs_in
+    from ceilvo.daemon.replay.runs import replay_runs
+    from ceilvo.tasks.workers import Workers
+
     if not options.source.exists():
         raise FileFormatError(f"{options.source}: no such recording, folder or video file")
     outputs = Outputs(options.tum, options.jsonl, options.pictures, options.picture_every)
@@ -262,6 +269,8 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
+    from ceilvo.daemon.doctor.examination import examine
+
     return examine(options.config or DEFAULT_CONFIG, tuple(options.set), options.json)
 
 

@@ -20,6 +20,7 @@ import house  # noqa: E402
 PURE, IMPURE, SHARED, OUTSIDE, LINE = "#d8ecd8", "#fbe3c8", "#dce6f5", "#ececec", "#444444"
 SAID = {
     "cli": "ceilvod and its words",
+    "start": "the command as installed",
     "building": "maps of buildings from many drives: refined, joined, built",
     "editing": "ceilvod map: looking at maps, editing, undoing",
     "fleet": "maps that a fleet shares: the service, a robot's side",

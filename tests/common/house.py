@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("ceilvo", "daemon", "drivers", "calib", "sim", "bench")
 FLOORS = (
     *("ceilvo", "vision", "odometry", "slam", "slam/paper", "relocalisation"),
-    *("integrity", "pipeline", "replay", "refinement", "editing", "fleet", "app", "doctor", "building", "cli"),
+    *("integrity", "pipeline", "replay", "refinement", "editing", "fleet", "app", "doctor", "building", "cli", "start"),
 )
 """From the ground up; all but the first are in daemon/. A floor imports itself and what lies below."""
-ENTRANCES = ("daemon/pipeline", "daemon/cli")
+ENTRANCES = ("daemon/pipeline", "daemon/cli", "daemon/start")
 """Files of daemon/ that are a floor of their own."""
 
 Graph = Mapping[str, set[str]]

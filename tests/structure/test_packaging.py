@@ -136,13 +136,13 @@ def test_the_default_configuration_comes_with_the_code(installed: Path, tmp_path
     assert python(installed, code, tmp_path) == (ROOT / "config.yaml").read_text()
 
 
-@pytest.mark.parametrize(("command", "target"), [("ceilvod", "ceilvo.daemon.cli"), ("calib", "ceilvo.calib.cli")])
+@pytest.mark.parametrize(("command", "target"), [("ceilvod", "ceilvo.daemon.start"), ("calib", "ceilvo.calib.cli")])
 def test_the_commands_exist_and_explain_themselves(installed: Path, tmp_path: Path, command: str, target: str) -> None:
     script = (installed / "bin" / command).read_text()
     assert f"from {target} import" in script
     code = (
         "import contextlib, io\n"
-        f"from {target} import main\n"
+        f"from {target.replace('start', 'cli')} import main\n"
         "out = io.StringIO()\n"
         "with contextlib.redirect_stdout(out):\n"
         "    try:\n"
