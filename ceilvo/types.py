@@ -319,7 +319,11 @@ class FilterHealth:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What the daemon says about one frame. pose is map_from_base, twist is in base, odom is odom_from_base."""
+    """What the daemon says about one frame. pose is map_from_base, twist is in base, odom is odom_from_base.
+
+    Attributes:
+        floor: whose map the pose is on; "" where there is only one.
+    """
 
     seq: int
     stamp_ns: int
@@ -335,6 +339,7 @@ class Estimate:
     crossings: int
     landmarks: int
     latency_ms: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    floor: str = ""
 
 
 def frozen(a: Array) -> Array:

@@ -24,6 +24,8 @@ from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
+from ceilvo.daemon.relocalisation.floor_changes import FloorChanges, FloorChangesState
+from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
@@ -49,6 +51,8 @@ class PipelineState:
     states: StateMachineState
     checks: CrossChecksState = field(default_factory=CrossChecksState)
     heights: HeightsState = field(default_factory=HeightsState)
+    floors: Floors = field(default_factory=Floors)
+    floor_changes: FloorChangesState = field(default_factory=FloorChangesState)
 
 
 class Pipeline:
@@ -56,6 +60,8 @@ class Pipeline:
 
     Attributes:
         seen: crossings of the last step, as odometry and filter took them.
+        floors: of the map, where it has several; the filter and landmarks() are in their common frame, estimates are on
+            the floor that they name.
     """
 
     def __init__(self, calibration: Calibration, config: Config, rng: np.random.Generator) -> None:
@@ -68,6 +74,7 @@ class Pipeline:
         self.relocaliser = Relocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
+        self.floors, self.floor_changes = Floors(), FloorChanges()
         self.seq = 0
         self.seen: Crossings | None = None
         self.reset()
@@ -105,11 +112,20 @@ class Pipeline:
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)
+        self._watch_floors(track)
         view = None
         if crossings is not None and len(crossings) and track.gap is None:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
         return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view, suspicions)
+
+    def _watch_floors(self, track: Track) -> None:
+        if not self.floors:
+            return
+        came_back = track.final is not None and self.relocaliser.state.pending is not None
+        doubt = self.floor_changes.step(self.floors, self.filter.estimate()[0], came_back)
+        if doubt is not None:
+            self.relocaliser.raise_doubt(doubt)
 
     def _estimate(
         self,
@@ -123,6 +139,7 @@ class Pipeline:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
         pose, cov = self.checks.corrected(*track.carry(Pose(pose), cov))
+        floor, pose, cov = self.floors.on_floor(pose, cov)
         path = self.dead_reckoning.state
         degraded = suspicions.gravest(Severity.DEGRADED)
         evidence = Evidence(
@@ -156,6 +173,7 @@ class Pipeline:
             health=health,
             crossings=crossings,
             landmarks=landmarks,
+            floor=floor,
         )
 
     # -- what the outside may ask or say
@@ -173,8 +191,14 @@ class Pipeline:
         s = self.relocaliser.state
         return max(s.belief.doubt(), s.began, 0.0 if s.pending is None else s.pending.elsewhere)
 
+    @property
+    def floor(self) -> str:
+        """That the tracked pose is on; "" where the map has only one."""
+        here = self.floors.at(self.filter.estimate()[0])
+        return "" if here is None else here.name
+
     def landmarks(self) -> Landmarks:
-        """The map, without what was learnt in doubt of the place: that lies right to the robot only."""
+        """All floors of the map, without what was learnt in doubt of the place: that lies right to the robot only."""
         return rest_of(self.filter.landmarks(), self.relocaliser.state.submap_from)
 
     @property
@@ -190,6 +214,8 @@ class Pipeline:
             self.states.state,
             self.checks.state,
             self.odometry.heights.state,
+            self.floors,
+            self.floor_changes.state,
         )
 
     @state.setter
@@ -198,9 +224,13 @@ class Pipeline:
         self.dead_reckoning.state = state.dead_reckoning
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
         self.checks.state, self.odometry.heights.state = state.checks, state.heights
+        self.floors, self.floor_changes.state = state.floors, state.floor_changes
 
     def reset(self, keep_map: bool = False) -> None:
-        """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without."""
+        """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without.
+
+        That pose is on the home floor; a new map is of one floor.
+        """
         cfg = self.config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
         known = self.landmarks() if keep_map else None
@@ -209,12 +239,23 @@ class Pipeline:
         self.vision.state = LineFinderState()
         self.dead_reckoning.restart()
         self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known, doubt)
+        self.floors, self.floor_changes.state = self.floors if keep_map else Floors(), FloorChangesState()
         self.states.reset("started")
         self.checks.restart()
         self.odometry.heights.state = HeightsState()
 
-    def set_pose(self, pose: Pose, cov: Array, reason: str) -> None:
-        """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again."""
+    def set_pose(self, pose: Pose, cov: Array, reason: str, floor: str = "") -> None:
+        """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again.
+
+        Args:
+            floor: that it is on; "" for the one that the robot is on.
+
+        Raises:
+            KeyError: there is no such floor.
+        """
+        if self.floors:
+            pose, cov = self.floors.in_frame(floor or self.floor, pose, cov)
+        self.floor_changes.state = FloorChangesState()
         doubt = Doubt(reason, cov, doubts.GIVEN_WRONG, np.inf)
         self.relocaliser.start_at(pose, cov, self.landmarks(), doubt)
         self._begin(reason)
@@ -227,12 +268,15 @@ class Pipeline:
         cov: Array,
         recent: bool = False,
         elsewhere: float = 0.0,
+        floors: Floors | None = None,
     ) -> None:
         """Start on a map of an earlier run, which ended just now or long ago; the pose is to be confirmed.
 
         Args:
             elsewhere: that run's own.
+            floors: of the map, in whose common frame all else is; None for one.
         """
+        self.floors, self.floor_changes.state = floors or Floors(), FloorChangesState()
         doubt = doubts.of_stored(cov, recent, elsewhere)
         self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, doubt)
         self._begin("stored map and pose, to be confirmed")

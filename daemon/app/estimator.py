@@ -14,8 +14,10 @@ from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
+from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
+from ceilvo.errors import CeilvoError
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 Clock = Callable[[], int]
@@ -139,28 +141,43 @@ class Estimator:
             self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns)))
             return self._last
 
-    def load_map(self, stored_map: StoredMap, state: StoredState | None) -> None:
-        """Begin on the map of an earlier run; its last pose is a hypothesis. Without one the robot may be anywhere."""
+    def load_map(self, stored_map: StoredMap, state: StoredState | None, floors: Floors | None = None) -> None:
+        """Begin on the map of an earlier run; its last pose is a hypothesis. Without one the robot may be anywhere.
+
+        Args:
+            floors: of the map; the pose, too, is in their common frame then.
+        """
         with self._lock:
             pose = Pose(np.zeros(3)) if state is None else state.pose
             cov = np.diag(_RESTART_SIGMA**2) + (0.0 if state is None else state.cov)
             ago_ns = self._clock() - (0 if state is None else state.stamp_ns)
             recent = state is not None and 0 <= ago_ns < RECENT_NS  # the clock begins anew with the computer
             elsewhere = 0.0 if state is None else state.elsewhere
-            self._do(LoadMap(stored_map.landmarks, stored_map.map_axis_rad, pose, cov, recent, elsewhere))
+            knows = stored_map.landmarks, stored_map.map_axis_rad
+            self._do(LoadMap(*knows, pose, cov, recent, elsewhere, floors or Floors()))
             if state is None:
                 self._do(Reset(keep_map=True))
 
-    def set_pose(self, pose: Pose, sigma: Array, why: str) -> None:
-        """Continue from a pose given from outside, (3,) map_from_base with standard deviations (3,)."""
+    def set_pose(self, pose: Pose, sigma: Array, why: str, floor: str = "") -> None:
+        """Continue from a pose given from outside, (3,) map_from_base with standard deviations (3,).
+
+        Args:
+            floor: that it is on; "" for the one that the robot is on.
+
+        Raises:
+            CeilvoError: there is no such floor.
+        """
         with self._lock:
-            self._do(SetPose(pose, np.diag(np.square(sigma)), why))
+            known = [f.name for f in self._pipeline.floors.floors]
+            if floor and known and floor not in known:
+                raise CeilvoError(f"floor {floor!r} is not in the map, expected one of {', '.join(known)}")
+            self._do(SetPose(pose, np.diag(np.square(sigma)), why, floor))
 
     def relocalise(self) -> Array:
         """Spread the particles around the last pose and let landmarks confirm it; returns the (3,) sigma used."""
         with self._lock:
-            pose = Pose(np.zeros(3)) if self._last is None else self._last.pose
-            self._do(SetPose(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for"))
+            pose, floor = (Pose(np.zeros(3)), "") if self._last is None else (self._last.pose, self._last.floor)
+            self._do(SetPose(pose, np.diag(_SEARCH_SIGMA**2), "relocalisation asked for", floor))
         return _SEARCH_SIGMA
 
     def reset(self, keep_map: bool) -> None:
@@ -183,7 +200,9 @@ class Estimator:
     def display(self) -> Display:
         with self._lock:
             particles, weights = self._pipeline.filter.particles()
-            return Display(self._pipeline.vision.view, particles, weights, self._pipeline.filter.landmarks())
+            floors, floor, view = self._pipeline.floors, self._pipeline.floor, self._pipeline.vision.view
+            landmarks = floors.landmarks_on(floor, self._pipeline.filter.landmarks())
+            return Display(view, floors.poses_on(floor, particles), weights, landmarks)
 
     def counters(self) -> Mapping[str, int]:
         """Of the filter, see slam.pose_filter.COUNTERS."""
@@ -201,8 +220,19 @@ class Estimator:
             return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults}
 
     def map(self) -> tuple[Landmarks, float | None]:
+        """Of all floors, in their common frame."""
         with self._lock:
             return self._pipeline.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
+
+    def floors(self) -> Floors:
+        """Where the floors of map() are."""
+        with self._lock:
+            return self._pipeline.floors
+
+    def map_here(self) -> Landmarks:
+        """Of the floor that the robot is on."""
+        with self._lock:
+            return self._pipeline.floors.landmarks_on(self._pipeline.floor, self._pipeline.landmarks())
 
     def key_poses(self) -> KeyPoses | None:
         """Those that were taken since they were last kept; None where none are."""

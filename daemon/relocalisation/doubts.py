@@ -56,6 +56,8 @@ class Doubt:
         elsewhere: probability that this covariance does not hold, because somebody moved the robot.
         reach_m: how far it can have been moved.
         aligned: how much of alignment() also speaks against whole tiles: nobody who moved the robot minded the tiles.
+        leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
+            where there are any, nothing else moved it.
     """
 
     reason: str
@@ -63,6 +65,7 @@ class Doubt:
     elsewhere: float = 0.0
     reach_m: float = 0.0
     aligned: float = 0.0
+    leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def unmeasured(self) -> bool:
@@ -77,12 +80,14 @@ class Doubt:
     def search_m(self) -> float:
         """How far off rivals are looked for one by one."""
         drift_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(self.cov[:2, :2])[-1], 0.0)))
-        return min(max(drift_m, self.reach_m if self.elsewhere > 0.0 else 0.0), ANYWHERE_M)
+        carried_m = self.reach_m if self.elsewhere > 0.0 and not len(self.leads) else 0.0
+        return min(max(drift_m, carried_m), ANYWHERE_M)
 
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
         inverse = np.linalg.inv(self.cov + np.diag([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]))
-        moved = np.log(max((1.0 - OFF_MAP) * self.elsewhere, TINY) / (len(off) + 1))
+        carried = 0.0 if len(self.leads) else (1.0 - OFF_MAP) * self.elsewhere
+        moved = np.log(max(carried, TINY) / (len(off) + 1))
         moved -= float(np.clip(self.alignment(here, tile_m), 0.0, self.aligned))
         stayed = np.log1p(-self.elsewhere)
         there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
@@ -140,6 +145,12 @@ def of_stored(cov: Array, recent: bool, before: float) -> Doubt:
     before = min(before, RESET_WRONG)
     aligned = float(np.log((moved + before) / (moved / STORED_ALIGNED + before)))
     return Doubt("stored map and pose", cov, min(moved + before, RESET_WRONG), np.inf, aligned)
+
+
+def both(a: Doubt, b: Doubt) -> Doubt:
+    """Of one after the other: the largest of each, and of leads the later ones."""
+    elsewhere, reach_m = max(a.elsewhere, b.elsewhere), a.reach_m + b.reach_m
+    return Doubt(b.reason, a.cov + b.cov, elsewhere, reach_m, leads=b.leads if len(b.leads) else a.leads)
 
 
 def negligible(doubt: Doubt, rate: float) -> bool:

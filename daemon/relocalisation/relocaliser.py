@@ -16,6 +16,7 @@ from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.prior import log_odds_of_found
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose
 from ceilvo.daemon.slam.association import associate
@@ -49,10 +50,6 @@ WATCH_M = 2.0
 """How far those are looked for; chosen: three tiles, as a robot that jumps without a trace does not jump far."""
 MOST_FOUND = 2048
 """Places that a view is found at, the likeliest; chosen for time, half a second."""
-ENTERS = 0.05
-"""Chance per spot that a robot comes from ground that nobody has mapped to ground that somebody has; chosen."""
-PLACES_PER_M2 = 4.0 / 0.6**2
-"""Places of a map that a view may be from: four headings on every tile of 0.6 m."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 
@@ -72,6 +69,7 @@ class RelocaliserState:
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         submap_from: id from which on landmarks were learnt in doubt, see submap.py; None while the place is sure.
+        leads: of the doubt that is not settled yet, see Doubt.
         survey: of the map, to find a place on it.
         schedule: when a view is news.
     """
@@ -89,6 +87,7 @@ class RelocaliserState:
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
     submap_from: int | None = None
+    leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
     survey: MapSurvey = field(default_factory=MapSurvey)
     schedule: ScheduleState = field(default_factory=ScheduleState)
 
@@ -149,6 +148,7 @@ class Relocaliser:
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
         s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, False, None
+        s.leads = np.zeros((0, 3))
         s.survey.measured_m = np.inf
         if known is None:
             self.state = RelocaliserState()
@@ -184,19 +184,17 @@ class Relocaliser:
         if gapped or track.final.doubt > 0.0:
             bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
             cov = track.final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
-            self._raise(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt))
+            self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far."""
-        self._raise(Doubt(reason, elsewhere=doubts.JUMPED, reach_m=reach_m))
+        self.raise_doubt(Doubt(reason, elsewhere=doubts.JUMPED, reach_m=reach_m))
 
-    def _raise(self, doubt: Doubt) -> None:
-        """Doubts of one gap after another: the largest of each."""
+    def raise_doubt(self, doubt: Doubt) -> None:
+        """What may have happened since the last view."""
         s = self.state
         if s.pending is not None:
-            p = s.pending
-            elsewhere, reach_m = max(p.elsewhere, doubt.elsewhere), p.reach_m + doubt.reach_m
-            doubt = Doubt(doubt.reason, p.cov + doubt.cov, elsewhere, reach_m)
+            doubt = doubts.both(s.pending, doubt)
         if s.survey.coverage.area_m2 > YOUNG_M2 and not doubts.negligible(doubt, self._rate):
             s.pending = doubt
 
@@ -273,7 +271,7 @@ class Relocaliser:
         s = self.state
         if doubt.elsewhere >= doubts.JUMPED:
             s.belief.renew()
-        s.looked, s.spots = Coverage(), 0
+        s.looked, s.spots, s.leads = Coverage(), 0, doubt.leads if len(doubt.leads) else s.leads
         pose = self.filter.estimate()[0]
         lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
         if lattice is not None:
@@ -302,10 +300,9 @@ class Relocaliser:
         if not len(found):
             return
         poses = s.survey.index.refined(found.pose, view)
-        per_place = np.log(max(s.survey.coverage.area_m2, 1.0) * PLACES_PER_M2)
-        odds = s.belief.unknown - s.belief.settled[0] - per_place
-        odds += np.log(ENTERS) if s.spots > 0 else 0.0  # else it would have been listed before
-        s.belief.add(rival_from_tracked(poses, pose), np.full(len(poses), odds))
+        odds = s.belief.unknown - s.belief.settled[0]
+        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, s.spots)
+        s.belief.add(rival_from_tracked(poses, pose), odds)
 
     def _log_ratio(self, evidence: ViewEvidence, poses: Array, pose: Array) -> Array:
         """(P, 2) of all places' poses (P, 3); those far off are looked up in the index."""
@@ -320,12 +317,12 @@ class Relocaliser:
         s = self.state
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
         if winner is not None:
-            s.looked, s.spots = Coverage(), 0
+            s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
         if s.belief.doubt() >= self._rate:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
-            s.reason, s.began, s.submap_from = "", 0.0, None
+            s.reason, s.began, s.submap_from, s.leads = "", 0.0, None, np.zeros((0, 3))
             s.belief.forget()
         return winner is not None
 

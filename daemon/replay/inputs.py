@@ -10,14 +10,15 @@ from __future__ import annotations
 import json
 import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.replay.plausible import belief_problem, crossings_problem, landmarks_problem, wheels_problem
-from ceilvo.daemon.replay.snapshot import restore
+from ceilvo.daemon.replay.snapshot import read_value, restore, value_json
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
 from ceilvo.types import (
@@ -58,6 +59,7 @@ class LoadMap:
     Attributes:
         recent: that run ended just now.
         elsewhere: probability that the robot was at another place when the pose was stored.
+        floors: of the map, where it has several.
     """
 
     landmarks: Landmarks
@@ -66,15 +68,17 @@ class LoadMap:
     cov: Array
     recent: bool = False
     elsewhere: float = 0.0
+    floors: Floors = field(default_factory=Floors)
 
 
 @dataclass(frozen=True, slots=True)
 class SetPose:
-    """A pose (3,) with cov (3, 3) that somebody says."""
+    """A pose (3,) with cov (3, 3) that somebody says, on a floor, or on the one that the robot is on."""
 
     pose: Pose
     cov: Array
     why: str
+    floor: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +114,10 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
     if isinstance(given, Silence):
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
     if isinstance(given, LoadMap):
-        pipeline.load_map(given.landmarks, given.map_axis_rad, given.pose, given.cov, given.recent, given.elsewhere)
+        begins, knows = (given.pose, given.cov, given.recent, given.elsewhere), (given.landmarks, given.map_axis_rad)
+        pipeline.load_map(*knows, *begins, given.floors)
     elif isinstance(given, SetPose):
-        pipeline.set_pose(given.pose, given.cov, given.why)
+        pipeline.set_pose(given.pose, given.cov, given.why, given.floor)
     elif isinstance(given, Continuation):
         restore(pipeline, given.state)
     else:
@@ -139,9 +144,12 @@ def input_json(given: Input, number: int) -> bytes:
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
         body |= {"recent": given.recent, "elsewhere": given.elsewhere}
+        if given.floors:
+            body["floors"] = json.loads(value_json(given.floors))
         body["landmarks"] = {key: getattr(given.landmarks, name).tolist() for key, (name, _, _) in _LANDMARKS.items()}
     elif isinstance(given, SetPose):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
+        body |= {"floor": given.floor} if given.floor else {}
     elif isinstance(given, Continuation):
         body = {"input": "continuation", "state": given.state}
     elif isinstance(given, Sighting):
@@ -223,11 +231,12 @@ def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")
     recent, elsewhere = bool(body.get("recent", False)), float(body.get("elsewhere", 0.0))
-    return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body), recent, elsewhere)
+    floors = read_value(json.dumps(body.get("floors")).encode("ascii"), Floors) or Floors()
+    return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body), recent, elsewhere, floors)
 
 
 def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
-    return SetPose(*_read_belief(body), str(body["why"]))
+    return SetPose(*_read_belief(body), str(body["why"]), str(body.get("floor", "")))
 
 
 def _read_reset(body: Mapping[str, Any], frame_of: FrameOf) -> Input:

@@ -56,6 +56,10 @@ class Driver:
     def stop(self) -> None:
         self._v = self._w = 0.0
 
+    def head_for(self, xy_m: Array) -> None:
+        """Make a place (2,) the next goal."""
+        self._goal, self._rest_s = np.asarray(xy_m, float), 0.0
+
     def start(self) -> Array:
         """(3,) a pose to begin at."""
         return np.array([*self._rng.uniform(self.low, self.high), self._rng.uniform(-np.pi, np.pi)])
