@@ -170,7 +170,8 @@ class Estimator:
         with self._lock:
             known = [f.name for f in self._pipeline.floors.floors]
             if floor and known and floor not in known:
-                raise CeilvoError(f"floor {floor!r} is not in the map, expected one of {', '.join(known)}")
+                names = ", ".join(map(repr, known))
+                raise CeilvoError(f"map_id: found {floor!r}, expected a floor of the map that is loaded: {names}")
             self._do(SetPose(pose, np.diag(np.square(sigma)), why, floor))
 
     def relocalise(self) -> Array:
@@ -224,20 +225,28 @@ class Estimator:
         with self._lock:
             return self._pipeline.landmarks(), self._pipeline.relocaliser.state.map_axis_rad
 
-    def floors(self) -> Floors:
-        """Where the floors of map() are."""
+    def map_on(self, floor: str) -> tuple[Landmarks, float | None]:
+        """The map of one floor, in its own frame; where there is only one, that one."""
         with self._lock:
-            return self._pipeline.floors
+            floors, axis_rad = self._pipeline.floors, self._pipeline.relocaliser.state.map_axis_rad
+            here = floors.landmarks_on(floor, self._pipeline.landmarks())
+            return here, None if axis_rad is None else floors.axis_on(floor, axis_rad)
 
-    def map_here(self) -> Landmarks:
-        """Of the floor that the robot is on."""
+    def floors(self) -> tuple[str, ...]:
+        """Of the map; none where it has only one."""
         with self._lock:
-            return self._pipeline.floors.landmarks_on(self._pipeline.floor, self._pipeline.landmarks())
+            return tuple(f.name for f in self._pipeline.floors.floors)
 
-    def key_poses(self) -> KeyPoses | None:
-        """Those that were taken since they were last kept; None where none are."""
+    @property
+    def floor(self) -> str:
+        """That the robot is on; "" where there is only one."""
         with self._lock:
-            return None if self._taker is None else self._taker.taken()
+            return self._pipeline.floor
+
+    def key_poses(self, floor: str = "") -> KeyPoses | None:
+        """Those of a floor that were taken since they were last kept; None where none are."""
+        with self._lock:
+            return None if self._taker is None else self._taker.taken(floor)
 
     def key_poses_kept(self, key_poses: KeyPoses | None) -> None:
         """These are on the disk now."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,9 @@ from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.integrity.states import UNUSABLE
-from ceilvo.daemon.map.kept.store import Store
+from ceilvo.daemon.map.kept.store import Kept, Store
+from ceilvo.daemon.map.map_file import StoredMap
+from ceilvo.daemon.relocalisation.floors import FloorMap, Transition, side_by_side
 from ceilvo.types import Array, Estimate
 
 STOOD_NS = 10**9
@@ -31,6 +34,24 @@ def store_of(config: Config) -> Store:
     return Store.choose(config.service.state_dir, config.service.map_generations, session, config.service.floor)
 
 
+def begin_on(estimator: Estimator, kept: Kept) -> None:
+    """Begin on what an earlier run left."""
+    if not kept.floors:
+        return estimator.load_map(kept.map, kept.state)
+    maps = [
+        FloorMap(
+            f.floor, f.map.landmarks, f.map.map_axis_rad, tuple(Transition(s.name, s.kind, *s.pose) for s in f.sides)
+        )
+        for f in kept.floors
+    ]
+    landmarks, floors = side_by_side(maps)
+    state = kept.state
+    if state is not None:
+        pose, cov = floors.in_frame(kept.floor, state.pose, state.cov)
+        state = replace(state, pose=pose, cov=cov)
+    estimator.load_map(StoredMap(landmarks, maps[0].axis_rad), state, floors)
+
+
 class Keeper:
     """keep() is the main thread's; save() may be called by any."""
 
@@ -42,6 +63,7 @@ class Keeper:
         self._refused = 0
         self._began: Estimate | None = None
         self._kept: Estimate | None = None
+        self._floor: str | None = None
 
     def keep(self, now_ns: int) -> None:
         """Write what is due; to be called often.
@@ -68,14 +90,22 @@ class Keeper:
         last = self._estimator.last
         if last is None:
             return False
-        landmarks, axis_rad = self._estimator.map()
-        key_poses, refused = self._estimator.key_poses(), self._estimator.refused()
+        if self._floor not in (None, last.floor):
+            self._save_left(self._floor)
+        landmarks, axis_rad = self._estimator.map_on(last.floor)
+        key_poses, refused = self._estimator.key_poses(last.floor), self._estimator.refused()
         elsewhere, news = self._estimator.elsewhere(), max(refused - self._refused, 0)
         if not self._store.save(landmarks, axis_rad, last, elsewhere, key_poses, news):
             return False
         self._estimator.key_poses_kept(key_poses)
-        self._kept, self._refused = last, refused
+        self._kept, self._refused, self._floor = last, refused, last.floor
         return True
+
+    def _save_left(self, floor: str) -> None:
+        """What was learnt on a floor between its last saving and leaving it."""
+        (landmarks, axis_rad), key_poses = self._estimator.map_on(floor), self._estimator.key_poses(floor)
+        if axis_rad is not None and self._store.save_left(floor, landmarks, axis_rad, key_poses):
+            self._estimator.key_poses_kept(key_poses)
 
     def _stands(self, last: Estimate) -> bool:
         """By odometry, which is of eye and wheels and never jumps."""

@@ -29,6 +29,14 @@ _JPEG_QUALITY = 80
 """Of 100, for pictures on the bus; chosen: as in recordings."""
 
 
+MapOf = Callable[[str], tuple[str, int | None]]
+
+
+def no_map(floor: str) -> tuple[str, int | None]:
+    """Where no maps are kept."""
+    return floor, None
+
+
 class Outputs:
     """Thread-safe for events and health; estimates come from one thread."""
 
@@ -42,10 +50,12 @@ class Outputs:
         clock: Callable[[], int],
         recording: RecordingTap | None = None,
         wires: Sequence[Wire] = (),
+        map_of: MapOf = no_map,
     ) -> None:
+        """map_of: name and version of the map of a floor, see Store.map_of."""
         self._robot, self._calibration, self._estimator = robot, calibration, estimator
         self._base, self._bus, self._clock, self._recording = base, bus, clock, recording
-        self._wires = tuple(wires)
+        self._wires, self._map_of = tuple(wires), map_of
         self._reported: State | None = None
         self.events: deque[str] = deque(maxlen=_EVENTS)
 
@@ -58,7 +68,8 @@ class Outputs:
         for wire in self._wires:
             wire.publish(estimate, stamp, self._scene)
         if self._bus is not None:
-            self._bus.put(Topic.POSE, messages.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns))
+            map_ = self._map_of(estimate.floor)
+            self._bus.put(Topic.POSE, messages.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns, *map_))
             self._bus.put(Topic.ODOM, messages.encode_odom(self._robot, estimate, stamp.unix_ns))
             self._offer(self._bus, estimate.seq, stamp)
         if self._recording is not None:

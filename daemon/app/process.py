@@ -27,7 +27,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
-from ceilvo.daemon.app.keeping import Keeper, store_of
+from ceilvo.daemon.app.keeping import Keeper, begin_on, store_of
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
 from ceilvo.daemon.app.telemetry import Telemetry, Truth
@@ -123,9 +123,10 @@ class Daemon:
         wires = wires_of(config, plan.calibration, answers)
         self._bus, self._wires = wires.bus, wires.others
         name, fixed, recording = config.robot.name, plan.calibration, self._recording
-        self._outputs = Outputs(name, fixed, self._estimator, self._base, self._bus, clock, recording, self._wires)
+        links, kept = (self._base, self._bus), self._store.map_of
+        self._outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, self._wires, kept)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
-        links, about = (self._base, self._bus), (config.service.seed, plan.calibration.driving_nis)
+        about = config.service.seed, plan.calibration.driving_nis
         self._telemetry = Telemetry(
             self._estimator, self._capture, *links, plan.truth, clock, *about, self._store, self._wires
         )
@@ -147,7 +148,7 @@ class Daemon:
             ending.callback(self._store.close)
             stored = self._store.load()
             if stored is not None:
-                self._estimator.load_map(stored.map, stored.state)
+                begin_on(self._estimator, stored)
                 self._outputs.event("map", stored.said)
             ending.enter_context(stop_on_signals(self._stop))
             ending.enter_context(watch_threads(self._crash))

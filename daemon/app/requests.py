@@ -14,7 +14,7 @@ from ceilvo.daemon.map.kept.store import Store
 from ceilvo.drivers.bus import commands
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.errors import CeilvoError
-from ceilvo.types import Pose
+from ceilvo.types import Landmarks, Pose
 
 
 def handlers(
@@ -22,9 +22,16 @@ def handlers(
 ) -> Handlers:
     """Handlers that are safe to call from any thread; `save` writes map and pose."""
 
+    def here() -> Landmarks:
+        """The map of the floor that the robot is on."""
+        return estimator.map_on(estimator.floor)[0]
+
     def initial_pose(c: commands.InitialPose) -> Result:
+        only = store.map_of("")[0]
+        if c.map_id and not estimator.floors() and c.map_id != only:
+            raise CeilvoError(f"map_id: found {c.map_id!r}, expected {only!r}, the only map that is loaded")
         sigma = np.array([c.sigma_m, c.sigma_m, c.sigma_theta_rad])
-        estimator.set_pose(Pose(np.array([c.x_m, c.y_m, c.theta_rad])), sigma, "initial pose given")
+        estimator.set_pose(Pose(np.array([c.x_m, c.y_m, c.theta_rad])), sigma, "initial pose given", c.map_id)
         return {"did": "pose taken as a hypothesis; TRACKING once landmarks confirm it"}
 
     def relocalise(c: commands.Relocalise) -> Result:
@@ -39,18 +46,19 @@ def handlers(
             raise CeilvoError("no state directory: set service.state_dir or run under systemd")
         if not save():
             raise CeilvoError(f"nothing saved: {store.error or 'no landmarks yet'}")
-        return {"did": "saved", "folder": str(store.folder), "landmarks": len(estimator.map()[0])}
+        return {"did": "saved", "folder": str(store.folder), "landmarks": len(here()), "map_id": estimator.floor}
 
     def reset(c: commands.Reset) -> Result:
+        floor = estimator.floor
         estimator.reset(keep_map=c.keep_map)
         if c.keep_map:
             map_now = f"{len(estimator.map()[0])} landmarks kept"
         else:
-            map_now = "map forgotten" + ("; the last one that was saved stays as map.db.1" * store.begin_anew())
+            map_now = "map forgotten" + ("; the last one that was saved stays as map.db.1" * store.begin_anew(floor))
         return {"did": f"started again at the configured initial pose, {map_now}"}
 
     return Handlers(
-        map=lambda: estimator.map()[0],
+        map=here,
         calibration=lambda: calibration,
         config=lambda: config,
         initial_pose=initial_pose,

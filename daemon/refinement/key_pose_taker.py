@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -27,11 +28,14 @@ class KeyPoseTaker:
         """most: that are held; the oldest go where nobody takes them."""
         self._session, self._most = session, most
         self._poses: list[tuple[int, Array, Array, Array, float, float]] = []
+        self._floors: list[str] = []
         self._views: list[tuple[Array, Array, Ints, Ints]] = []
         self._motion, self._motion_cov = np.zeros(3), _UNKNOWN
 
     def add(self, pipeline: Pipeline, estimate: Estimate, crossings: Crossings | None) -> None:
         """After a step of the pipeline: what it saw and what came out."""
+        if self._floors and estimate.floor != self._floors[-1]:
+            self._motion, self._motion_cov = np.zeros(3), _UNKNOWN
         self._motion_cov = se2.compose_cov(
             self._motion, self._motion_cov, estimate.motion.prev_from_curr, estimate.motion.cov
         )
@@ -43,6 +47,7 @@ class KeyPoseTaker:
             self._cut()
         view = pipeline.relocaliser.observed(crossings)
         ids = _names(pipeline, view)
+        self._floors.append(estimate.floor)
         self._views.append((view.xy_base_m, _squares(view.var_m2), view.crossing_type, ids))
         directed = crossings.directed
         self._poses.append(
@@ -66,8 +71,7 @@ class KeyPoseTaker:
 
     def kept(self, key_poses: KeyPoses) -> None:
         """Those of taken() are kept elsewhere now."""
-        if len(key_poses):
-            self._forget(sum(p[0] <= key_poses.stamp_ns[-1] for p in self._poses))
+        self._keep([p[0] not in set(key_poses.stamp_ns.tolist()) for p in self._poses])
 
     def restart(self) -> None:
         """Forget all: the robot began on another map, and nobody knows how it got there."""
@@ -75,17 +79,23 @@ class KeyPoseTaker:
         self._motion, self._motion_cov = np.zeros(3), _UNKNOWN
 
     def _forget(self, count: int) -> None:
-        del self._poses[:count], self._views[:count]
+        self._keep([n >= count for n in range(len(self._poses))])
+
+    def _keep(self, which: Sequence[bool]) -> None:
+        self._poses, self._views = list(compress(self._poses, which)), list(compress(self._views, which))
+        self._floors = list(compress(self._floors, which))
 
     def _cut(self) -> None:
         """The way to the first one is not known any more."""
         stamp_ns, pose, _, _, direction, sigma = self._poses[0]
         self._poses[0] = (stamp_ns, pose, np.zeros(3), _UNKNOWN, direction, sigma)
 
-    def taken(self) -> KeyPoses:
-        """Those that are not forgotten."""
-        k = len(self._poses)
-        stamps, poses, motions, covs, directions, sigmas = ([p[i] for p in self._poses] for i in range(6))
+    def taken(self, floor: str = "") -> KeyPoses:
+        """Those of a floor that are not forgotten."""
+        here = [f == floor for f in self._floors]
+        taken, seen = list(compress(self._poses, here)), list(compress(self._views, here))
+        k = len(taken)
+        stamps, poses, motions, covs, directions, sigmas = ([p[i] for p in taken] for i in range(6))
         cov = np.array(covs).reshape(k, 3, 3)
         cov[np.isnan(cov).any(axis=(1, 2))] = np.diag([np.inf] * 3)
         return KeyPoses(
@@ -96,11 +106,11 @@ class KeyPoseTaker:
             motion_cov=cov,
             direction_rad=np.array(directions, np.float64),
             direction_sigma_rad=np.array(sigmas, np.float64),
-            view=np.repeat(np.arange(k), [len(v[3]) for v in self._views]).astype(np.int64),
-            xy_base_m=_joined((v[0] for v in self._views), (2,)),
-            cov_base_m2=_joined((v[1] for v in self._views), (2, 2)),
-            crossing_type=_joined((v[2] for v in self._views), ()).astype(np.int64),
-            landmark=_joined((v[3] for v in self._views), ()).astype(np.int64),
+            view=np.repeat(np.arange(k), [len(v[3]) for v in seen]).astype(np.int64),
+            xy_base_m=_joined((v[0] for v in seen), (2,)),
+            cov_base_m2=_joined((v[1] for v in seen), (2, 2)),
+            crossing_type=_joined((v[2] for v in seen), ()).astype(np.int64),
+            landmark=_joined((v[3] for v in seen), ()).astype(np.int64),
         )
 
 
@@ -111,7 +121,7 @@ def _names(pipeline: Pipeline, view: Observations) -> Ints:
         transform(Pose(pipeline.filter.estimate()[0]), view.xy_base_m), FARTHEST_M
     )
     ids[named] = landmarks.ids[np.searchsorted(labels, view.label[named])]
-    return ids
+    return pipeline.floors.ids_on(pipeline.floor, ids) if pipeline.floors else ids
 
 
 def _squares(var_m2: Array) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ceilvo.se2 import compose, inverse, rotation, transform, wrap
-from ceilvo.types import Array, Landmarks, Pose
+from ceilvo.types import Array, Ints, Landmarks, Pose
 
 APART_M = 1000.0
 """Between a floor's ground and the next one's: a map may grow by half of it; chosen."""
@@ -130,13 +130,20 @@ class Floors:
         here = next(i for i, f in enumerate(self.floors) if f is floor)
         begins = np.array([f.begins_x_m for f in self.floors])
         own = landmarks.of(np.searchsorted(begins, landmarks.xy_map_m[:, 0], side="right") - 1 == here)
-        new = own.ids - self.first_new_id
-        ids = np.where(new >= 0, floor.ids + new, own.ids - floor.first_id)
+        ids = self.ids_on(name, own.ids)
         turn = rotation(-float(floor.frame_from_floor[2]))
         xy = transform(Pose(inverse(floor.frame_from_floor)), own.xy_map_m) if here else own.xy_map_m
         cov = turn @ own.cov_m2 @ turn.T if here else own.cov_m2
         out = replace(own, ids=ids, xy_map_m=xy, cov_m2=cov)
         return out.of(np.argsort(ids, kind="stable"))
+
+    def ids_on(self, name: str, ids: Ints) -> Ints:
+        """(N,) ids of the frame as a floor's own map has them; -1 stays."""
+        floor = self.named(name)
+        if floor is None:
+            return ids
+        new = ids - self.first_new_id
+        return np.asarray(np.where(ids < 0, -1, np.where(new >= 0, floor.ids + new, ids - floor.first_id)))
 
     @property
     def first_new_id(self) -> int:

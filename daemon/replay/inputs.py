@@ -114,8 +114,8 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
     if isinstance(given, Silence):
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
     if isinstance(given, LoadMap):
-        begins, knows = (given.pose, given.cov, given.recent, given.elsewhere), (given.landmarks, given.map_axis_rad)
-        pipeline.load_map(*knows, *begins, given.floors)
+        g = given
+        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.recent, g.elsewhere, g.floors)
     elif isinstance(given, SetPose):
         pipeline.set_pose(given.pose, given.cov, given.why, given.floor)
     elif isinstance(given, Continuation):

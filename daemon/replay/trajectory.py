@@ -88,6 +88,8 @@ def estimate_json(estimate: Estimate) -> str:
         "crossings": estimate.crossings,
         "landmarks": estimate.landmarks,
     }
+    if estimate.floor:
+        record["floor"] = estimate.floor
     return json.dumps(json_value(record), separators=(",", ":"), allow_nan=False) + "\n"
 
 

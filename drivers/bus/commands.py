@@ -18,13 +18,18 @@ COMMANDS = ("initial_pose", "relocalise", "save_map", "reset")
 
 @dataclass(frozen=True, slots=True)
 class InitialPose:
-    """Where somebody says the robot is, map_from_base, with standard deviations."""
+    """Where somebody says the robot is, map_from_base, with standard deviations.
+
+    Attributes:
+        map_id: the floor; "" for the one that the robot is on.
+    """
 
     x_m: float
     y_m: float
     theta_rad: float
     sigma_m: float = 0.25
     sigma_theta_rad: float = 0.15
+    map_id: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +92,16 @@ def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Comman
 
 
 def _parse_initial_pose(where: str, fields: Mapping[str, Any]) -> InitialPose:
-    _check_names(where, fields, tuple(_POSE_RANGES))
+    _check_names(where, fields, (*_POSE_RANGES, "map_id"))
+    map_id = fields.get("map_id", "")
+    if not isinstance(map_id, str):
+        raise BusError(f"{where}: map_id is {messages.short(map_id)}, expected the name of a floor")
     missing = [n for n in ("x_m", "y_m", "theta_rad") if n not in fields]
     if missing:
         raise BusError(f"{where}: {missing[0]} is missing, expected x_m, y_m and theta_rad")
-    values = {n: _number(where, n, v) for n, v in fields.items()}
+    values = {n: _number(where, n, v) for n, v in fields.items() if n != "map_id"}
     values["theta_rad"] = wrap(values["theta_rad"])
-    return InitialPose(**values)
+    return InitialPose(**values, map_id=map_id)
 
 
 def _check_names(where: str, fields: Mapping[str, Any], known: tuple[str, ...]) -> None:

@@ -54,8 +54,19 @@ def robot_key(prefix: str, robot: str) -> str:
 # encoding
 
 
-def encode_pose(robot: str, estimate: Estimate, stamp_unix_ns: int, sent_ns: int) -> bytes:
-    """Pose of base in map, how good it is and why; sent_ns (monotonic) minus the capture time is its age."""
+def encode_pose(
+    robot: str,
+    estimate: Estimate,
+    stamp_unix_ns: int,
+    sent_ns: int,
+    map_id: str = "",
+    map_version: int | None = None,
+) -> bytes:
+    """Pose of base in map, how good it is and why; sent_ns (monotonic) minus the capture time is its age.
+
+    Args:
+        map_id: name of the floor's map; map_version: as it was last kept, None where it is not.
+    """
     e, d = estimate, estimate.health
     sigma = np.sqrt(np.maximum(np.diag(e.cov), 0.0))
     return _message(
@@ -70,6 +81,8 @@ def encode_pose(robot: str, estimate: Estimate, stamp_unix_ns: int, sent_ns: int
             "state_number": int(e.state),
             "quality": e.quality,
             "reason": e.reason,
+            "map_id": map_id,
+            "map_version": map_version,
             **_pose_fields(e.pose),
             "cov": e.cov.ravel(),
             "sigma_x_m": sigma[0],

@@ -14,6 +14,8 @@ from typing import Any
 from ceilvo.daemon.map.database import schema
 from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.database.faults import DamagedError, HeldError, reading
+from ceilvo.daemon.map.database.held import floors, read_sides
+from ceilvo.daemon.map.transitions import Side
 from ceilvo.errors import FileFormatError
 from ceilvo.files import set_aside
 
@@ -148,6 +150,17 @@ def floors_in(path: Path) -> tuple[str, ...]:
         FileFormatError: as schema.connect.
     """
     return tuple(_column(path, "floor"))
+
+
+def sides_in(path: Path) -> dict[str, tuple[Side, ...]]:
+    """Transitions of every map in a database, by floor.
+
+    Raises:
+        FileFormatError: as schema.connect; DamagedError where one is not what was written.
+    """
+    db = schema.connect(path)
+    with contextlib.closing(db), reading(path):
+        return {floor: read_sides(db, number) for floor, number in floors(db).items()}
 
 
 def same_maps(a: Path, b: Path) -> bool:

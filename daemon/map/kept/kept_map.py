@@ -6,7 +6,6 @@ import contextlib
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from ceilvo.daemon.map.database.content import MapContent
@@ -21,6 +20,7 @@ from ceilvo.daemon.map.database.copies import (
 )
 from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.database.faults import DamagedError, HeldError
+from ceilvo.daemon.map.kept.found import Found, floors_around, found_in
 from ceilvo.daemon.map.kept.generations import Generations
 from ceilvo.daemon.map.kept.usable import out_of_the_way, usable
 from ceilvo.daemon.map.key_poses import KeyPoses
@@ -36,20 +36,6 @@ GROWN = 2.0
 a robot learns a building."""
 OLD_NAME = "map.json"
 """The map of a ceilvo that had no database; it is read where there is none, and stays as it is."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """A map that can be used.
-
-    Attributes:
-        frame: that poses on it are of, see MapDatabase; "" where nobody knows.
-        name: of the file that it is from.
-    """
-
-    map: StoredMap
-    frame: str
-    name: str
 
 
 class KeptMap:
@@ -78,7 +64,27 @@ class KeptMap:
         """Of the database as it is written; "" where none is open."""
         return "" if self._db is None else self._db.frame
 
+    @property
+    def name(self) -> str:
+        """Of the floor."""
+        return self._floor if self._db is None else self._db.floor
+
+    @property
+    def version(self) -> int | None:
+        """How often the map was written; None where it is not open."""
+        return None if self._db is None else self._db.version
+
+    @property
+    def content(self) -> Landmarks | None:
+        """What the database holds, as it was last read or written."""
+        stored = None if self._db is None else self._db.load()
+        return None if stored is None else stored.landmarks
+
     # -- reading
+
+    def floors(self, home: Found) -> tuple[Found, ...]:
+        """The map that was read, and those of the floors that one can get to from it; for one, itself."""
+        return (home,) if self._db is None else floors_around(home, self._db.floor, self.path)
 
     def read(self) -> Found | None:
         """The map; what cannot be used is set aside, and the next best takes its place: the good copy, a map of an
@@ -91,7 +97,7 @@ class KeptMap:
         if self._db is None or not (self._db.version or floors_in(self.path)):
             return self._earlier()
         self._hold(self._db)
-        return _found_in(self._db)
+        return found_in(self._db)
 
     def _opened(self) -> MapDatabase | None:
         """What lies there, or the good copy of it; None where neither can be used.
@@ -169,7 +175,7 @@ class KeptMap:
         if not os.path.lexists(path):
             return None
         with MapDatabase(path, self._chosen(floors_in(path))) as db:
-            return _found_in(db)
+            return found_in(db)
 
     def _become(self, put: Callable[[], object], source: Path) -> None:
         """A disk that refuses costs nothing but the next start's time."""
@@ -318,8 +324,3 @@ class KeptMap:
     def _hold(self, db: MapDatabase) -> None:
         stored = db.load()
         self.landmarks, self._hash = 0 if stored is None else len(stored.landmarks), db.hash
-
-
-def _found_in(db: MapDatabase) -> Found | None:
-    stored = db.load()
-    return None if stored is None else Found(stored, db.frame, db.path.name)

@@ -6,12 +6,14 @@ import contextlib
 import logging
 import os
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ceilvo.daemon.map.kept.kept_map import OLD_NAME, Found, KeptMap
+from ceilvo.daemon.map.kept.found import Found
+from ceilvo.daemon.map.kept.kept_map import OLD_NAME, KeptMap
 from ceilvo.daemon.map.kept.smaller_map import SmallerMap, is_much_smaller
 from ceilvo.daemon.map.kept.usable import usable
 from ceilvo.daemon.map.key_poses import KeyPoses
@@ -29,6 +31,9 @@ VAGUE_M, VAGUE_RAD = 100.0, np.pi
 of hours in the dark, leave no digits for the filter."""
 _VAGUE_COV = np.diag([1e2 * VAGUE_M**2, 1e2 * VAGUE_M**2, 1e2 * VAGUE_RAD**2])
 """Stored for all of them."""
+_ROUNDED_M, _ROUNDED = 1e-9, 1e-9
+"""Metres, and share of a variance, below which a landmark is taken not to have moved; chosen: far above what turning a
+building's coordinates rounds, far below any measurement."""
 _NOT_SAVED = "map and pose not saved"
 
 
@@ -37,13 +42,17 @@ class Kept:
     """What an earlier run left.
 
     Attributes:
-        state: the last pose on this map; None where it is not known.
+        state: the last pose; None where it is not known.
         said: what was loaded, for people.
+        floors: the map of each floor that the robot can get to, the home floor's first; empty for one.
+        floor: that the last pose is on.
     """
 
     map: StoredMap
     state: StoredState | None
     said: str
+    floors: tuple[Found, ...] = ()
+    floor: str = ""
 
 
 class Store:
@@ -60,7 +69,9 @@ class Store:
         self._in_use = False
         self._lock = threading.Lock()
         at = Path() if folder is None else folder
+        self._generations = generations
         self._map = KeptMap(at / MAP_NAME, generations, session, floor)
+        self._others: dict[str, KeptMap] = {}
         self._beside = SmallerMap(at / BESIDE_NAME)
 
     @property
@@ -81,22 +92,42 @@ class Store:
         self._sweep(self._folder)
         with self._lock:
             found = self._map.read()
+            floors = () if found is None else self._map.floors(found)
+            self._others = {f.floor: self._kept_map(f.floor) for f in floors[1:]}
         state = usable(self._folder / STATE_NAME, load_state)
         if found is None:
             return None
         self._in_use = True
-        landmarks, said = found.map.landmarks, "its last pose is a hypothesis until landmarks confirm it"
-        if state is not None and state.frame not in (None, found.frame):
+        said, on = "its last pose is a hypothesis until landmarks confirm it", found
+        if state is not None and state.frame is not None:
+            on = next((f for f in floors if f.frame == state.frame), found)
+        if state is not None and state.frame not in (None, on.frame):
             state, said = None, "its last pose was on another map: the robot is searched for on all of it"
-        elif state is None or _is_vague(state.cov) or _is_off(state.pose, landmarks):
+        elif state is None or _is_vague(state.cov) or _is_off(state.pose, on.map.landmarks):
             state, said = None, "without a pose: the robot is searched for on all of it"
-        return Kept(_bounded(found.map), state, f"{_which(found)}, {len(landmarks)} landmarks; {said}")
+        said = f"{_which(found, floors)}, {sum(len(f.map.landmarks) for f in floors)} landmarks; {said}"
+        several = tuple(replace(f, map=_bounded(f.map)) for f in floors) if len(floors) > 1 else ()
+        return Kept(_bounded(found.map), state, said, several, on.floor)
+
+    def _kept_map(self, floor: str) -> KeptMap:
+        assert self._folder is not None
+        return KeptMap(self._folder / MAP_NAME, self._generations, self._session, floor)
+
+    def map_of(self, floor: str) -> tuple[str, int | None]:
+        """Name and version of the map of a floor; of the home floor's for "". None while it is not kept."""
+        kept = self._on(floor)
+        return kept.name, kept.version
+
+    def _on(self, floor: str) -> KeptMap:
+        """Where the map of a floor is kept; the home floor's for any other name."""
+        return self._others.get(floor, self._map)
 
     def close(self) -> None:
         """At the end: what was saved is in the good copy then, too, and the database is whole without its log."""
         self.keep_copy()
         with self._lock:
-            self._map.close()
+            for kept in (self._map, *self._others.values()):
+                kept.close()
 
     @staticmethod
     def _sweep(folder: Path) -> None:
@@ -106,13 +137,18 @@ class Store:
                 for left in folder.glob(f".*{name}.*.tmp"):
                     left.unlink(missing_ok=True)
 
-    def begin_anew(self) -> bool:
+    def begin_anew(self, floor: str = "") -> bool:
         """The map was given up by its owner: what is saved next may be smaller. True where the old one stays as the
-        newest generation."""
+        newest generation.
+
+        Args:
+            floor: that the robot is on: it is the home floor then, and the others are left as they are.
+        """
         if self._folder is None:
             return False
         with self._lock:
             self._in_use = False
+            self._map, self._others = self._on(floor), {}
             try:
                 return self._map.give_up()
             except (CeilvoError, OSError) as e:
@@ -139,11 +175,10 @@ class Store:
         if self._folder is None or map_axis_rad is None:
             return False
         with self._lock:
+            kept = self._on(estimate.floor)
             try:
-                self._map.look()
-                if is_much_smaller(len(landmarks), self._map.landmarks):
-                    return self._save_beside(landmarks, map_axis_rad)
-                self._map.write(landmarks, map_axis_rad, key_poses, refused)
+                if not self._written(kept, landmarks, map_axis_rad, key_poses, refused):
+                    return False
                 self._write_pose(self._folder, estimate, elsewhere)
             except (CeilvoError, OSError) as e:
                 return self._complain(f"{_NOT_SAVED}: {e}")
@@ -152,13 +187,34 @@ class Store:
             self._complained, self._in_use = "", True
             return True
 
+    def save_left(self, floor: str, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None) -> bool:
+        """As save(), of a floor that the robot has left, without a pose."""
+        if self._folder is None:
+            return False
+        with self._lock:
+            try:
+                return self._written(self._on(floor), landmarks, map_axis_rad, key_poses, 0)
+            except (CeilvoError, OSError) as e:
+                return self._complain(f"{_NOT_SAVED}: {e}")
+
+    def _written(
+        self, kept: KeptMap, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None, refused: int
+    ) -> bool:
+        kept.look()
+        if is_much_smaller(len(landmarks), kept.landmarks):
+            return self._save_beside(kept, landmarks, map_axis_rad)
+        before = kept.content
+        landmarks = landmarks if before is None or kept is self._map else unmoved(landmarks, before)
+        kept.write(landmarks, map_axis_rad, key_poses, refused)
+        return True
+
     def save_pose(self, estimate: Estimate, elsewhere: float = 0.0) -> bool:
         """Write the pose alone; False where the map that lies in the folder is not the one in use, or saving failed of
         late: then it waits for the map."""
         if self._folder is None:
             return False
         with self._lock:
-            if not self._in_use or self._complained or not self._map.is_ours():
+            if not self._in_use or self._complained or not self._on(estimate.floor).is_ours():
                 return False
             try:
                 self._write_pose(self._folder, estimate, elsewhere)
@@ -170,21 +226,22 @@ class Store:
         """Make the last good copy of the map what was saved since; trouble is logged."""
         with self._lock:
             try:
-                self._map.keep_copy()
+                for kept in (*self._others.values(), self._map):
+                    kept.keep_copy()
             except (CeilvoError, OSError) as e:
                 _log.warning("%s", e)
 
     def _write_pose(self, folder: Path, e: Estimate, elsewhere: float) -> None:
         cov = _VAGUE_COV if _is_vague(e.cov) else e.cov
-        save_state(folder / STATE_NAME, e.pose, cov, e.state, e.stamp_ns, elsewhere, self._map.frame)
+        save_state(folder / STATE_NAME, e.pose, cov, e.state, e.stamp_ns, elsewhere, self._on(e.floor).frame)
 
-    def _save_beside(self, landmarks: Landmarks, map_axis_rad: float) -> bool:
+    def _save_beside(self, kept: KeptMap, landmarks: Landmarks, map_axis_rad: float) -> bool:
         if self._beside.write(landmarks, map_axis_rad):
             there = f"that one is in {BESIDE_NAME}"
         else:
             there = f"{BESIDE_NAME} of an earlier run has more, too, and stays"
         return self._complain(
-            f"{MAP_NAME} with {self._map.landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
+            f"{MAP_NAME} with {kept.landmarks} landmarks is kept, for the map in use has only {len(landmarks)}; "
             f"{there}. If it is the right one: cmd/reset without the map, then save"
         )
 
@@ -205,12 +262,28 @@ class Store:
         return self._folder
 
 
-def _which(found: Found) -> str:
+def _which(found: Found, floors: Sequence[Found]) -> str:
+    if len(floors) > 1:
+        return f"stored maps of {len(floors)} floors loaded ({', '.join(repr(f.floor) for f in floors)})"
     if found.name == MAP_NAME:
         return "stored map loaded"
     if found.name.startswith(OLD_NAME):
         return f"{found.name} imported into {MAP_NAME}, it stays as it was"
     return f"an earlier map loaded, {found.name}"
+
+
+def unmoved(landmarks: Landmarks, before: Landmarks) -> Landmarks:
+    """Those that lie where they lay, to the last bit: on their way into another frame and back they are rounded."""
+    at = np.searchsorted(before.ids, landmarks.ids)
+    known = np.flatnonzero(at < len(before))
+    known = known[before.ids[at[known]] == landmarks.ids[known]]
+    old = before.of(at[known])
+    same = np.all(np.abs(old.xy_map_m - landmarks.xy_map_m[known]) < _ROUNDED_M, axis=1)
+    off = np.abs(old.cov_m2 - landmarks.cov_m2[known])
+    same &= np.all(off <= _ROUNDED * np.trace(old.cov_m2, axis1=1, axis2=2)[:, None, None], axis=(1, 2))
+    xy, cov = landmarks.xy_map_m.copy(), landmarks.cov_m2.copy()
+    xy[known[same]], cov[known[same]] = old.xy_map_m[same], old.cov_m2[same]
+    return replace(landmarks, xy_map_m=xy, cov_m2=cov)
 
 
 def _is_vague(cov: Array) -> bool:

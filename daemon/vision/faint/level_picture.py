@@ -104,7 +104,7 @@ def _reduced_px(view: LevelView, x: Array, y: Array) -> Array:
     level = np.stack(np.meshgrid(some_x, some_y), -1).reshape(-1, 2)
     raw = view.to_raw(level + np.array([view.camera.cx_px, view.camera.cy_px]))
     at = view.reduced_px(raw).reshape(len(some_y), len(some_x), 2)
-    return _between(_between(at, some_y, y).swapaxes(0, 1), some_x, x).swapaxes(0, 1)
+    return np.swapaxes(_between(np.swapaxes(_between(at, some_y, y), 0, 1), some_x, x), 0, 1)
 
 
 def _between(values: Array, at: Array, wanted: Array) -> Array:

@@ -45,13 +45,13 @@ class Robot(Estimator):
     def last(self) -> Estimate | None:
         return self.told
 
-    def map(self) -> tuple[Landmarks, float | None]:
+    def map_on(self, floor: str) -> tuple[Landmarks, float | None]:
         return landmarks(30), 0.25
 
     def elsewhere(self) -> float:
         return self.doubted
 
-    def key_poses(self) -> KeyPoses:
+    def key_poses(self, floor: str = "") -> KeyPoses:
         return self.taken
 
     def key_poses_kept(self, key_poses: KeyPoses | None) -> None:
@@ -232,3 +232,28 @@ def test_what_a_kill_would_leave_of_a_parked_robot_is_where_it_stands(tmp_path: 
 def off_m(folder: Path, pose: np.ndarray) -> float:
     state = load_state(folder / STATE_NAME)
     return np.inf if state is None else float(np.hypot(*(state.pose - pose)[:2]))
+
+
+def test_what_was_learnt_on_a_floor_is_kept_when_the_robot_has_left_it(tmp_path: Path) -> None:
+    """Of two floors, each save is of the one that the robot is on; once, of the one that it was on before."""
+
+    class Rides(Robot):
+        def map_on(self, floor: str) -> tuple[Landmarks, float | None]:
+            return landmarks({"": 30, "ground": 31, "first": 32}[floor]), 0.25
+
+    class Counts(Writes):
+        left: list[str]
+
+        def save_left(
+            self, floor: str, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None
+        ) -> bool:
+            self.left.append(f"{floor} {len(landmarks)}")
+            return True
+
+    robot, store = Rides(), Counts(tmp_path)
+    store.left = []
+    keeper = Keeper(robot, store, PERIOD_S)
+    for floor, left in (("ground", []), ("ground", []), ("first", ["ground 31"]), ("first", ["ground 31"])):
+        robot.told = replace(estimate(1), floor=floor)
+        assert keeper.save(), store.error
+        assert store.left == left, floor

@@ -61,7 +61,7 @@ def calibration() -> Calibration:
 def samples() -> dict[str, bytes]:
     particles = np.array([[1.0, 2.0, 0.5], [1.5, 2.5, -0.5]])
     return {
-        "pose": messages.encode_pose("robot1", estimate(), STAMP.unix_ns, sent_ns=5_000_000_000),
+        "pose": messages.encode_pose("robot1", estimate(), STAMP.unix_ns, 5_000_000_000, "first", 7),
         "odom": messages.encode_odom("robot1", estimate(), STAMP.unix_ns),
         "health": messages.encode_health(
             "robot1", STAMP, 12.5, State.TRACKING, {"frames": 360, "drops": 1, "fps": 29.5}

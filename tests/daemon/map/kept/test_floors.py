@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from kept_maps import write_database
 from map_contents import content, same_content
@@ -13,6 +15,7 @@ from ceilvo.daemon.editing.sources import read
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.daemon.map.database.copies import copy_of, floors_in, open_map
 from ceilvo.daemon.map.kept.store import MAP_NAME, Store
+from ceilvo.daemon.map.transitions import Side
 
 
 @pytest.fixture
@@ -81,3 +84,68 @@ def test_giving_up_one_floor_leaves_the_others(folder: Path) -> None:
     store.close()
     assert len(read(path, "ground").landmarks) == 3 and same_content(read(path, "first"), before)
     assert len(read(folder / f"{MAP_NAME}.1", "ground").landmarks) == 300
+
+
+LIFT = (Side("north", "lift", 1.0, 2.0, 0.5), Side("north", "lift", -4.0, 7.0, 2.0))
+
+
+@pytest.fixture
+def joined(folder: Path) -> Path:
+    """Both floors, joined by a lift, and one that nothing leads to."""
+    for floor, side in zip(("ground", "first"), LIFT, strict=True):
+        with open_map(folder / MAP_NAME, floor) as db:
+            db.edit(replace(db.content(), sides=(side,)), "lift")
+    with open_map(folder / MAP_NAME, "shed", create=True) as db:
+        db.edit(MapContent.of(landmarks(40), 0.25), "begin")
+    return folder
+
+
+def test_floors_that_a_lift_joins_are_known_together(joined: Path) -> None:
+    found = Store(joined).load()
+    assert found is not None and [f.floor for f in found.floors] == ["ground", "first"]
+    assert [len(f.map.landmarks) for f in found.floors] == [300, 200]
+    assert [f.sides for f in found.floors] == [(LIFT[0],), (LIFT[1],)]
+    assert "2 floors" in found.said and "'first'" in found.said
+    alone = Store(joined, floor="shed").load()
+    assert alone is not None and not alone.floors
+
+
+def test_what_is_learnt_upstairs_is_kept_upstairs_and_the_pose_comes_back_there(joined: Path) -> None:
+    path = joined / MAP_NAME
+    ground, shed = read(path, "ground"), read(path, "shed")
+    store = Store(joined)
+    store.load()
+    assert store.map_of("") == ("ground", 2)
+    upstairs = replace(estimate(1), floor="first")
+    assert store.save(landmarks(210), 0.25, upstairs), store.error
+    assert store.map_of("first") == ("first", 3)
+    store.close()
+    assert same_content(read(path, "ground"), ground) and same_content(read(path, "shed"), shed)
+    assert len(read(path, "first").landmarks) == 210
+    again = Store(joined).load()
+    assert again is not None and again.state is not None and again.floor == "first"
+    assert np.array_equal(again.state.pose, upstairs.pose)
+
+
+def test_the_floor_that_the_robot_left_is_kept_without_a_pose(joined: Path) -> None:
+    store = Store(joined)
+    store.load()
+    assert store.save_left("ground", landmarks(310), 0.25, None), store.error
+    assert store.save(landmarks(205), 0.25, replace(estimate(1), floor="first")), store.error
+    store.close()
+    assert len(read(joined / MAP_NAME, "ground").landmarks) == 310
+    again = Store(joined).load()
+    assert again is not None and again.floor == "first"
+
+
+def test_a_map_begun_anew_upstairs_leaves_the_ground_floor_alone(joined: Path) -> None:
+    path = joined / MAP_NAME
+    ground = read(path, "ground")
+    store = Store(joined)
+    store.load()
+    assert store.save(landmarks(200), 0.25, replace(estimate(1), floor="first"))
+    store.begin_anew("first")
+    assert store.save(landmarks(5), 0.1, estimate(2)), store.error
+    store.close()
+    assert same_content(read(path, "ground"), ground)
+    assert len(read(path, "first").landmarks) == 5
