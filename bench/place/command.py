@@ -68,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     _command(
         commands, "renovated", "30 per cent of the ceiling new over night in every other run, all of it in the rest", 40
     )
+    _command(commands, "rides", "to another floor, by lift and by ramp, and back out on the same one", 60)
     one = commands.add_parser("case", help="one case of faults again, with all that the daemon said")
     one.add_argument("kind", choices=KINDS, metavar="KIND")
     one.add_argument("--seed", type=int, default=0, help=_TUNING)
@@ -158,6 +159,11 @@ def _renovated(a: argparse.Namespace) -> None:
     _told(a, study_tables.renovated(results), study_tables.renovated_bars(results), results, ())
 
 
+def _rides(a: argparse.Namespace) -> None:
+    results = _studied(a, [Run("rides", a.seed, i) for i in range(a.count)])
+    _told(a, study_tables.rides(results), study_tables.rides_bars(results), results, ())
+
+
 def _case(a: argparse.Namespace) -> None:
     result = run_case(Case(a.kind, a.seed, a.number, _chosen(a.rooms, SIZES, "--rooms")))
     reasons = result.get("fault", result["before"]).pop("reasons")
@@ -185,6 +191,7 @@ _WORK: dict[str, Callable[[argparse.Namespace], None]] = {
     "laps": _laps,
     "start": _start,
     "renovated": _renovated,
+    "rides": _rides,
     "case": _case,
     "eye-check": _eye_check,
 }

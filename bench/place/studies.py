@@ -1,4 +1,4 @@
-"""Other questions than single faults: hours of laps without any, a start anywhere in a hall, a ceiling renovated."""
+"""Other questions than single faults: hours of laps without any, a start anywhere, a ceiling renovated, a ride."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
 from ceilvo.bench.place.faults.changes import renovated
+from ceilvo.bench.place.rides import ride
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.sights import CrossingSight
 from ceilvo.bench.place.robot.tally import Tally, figures, times
@@ -55,6 +56,8 @@ class Run:
 def run_study(run: Run) -> dict[str, Any]:
     """The figures of a run, as JSON can hold them."""
     cv2.setNumThreads(1)
+    if run.study == "rides":
+        return ride(run.seed, run.number)
     return {"laps": _laps, "start": _start, "renovated": _renovated}[run.study](run)
 
 

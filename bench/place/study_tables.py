@@ -137,3 +137,42 @@ def renovated_bars(results: Sequence[Result]) -> list[Bar]:
             "all new: not TRACKING after 10 s, share", [r["last_tracking_s"] <= _NOT_THIS_MAP_S for r in whole], 1.0
         ),
     ]
+
+
+def rides(results: Sequence[Result]) -> Table:
+    columns = (
+        "way",
+        "other floor",
+        "rides",
+        "found",
+        "wrong s T, D",
+        "after s, median",
+        "worst",
+        "after m",
+        "ms",
+        "p99",
+    )
+    out = Table(*columns)
+    for way, above in sorted({(r["way"], r["above"]) for r in results}):
+        group = [r for r in results if (r["way"], r["above"]) == (way, above)]
+        f, found = [r["run"] for r in group], [r for r in group if r["found"]]
+        out.add_row(
+            way,
+            above,
+            f"{len(group)}",
+            f"{len(found)}",
+            f"{wrong_s(f, 'TRACKING'):.1f}, {wrong_s(f, 'DEGRADED'):.1f}",
+            median([r["found_s"] for r in found]),
+            f"{max((r['found_s'] for r in found), default=np.nan):.1f}",
+            median([r["found_m"] for r in found]),
+            median([r["step_ms"]["median"] for r in group]),
+            median([r["step_ms"]["p99"] for r in group]),
+        )
+    return out
+
+
+def rides_bars(results: Sequence[Result]) -> list[Bar]:
+    return [
+        share_bar("never wrong after a ride, share", [not _was_wrong(r) for r in results], 1.0),
+        share_bar("right floor found within 3 min, share", [bool(r["found"]) for r in results], 1.0),
+    ]

@@ -244,9 +244,7 @@ def test_what_was_learnt_on_a_floor_is_kept_when_the_robot_has_left_it(tmp_path:
     class Counts(Writes):
         left: list[str]
 
-        def save_left(
-            self, floor: str, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None
-        ) -> bool:
+        def save_left(self, floor: str, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None) -> bool:
             self.left.append(f"{floor} {len(landmarks)}")
             return True
 

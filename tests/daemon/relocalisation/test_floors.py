@@ -10,11 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ceilvo.bench.place.rides import WAYS, ride
+from ceilvo.config import Config
+from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.kept.store import unmoved
+from ceilvo.daemon.map.map_file import StoredMap
+from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.floor_changes import AT_M, LEFT_M, FloorChanges
 from ceilvo.daemon.relocalisation.floors import APART_M, FloorMap, Floors, Transition, side_by_side
 from ceilvo.daemon.replay.inputs import LoadMap, SetPose, input_json, read_input
+from ceilvo.errors import CeilvoError
 from ceilvo.se2 import compose, transform, wrap
+from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Landmarks, Pose
 
 SEED = 11
@@ -175,3 +181,28 @@ def test_after_a_ride_the_robot_finds_out_which_floor_it_is_on(number: int) -> N
     assert r["settled"] and r["found"]
     assert r["run"]["state_s"].get("RELOCALISING", 0.0) > 0.0, "it says that it does not know"
     assert not r["run"]["wrong_s"].get("TRACKING")
+
+
+def test_a_pose_can_be_given_on_any_floor_of_the_map() -> None:
+    maps, whole, floors = building(np.zeros(3), np.array([5.0, -3.0, 1.0]))
+    pipeline = Pipeline(simulated_calibration(tile_m=0.6), Config(), np.random.default_rng(SEED))
+    estimator = Estimator(pipeline, lambda: 10**9)
+    estimator.load_map(StoredMap(whole, maps[0].axis_rad), None, floors)
+    assert estimator.floors() == ("ground", "first") and estimator.floor == "ground"
+    pose, sigma = Pose(np.array([8.0, 4.0, 0.7])), np.array([0.1, 0.1, 0.05])
+    estimator.set_pose(pose, sigma, "told", "first")
+    assert estimator.floor == "first"
+    there, cov, _ = pipeline.filter.estimate()
+    name, back, cov_back = floors.on_floor(there, cov)
+    assert name == "first" and np.max(np.abs(back - pose)) < 1e-3
+    assert np.max(np.abs(cov_back - np.diag(sigma**2))) < 1e-3
+    estimator.set_pose(pose, sigma, "told")
+    assert estimator.floor == "first", "the one that it is on"
+    with pytest.raises(CeilvoError, match=r"map_id: found 'attic', expected a floor .*'ground', 'first'"):
+        estimator.set_pose(pose, sigma, "told", "attic")
+    assert len(estimator.map_on("first")[0]) == len(maps[1].landmarks)
+    assert len(estimator.display().landmarks) == len(maps[1].landmarks)
+    estimator.reset(keep_map=True)
+    assert estimator.floor == "ground", "the configured pose is on the home floor"
+    estimator.reset(keep_map=False)
+    assert estimator.floors() == () and estimator.floor == ""
