@@ -2,25 +2,22 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-import zenoh
 from daemon_thread import start
 from kept_maps import load_database
 from patience import PATIENCE_S, until
+from subscriber import Subscriber, config_of, free_port
 
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
-from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.daemon.app.process import Daemon, Plan, run
-from ceilvo.drivers.bus.messages import Pose, decode_pose
+from ceilvo.drivers.bus.messages import Pose
 from ceilvo.drivers.camera.mock_camera import Crash, Good, MockCamera
 from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.drivers.ports import CameraInfo
@@ -38,52 +35,6 @@ SEED = 5
 @pytest.fixture(scope="module")
 def world() -> World:
     return World(WorldSpec(seed=SEED))
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
-
-
-def config_of(world: World, base_port: str, zenoh_port: int, state_dir: Path | None = None) -> Config:
-    x, y, theta = (float(v) for v in world.initial_pose)
-    return Config(
-        filter=Filter(initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta))),
-        base=Base(port=base_port, rate_hz=50.0, timeout_s=0.3),
-        zenoh=Zenoh(listen=(f"tcp/127.0.0.1:{zenoh_port}",), multicast=False),
-        service=Service(state_dir=str(state_dir or "")),
-    )
-
-
-class Subscriber:
-    """Collects poses and events as any application would."""
-
-    def __init__(self, port: int) -> None:
-        conf = zenoh.Config()
-        conf.insert_json5("scouting/multicast/enabled", "false")
-        conf.insert_json5("listen/endpoints", "[]")
-        conf.insert_json5("connect/endpoints", json.dumps([f"tcp/127.0.0.1:{port}"]))
-        conf.insert_json5("connect/timeout_ms", "10000")
-        conf.insert_json5("connect/exit_on_failure", "false")
-        self.poses: list[Pose] = []
-        self.session = zenoh.open(conf)
-        self._sub = self.session.declare_subscriber("ceilvo/robot1/pose", self._take)
-
-    def _take(self, sample: zenoh.Sample) -> None:
-        self.poses.append(decode_pose(sample.payload.to_bytes()))
-
-    def ask(self, key: str, payload: str = "") -> dict[str, object]:
-        for reply in self.session.get(f"ceilvo/robot1/{key}", payload=payload, timeout=PATIENCE_S):
-            answer = reply.ok if reply.ok is not None else reply.err
-            assert answer is not None
-            parsed = json.loads(answer.payload.to_bytes())
-            assert isinstance(parsed, dict)
-            return parsed
-        raise AssertionError(f"no reply from {key}")
-
-    def close(self) -> None:
-        self.session.close()
 
 
 @pytest.fixture

@@ -172,9 +172,9 @@ def test_floors_are_recorded_to_the_last_bit() -> None:
     assert isinstance(again, SetPose) and again.floor == "first"
 
 
-@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("number", [0, 1])
 def test_after_a_ride_the_robot_finds_out_which_floor_it_is_on(number: int) -> None:
-    """In a lift, by a ramp, and out where it came in; never sure of the wrong floor."""
+    """In a lift, and by a ramp; never sure of the wrong floor."""
     r = ride(SEED, number)
     print(f"seed {SEED} number {number}: {r['way']}, found after {r['found_s']} s, {r['found_m']} m")
     assert r["way"] == WAYS[number]
