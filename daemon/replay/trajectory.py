@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +22,7 @@ from ceilvo import se2
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.errors import FileFormatError
 from ceilvo.json_values import json_value
-from ceilvo.types import Estimate
+from ceilvo.types import Displacement, Estimate, FilterHealth, Motion, Pose, State, Twist
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -91,6 +91,44 @@ def estimate_json(estimate: Estimate) -> str:
     if estimate.floor:
         record["floor"] = estimate.floor
     return json.dumps(json_value(record), separators=(",", ":"), allow_nan=False) + "\n"
+
+
+def read_estimate(line: bytes) -> Estimate:
+    """The estimate in a line of estimate_json(); what is null there is nan, and what is not in it has its default.
+
+    Raises:
+        FileFormatError: it is anything else.
+    """
+    try:
+        body = json.loads(line)
+        m, d = body["motion"], body["depletion"]
+        motion = Motion(
+            Displacement(_vector(m["prev_from_curr"])), _matrix(m["cov"]), m["inliers"], _number(m["rms_m"])
+        )
+        health = FilterHealth(
+            *(d["particles"], _number(d["ess"]), d["unique_ancestors"]),
+            *(_number(d["fit_residual"]), _number(d["nis"]), d["nis_dof"]),
+        )
+        return Estimate(
+            *(body["seq"], body["stamp_ns"], Pose(_vector(body["pose_map_from_base"])), _matrix(body["cov"])),
+            *(Pose(_vector(body["pose_odom_from_base"])), Twist(_vector(body["twist_base"])), State[body["state"]]),
+            *(_number(body["quality"]), str(body["reason"]), replace(motion, failure=m["failure"]), health),
+            *(body["crossings"], body["landmarks"]),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as e:
+        raise FileFormatError(f"estimate {line[:60]!r}: {type(e).__name__}; the recording is damaged") from e
+
+
+def _number(value: object) -> float:
+    return math.nan if value is None else float(value)  # type: ignore[arg-type]
+
+
+def _vector(values: object) -> Array:
+    return np.array(values, np.float64).reshape(3)
+
+
+def _matrix(values: object) -> Array:
+    return np.array(values, np.float64).reshape(3, 3)
 
 
 class _LineWriter:

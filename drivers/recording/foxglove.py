@@ -61,6 +61,16 @@ def compressed_image(unix_ns: int, data: bytes, image_format: str, frame_id: str
     return _stamped(CompressedImage(data=data, format=image_format, frame_id=frame_id), unix_ns)
 
 
+def compressed_bytes(data: bytes) -> tuple[bytes, str]:
+    """What compressed_image() was given: an encoded picture, and "jpeg" or "png".
+
+    Raises:
+        FileFormatError: it is anything else.
+    """
+    m = _parsed(CompressedImage, data)
+    return bytes(m.data), str(m.format)
+
+
 def read_compressed_image(data: bytes) -> NDArray[np.uint8]:
     """The grey pixels of compressed_image().
 
@@ -143,6 +153,20 @@ def scene_update(
     return bytes(m.SerializeToString())
 
 
+def read_scene(data: bytes) -> tuple[Array, Array]:
+    """Landmarks (L, 2) and particles (N, 3) of scene_update(), as many as it has.
+
+    Raises:
+        FileFormatError: it is anything else.
+    """
+    entities = {e.id: e for e in _parsed(SceneUpdate, data).entities}
+    spheres = entities["landmarks"].spheres if "landmarks" in entities else ()
+    arrows = entities["particles"].arrows if "particles" in entities else ()
+    xy = [(s.pose.position.x, s.pose.position.y) for s in spheres]
+    poses = [(a.pose.position.x, a.pose.position.y, _angle(a.pose.orientation)) for a in arrows]
+    return np.array(xy, np.float64).reshape(-1, 2), np.array(poses, np.float64).reshape(-1, 3)
+
+
 # -- schemas
 
 
@@ -193,6 +217,11 @@ def _set_pose(to: Any, pose: Array) -> None:
 def _half_angle(theta_rad: float) -> tuple[float, float]:
     """qz and qw of a turn about z."""
     return float(np.sin(theta_rad / 2.0)), float(np.cos(theta_rad / 2.0))
+
+
+def _angle(q: Any) -> float:
+    """Of a turn about z."""
+    return float(2.0 * np.arctan2(q.z, q.w))
 
 
 def _set_colour(to: Any, rgba: tuple[float, float, float, float]) -> None:

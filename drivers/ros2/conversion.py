@@ -167,12 +167,12 @@ class Conversion:
             poses=[self._pose(p) for p in poses[::step] if np.isfinite(p).all()],
         )
 
-    def image(self, unix_ns: int, jpeg: bytes) -> Any:
+    def image(self, unix_ns: int, data: bytes, kind: str = "jpeg") -> Any:
         return self._cdr.make(
             "sensor_msgs/msg/CompressedImage",
             header=self._header(unix_ns, self._config.camera_frame),
-            format="jpeg",
-            data=np.frombuffer(jpeg, np.uint8),
+            format=kind,
+            data=np.frombuffer(data, np.uint8),
         )
 
     def camera_info(self, unix_ns: int) -> Any:

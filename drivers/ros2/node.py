@@ -11,21 +11,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ceilvo import se2
 from ceilvo.config import Ros2
 from ceilvo.drivers.ports import Clock, Scene, Stamp
 from ceilvo.drivers.ros2.cdr import Cdr
-from ceilvo.drivers.ros2.conversion import UNUSABLE, Conversion
+from ceilvo.drivers.ros2.conversion import Conversion
 from ceilvo.drivers.ros2.endpoints import Endpoint, Endpoints
 from ceilvo.drivers.ros2.intake import Intake
+from ceilvo.drivers.ros2.speech import Speech
 from ceilvo.drivers.ros2.transport import Transport
 from ceilvo.types import Estimate, State
 
 log = logging.getLogger(__name__)
-
-Array = NDArray[np.float64]
 
 _WAITING = 64
 """Estimates kept while the thread is busy; older ones are dropped and counted. Chosen: two seconds of them."""
@@ -65,8 +62,7 @@ class Ros2Node:
         self._stopping = False
         self._counts = {"samples": 0, "unsent": 0, "dropped": 0, "errors": 0}
         self._cpu_s = 0.0
-        self._drift = _Drift()
-        self._last: Estimate | None = None
+        self._speech = Speech(config, conversion, endpoints)
         self._next_ns: dict[Endpoint, int] = {}
         self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
 
@@ -129,30 +125,15 @@ class Ros2Node:
 
     def _do(self, job: Job) -> None:
         if isinstance(job, _Health):
-            made = self._conversion.diagnostics(job.unix_ns, job.state, self._last, job.counters)
-            self._send(self._endpoints.diagnostics, made, job.unix_ns)
+            self._send(*self._speech.health(job.unix_ns, job.state, job.counters))
             return
         estimate, stamp, scene = job
         if not np.isfinite(np.concatenate([estimate.pose, estimate.odom, estimate.twist])).all():
             self._count("errors")
             return
-        before, self._last = self._last, estimate
-        self._drift.advance(estimate, before)
-        self._motion(estimate, stamp)
+        for said in self._speech.motion(estimate, stamp.unix_ns):
+            self._send(*said)
         self._shown(estimate, stamp, scene)
-
-    def _motion(self, estimate: Estimate, stamp: Stamp) -> None:
-        make, ends, at_ns = self._conversion, self._endpoints, stamp.unix_ns
-        moved = [] if estimate.state in UNUSABLE else [make.map_from_odom(estimate, at_ns)]
-        if self._config.fleet_tf and moved:
-            whole = make.tf(*moved, make.odom_from_base(estimate, at_ns, self._config.fleet_frame))
-            self._send(ends.fleet, whole, at_ns)
-        if self._config.odom_to_base:
-            moved.append(make.odom_from_base(estimate, at_ns, self._config.base_frame))
-        if moved:
-            self._send(ends.tf, make.tf(*moved), at_ns)
-        self._send(ends.pose, make.pose(estimate, at_ns), at_ns)
-        self._send(ends.odom, make.odometry(estimate, at_ns, self._drift.cov, self._drift.twist_cov), at_ns)
 
     def _shown(self, estimate: Estimate, stamp: Stamp, scene: Callable[[], Scene]) -> None:
         """What costs work, only while somebody subscribes and no oftener than its period."""
@@ -185,35 +166,3 @@ class Ros2Node:
     def _count(self, name: str) -> None:
         with self._changed:
             self._counts[name] += 1
-
-
-class _Drift:
-    """Covariance of odom -> base since the start, summed over the steps, and of the twist."""
-
-    def __init__(self) -> None:
-        self.cov = np.zeros((3, 3))
-        self.twist_cov = np.full((3, 3), np.nan)
-
-    def advance(self, estimate: Estimate, before: Estimate | None) -> None:
-        step = estimate.motion
-        if before is None or not np.isfinite(step.cov).all():
-            return
-        dt_s = 1e-9 * (estimate.stamp_ns - before.stamp_ns)
-        if dt_s <= 0.0:
-            return
-        self.twist_cov = step.cov / dt_s**2
-        self.cov = self._along(se2.between(before.odom, estimate.odom), float(before.odom[2])) + self._turned(
-            step.cov, float(before.odom[2])
-        )
-
-    def _along(self, moved: Array, heading_rad: float) -> Array:
-        """What the heading's uncertainty makes of a step."""
-        x, y = se2.rotation(heading_rad) @ moved[:2]
-        j = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-        return np.asarray(j @ self.cov @ j.T, np.float64)
-
-    @staticmethod
-    def _turned(cov: Array, heading_rad: float) -> Array:
-        r = np.eye(3)
-        r[:2, :2] = se2.rotation(heading_rad)
-        return np.asarray(r @ cov @ r.T, np.float64)

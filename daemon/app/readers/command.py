@@ -1,9 +1,10 @@
-"""`ceilvod watch`, `view` and `vda5050`: programs beside the daemon that read it on Zenoh."""
+"""`ceilvod watch`, `view`, `vda5050` and `export`: programs that read the daemon on Zenoh, or its recordings."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ceilvo.config import Config
@@ -33,6 +34,16 @@ def add(commands: Commands, config_options: Options, config_of: ConfigOf) -> Non
     p.add_argument("--port", type=from_up(0), default=8765, metavar="N", help="0 = a free one (default: 8765)")
     p.set_defaults(do=lambda options: _view(options, config_of(options)))
 
+    example = "ceilvod export drive.mcap drive_ros2.mcap --ros2"
+    p = command(commands, "export", "write a recording for other tools", example)
+    p.add_argument("source", type=Path, metavar="SOURCE", help="recording, or a folder with the files of one run")
+    p.add_argument("out", type=Path, metavar="OUT", help="new MCAP file")
+    p.add_argument("--ros2", action="store_true", required=True, help="as a ROS 2 bag: CDR, with definitions")
+    p.add_argument(
+        "--set", action="append", default=[], metavar="ros2.KEY=VALUE", help="frames, topics; may be repeated"
+    )
+    p.set_defaults(do=_export)
+
     p = command(commands, "vda5050", "tell a fleet by MQTT where the robot is", "ceilvod vda5050 --config config.yaml")
     config_options(p)
     p.set_defaults(do=lambda options: _vda5050(config_of(options)))
@@ -48,6 +59,12 @@ def _view(options: argparse.Namespace, config: Config) -> int:
     from ceilvo.daemon.app.readers.view import view_robot
 
     return view_robot(config.zenoh, options.robot or config.robot.name, options.host, options.port)
+
+
+def _export(options: argparse.Namespace) -> int:
+    from ceilvo.daemon.app.readers.export import export_ros2
+
+    return export_ros2(options.source, options.out, tuple(options.set))
 
 
 def _vda5050(config: Config) -> int:
