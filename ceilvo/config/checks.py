@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from urllib.parse import urlsplit
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Base, Camera, Config, Recorder, Ros2, Zenoh
@@ -15,6 +16,9 @@ from ceilvo.errors import ConfigError
 
 _ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ROS_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_MQTT_LEVEL = re.compile(r"[^/+#$][^/+#]*")
+_MQTT_TLS_PORT = 8883
+"""IANA's secure-mqtt."""
 _FRESH_PERIODS = 1.5
 """Of the camera, that a healthy pose is old at most; chosen: one period until the next, half a one for the step."""
 
@@ -52,6 +56,7 @@ def conflicts(config: Config, calibration: Calibration | None = None) -> list[Co
         *_base(config.base),
         *_zenoh(config.zenoh),
         *_ros2(config.ros2),
+        *_vda5050(config),
         *_recorder(config.recorder),
     ]
 
@@ -83,6 +88,13 @@ def notes(config: Config) -> tuple[str, ...]:
             f"zenoh.mode: peer behind {far[0]} is found by no peer of another computer: routers carry nothing from "
             "peer to peer, and zenoh.listen is on loopback; zenoh.mode: client lets the router carry it"
         )
+    vda = config.vda5050
+    if vda.user and not vda.ca_file and not on_this_computer(f"tcp/{vda.host}:"):
+        out.append(
+            f"vda5050.ca_file: nothing, so the password goes unencrypted to {vda.host}; name the broker's certificates"
+        )
+    if vda.port == _MQTT_TLS_PORT and not vda.ca_file:
+        out.append(f"vda5050.port: {vda.port} is MQTT with TLS, which vda5050.ca_file switches on; it names nothing")
     return tuple(out)
 
 
@@ -204,6 +216,39 @@ def _ros2(ros2: Ros2) -> Iterator[Conflict]:
         if values[i] in values[:i]:
             first = frames[values.index(values[i])]
             yield Conflict((f"ros2.{name}", f"ros2.{first}"), f"found {values[i]}, expected another than ros2.{first}")
+
+
+def _vda5050(config: Config) -> Iterator[Conflict]:
+    c = config.vda5050
+    levels = {"interface_name": c.interface_name, "manufacturer": c.manufacturer}
+    levels |= {"serial_number": c.serial_number} if c.serial_number else {}
+    for name, value in levels.items():
+        if not _MQTT_LEVEL.fullmatch(value) or not value.isprintable():
+            yield Conflict(
+                (f"vda5050.{name}",),
+                f"found {value!r}, expected one level of an MQTT topic: not empty, none of / + #, no $ in front",
+            )
+    for name in ("host", "map_id"):
+        if not getattr(c, name).strip():
+            yield Conflict((f"vda5050.{name}",), "found nothing, expected a name")
+    if c.password_file and not c.user:
+        keys = ("vda5050.user", "vda5050.password_file")
+        yield Conflict(keys, f"found nothing, expected the user of vda5050.password_file {c.password_file}")
+    for source in c.map_sources:
+        if problem := _source_problem(source):
+            yield Conflict(("vda5050.map_sources",), f"found {source!r}, expected {problem}")
+
+
+def _source_problem(source: str) -> str:
+    """What a place for maps should be; "" where it is that."""
+    try:
+        parts = urlsplit(source)
+    except ValueError:
+        return "an address"
+    whole = parts.scheme == "file" and not parts.netloc and parts.path.startswith("/")
+    if whole or (parts.scheme in ("http", "https") and parts.hostname and "@" not in parts.netloc):
+        return "" if not parts.query and not parts.fragment else "no ? or # in it"
+    return "https://HOST/..., http://HOST/... or file:///FOLDER"
 
 
 def _recorder(recorder: Recorder) -> Iterator[Conflict]:

@@ -49,5 +49,8 @@ class Vda5050:
     manufacturer: str = key("ceilvo", "in topics and headers; one MQTT level")
     serial_number: str = key("", "in topics and headers; empty is robot.name")
     map_id: str = key("map", "mapId where the pose's message names no map")
+    map_sources: tuple[str, ...] = key(
+        [], "what links of downloadMap may begin with, https://, http:// or file:///; empty: no map is downloaded"
+    )
     state_period_s: float = key(1.0, "period of the state, which is also sent when it changes", low=0.1, high=30.0)
     visualization_period_s: float = key(0.2, "shortest period of the position alone", low=0.05, high=30.0)

@@ -35,6 +35,7 @@ from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
+from ceilvo.daemon.shelf.taking import take_chosen
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.namesake import refuse_namesake
@@ -146,6 +147,9 @@ class Daemon:
         with ExitStack() as ending:
             self._own(ending)
             ending.callback(self._store.close)
+            taken = take_chosen(self._store.folder, self._config.service.floor, self._config.vda5050.map_id)
+            if taken is not None:
+                self._outputs.event("map", taken.said, logging.INFO if taken.ok else logging.WARNING)
             stored = self._store.load()
             if stored is not None:
                 begin_on(self._estimator, stored)

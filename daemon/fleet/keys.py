@@ -10,6 +10,7 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from ceilvo.errors import CeilvoError, ConfigError
+from ceilvo.files import read_secret
 
 KEY_BYTES, SIGNATURE_BYTES = 32, 64
 _MOST_BYTES = 200
@@ -41,16 +42,7 @@ class Signer:
             ConfigError: it holds no key, or others may read it.
         """
         name = "fleet.key_file"
-        try:
-            if path.exists() and not path.is_file():  # a pipe would be waited for
-                raise ConfigError(f"{name}: found {path}: not a file, expected a robot's key; {_MAKE_ONE}")
-            with path.open("rb") as f:
-                text = f.read(_MOST_BYTES + 1).strip()
-                mode = os.fstat(f.fileno()).st_mode
-        except OSError as e:
-            raise ConfigError(f"{name}: found {path}: {e.strerror}, expected a robot's key; {_MAKE_ONE}") from e
-        if mode & 0o007:
-            raise ConfigError(f"{name}: {path} may be read by everybody, expected mode 640 or 600; make a new one")
+        text = read_secret(path, name, "a robot's key", _MOST_BYTES, _MAKE_ONE, "make a new one")
         try:
             return Signer.of(_from_hex(text.decode("ascii")))
         except (UnicodeDecodeError, ValueError) as e:

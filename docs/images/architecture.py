@@ -24,6 +24,7 @@ SAID = {
     "building": "maps of buildings from many drives: refined, joined, built",
     "editing": "ceilvod map: looking at maps, editing, undoing",
     "fleet": "maps that a fleet shares: the service, a robot's side",
+    "shelf": "maps beside the one in use, taken at a start",
     "refinement": "a map made better from all that was seen",
     "doctor": "what is wrong with this installation?",
     "app": "process, estimator thread, outputs, requests, screen",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hmac
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from ceilvo.config import Zenoh
 from ceilvo.config.zenoh_names import needs_network
 from ceilvo.errors import BusError, ConfigError
+from ceilvo.files import read_secret
 
 FEWEST_CHARS, MOST_BYTES = 16, 4096
 """Of a token; chosen: 16 characters at random cannot be guessed at any rate that a network carries."""
@@ -66,16 +66,11 @@ class CommandGuard:
 
 def _read(path: Path) -> bytes:
     key = "zenoh.command_token_file"
-    try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise ConfigError(f"{key}: found {path}: not a file, expected one with a token; {_MAKE_ONE}")
-        with path.open("rb") as f:
-            token = f.read(MOST_BYTES + 1).strip()
-            mode = os.fstat(f.fileno()).st_mode
-    except OSError as e:
-        raise ConfigError(f"{key}: found {path}: {e.strerror}, expected a file with a token; {_MAKE_ONE}") from e
-    if not FEWEST_CHARS <= len(token) <= MOST_BYTES:
-        raise ConfigError(f"{key}: {path} has {len(token)} characters, expected {FEWEST_CHARS} or more; {_MAKE_ONE}")
-    if mode & 0o007:
-        raise ConfigError(f"{key}: {path} may be read by everybody, expected mode 640 or 600; chmod 640 {path}")
-    return token
+
+    def check(token: bytes) -> None:
+        if not FEWEST_CHARS <= len(token) <= MOST_BYTES:
+            raise ConfigError(
+                f"{key}: {path} has {len(token)} characters, expected {FEWEST_CHARS} or more; {_MAKE_ONE}"
+            )
+
+    return read_secret(path, key, "a token", MOST_BYTES, _MAKE_ONE, f"chmod 640 {path}", check)

@@ -7,20 +7,22 @@ import logging
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ceilvo.config import Config
+from ceilvo.drivers.bus.command_guard import CommandGuard
 from ceilvo.drivers.bus.messages import Pose, decode_pose
 from ceilvo.drivers.live.feed import ALIVE, GONE, Feed
 from ceilvo.drivers.ports import Topic
 from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.vda5050 import messages
+from ceilvo.drivers.vda5050.maps import FAILED, FINISHED, KINDS, MapActions, Maps, Told
 from ceilvo.drivers.vda5050.messages import Action, Robot
 from ceilvo.errors import BusError, ConfigError, one_line
+from ceilvo.files import read_secret
 
 if TYPE_CHECKING:
     import paho.mqtt.client as mqtt
@@ -31,8 +33,9 @@ _SILENT_S = 2.0
 """Without a pose for longer the robot is not localized; chosen: many frames of the slowest camera."""
 _ACTIONS = 20
 """Latest ones that the state tells of."""
-_NO_STORE = "this robot keeps one map; docs/fleets.md says how maps are exchanged"
 _KEEPALIVE_S = 10
+_MOST_BYTES = 4096
+"""Of a password; chosen."""
 _ENDED_S = 2.0
 """That the last message may take."""
 
@@ -40,19 +43,21 @@ _ENDED_S = 2.0
 class Adapter:
     """run() is one thread's; MQTT's callbacks only fill a mailbox."""
 
-    def __init__(self, config: Config, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, config: Config, maps: Maps, clock: Callable[[], float] = time.monotonic) -> None:
         """
         Raises:
             ConfigError: paho-mqtt is not installed, or a file cannot be used.
         """
         c = config.vda5050
-        self._config, self._vda, self._clock = config, c, clock
+        self._config, self._vda, self._clock, self._maps = config, c, clock, maps
+        self._map_actions, self._map_id = MapActions(maps), maps.known()[0].id
+        self._token = CommandGuard.of(config.zenoh).token
         self._robot = Robot(c.version, c.manufacturer, c.serial_number or config.robot.name)
         major = c.version.partition(".")[0]
         self._stem = f"{c.interface_name}/v{major}/{c.manufacturer}/{self._robot.serial_number}"
         self._numbers: dict[str, int] = {}
         self._inbox: queue.Queue[bytes] = queue.Queue(100)
-        self._actions: deque[dict[str, object]] = deque(maxlen=_ACTIONS)
+        self._actions: dict[str, dict[str, object]] = {}
         self._pose: Pose | None = None
         self._heard_s: float | None = None
         self._told: tuple[object, ...] = ()
@@ -97,19 +102,29 @@ class Adapter:
             return
         self._due["visualization"] = self._clock() + self._vda.visualization_period_s
         number, at = self._next("visualization")
-        body = messages.visualization(self._robot, number, at, pose, self._vda.map_id)
+        body = messages.visualization(self._robot, number, at, pose, self._map_id)
         if body is not None:
             self._client.publish(f"{self._stem}/visualization", body, qos=0)
 
     def _idle(self, feed: Feed) -> None:
         while not self._inbox.empty():
             self._act(feed, self._inbox.get())
+        for news in self._map_actions.news():
+            self._tell(news)
         silence = self._silence()
-        told = (silence, None if self._pose is None else self._pose.state, len(self._actions))
+        told = (silence, None if self._pose is None else self._pose.state)
         if told == self._told and self._clock() < self._due["state"]:
             return
         self._told, self._due["state"] = told, self._clock() + self._vda.state_period_s
-        self._publish("state", messages.state, self._pose, silence, self._vda.map_id, tuple(self._actions))
+        self._publish("state", messages.state, self._pose, silence, self._known(), tuple(self._actions.values()))
+
+    def _known(self) -> list[tuple[str, str, bool]]:
+        """What the pose says of its map goes first."""
+        known = [(m.id, m.version, m.enabled) for m in self._maps.known()]
+        self._map_id = known[0][0]
+        if self._pose is None or (said := messages.map_of(self._pose, known[0][0])) == known[0][0]:
+            return known
+        return [(said, str(self._pose.fields.get("map_version") or ""), True), *known[1:]]
 
     def _silence(self) -> str:
         if self._pose is None:
@@ -129,34 +144,30 @@ class Adapter:
             self._quiet.warning(f"{e}; nothing was done")
             return
         for action in actions:
-            ok, text = self._done(feed, action)
-            if text:
-                self._actions.append(messages.action_state(self._robot, action, ok, text))
-                self._told = ()
+            if action.kind in KINDS:
+                self._tell(self._map_actions.add(action))
+            elif action.kind in messages.INITIAL_POSE:
+                self._tell(self._placed(feed, action))
 
-    def _done(self, feed: Feed, action: Action) -> tuple[bool, str]:
-        """Whether it was, and what came of it; "" for what is another's business."""
-        current = self._vda.map_id if self._pose is None else messages.map_of(self._pose, self._vda.map_id)
-        if action.kind in messages.MAP_ACTIONS:
-            wanted = action.parameters.get("mapId")
-            if action.kind == "enableMap" and wanted == current:
-                return True, f"{current} is the map that is loaded"
-            return False, f"{action.kind} {one_line(str(wanted), 60)}: {_NO_STORE}"
-        if action.kind not in messages.INITIAL_POSE:
-            return False, ""
+    def _tell(self, told: Told) -> None:
+        """In the next state, which is sent at once."""
+        self._actions.pop(told.action.id, None)
+        self._actions[told.action.id] = messages.action_state(self._robot, told.action, told.status, told.text)
+        while len(self._actions) > _ACTIONS:
+            del self._actions[next(iter(self._actions))]
+        self._told = ()
+
+    def _placed(self, feed: Feed, action: Action) -> Told:
         try:
-            request = messages.initial_pose(action, current)
+            request = messages.initial_pose(action, self._known()[0][0])
         except BusError as e:
-            return False, str(e)
-        answer = feed.ask("cmd/initial_pose", request, self._token())
+            return Told(action, FAILED, str(e))
+        answer = feed.ask("cmd/initial_pose", request, self._token)
         if answer is None:
-            return False, "the localisation daemon does not answer"
+            return Told(action, FAILED, "the localisation daemon does not answer")
         said: dict[str, Any] = json.loads(answer[1])
-        return answer[0], str(said.get("error") or said.get("result", {}).get("did") or "done")
-
-    def _token(self) -> bytes:
-        file = self._config.zenoh.command_token_file
-        return Path(file).read_bytes().strip() if file else b""
+        text = str(said.get("error") or said.get("result", {}).get("did") or "done")
+        return Told(action, FINISHED if answer[0] else FAILED, text)
 
     # -- MQTT
 
@@ -184,10 +195,15 @@ class Adapter:
 
     def _password(self) -> str | None:
         file = self._vda.password_file
+        if not file:
+            return None
+        path = Path(file)
+        made = "write it there with: (umask 027; cat > FILE)"
+        secret = read_secret(path, "vda5050.password_file", "a password", _MOST_BYTES, made, f"chmod 640 {path}")
         try:
-            return Path(file).read_text().strip() if file else None
-        except OSError as e:
-            raise ConfigError(f"vda5050.password_file: {file}: {e.strerror}, expected a file with a password") from e
+            return secret.decode()
+        except UnicodeDecodeError as e:
+            raise ConfigError(f"vda5050.password_file: {file}: {one_line(str(e))}, expected text in UTF-8") from e
 
     def _on_connect(self, client: mqtt.Client, _u: Any, _f: Any, reason: Any, _p: Any) -> None:
         if reason.is_failure:

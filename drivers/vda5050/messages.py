@@ -20,7 +20,6 @@ _SIGMAS = 3.0
 """Of the deviation range: a robot is further off once in some hundred times."""
 INITIAL_POSE = ("initPosition", "initializePosition")
 """VDA 5050 2.x and 3.0."""
-MAP_ACTIONS = ("downloadMap", "enableMap", "deleteMap")
 _MOST_ACTIONS = 20
 """In one message; chosen."""
 
@@ -94,17 +93,27 @@ def visualization(robot: Robot, number: int, unix_ns: int, pose: Pose, map_id: s
 
 
 def state(
-    robot: Robot, number: int, unix_ns: int, pose: Pose | None, silence: str, map_id: str, actions: Sequence[object]
+    robot: Robot,
+    number: int,
+    unix_ns: int,
+    pose: Pose | None,
+    silence: str,
+    maps: Sequence[tuple[str, str, bool]],
+    actions: Sequence[object],
 ) -> bytes:
-    """What a localisation knows of the state; `silence` is why nothing is heard of the daemon, "" while it speaks."""
+    """What a localisation knows of the state.
+
+    Args:
+        silence: why nothing is heard of the daemon, "" while it speaks.
+        maps: id, version and whether it is in use; that one is the first.
+    """
+    map_id = maps[0][0]
     out: dict[str, object] = header(robot, number, unix_ns)
     where = None if pose is None else position(robot, pose, map_id)
     if where is not None and silence:
         where["localized" if robot.is_3 else "positionInitialized"] = False
     if where is not None:
         out["mobileRobotPosition" if robot.is_3 else "agvPosition"] = where
-    current = map_id if pose is None else map_of(pose, map_id)
-    version = "" if pose is None else str(pose.fields.get("map_version") or "")
     out |= {
         "orderId": "",
         "orderUpdateId": 0,
@@ -112,7 +121,10 @@ def state(
         "lastNodeSequenceId": 0,
         "nodeStates": [],
         "edgeStates": [],
-        "maps": [{"mapId": current, "mapVersion": version, "mapStatus": "ENABLED"}],
+        "maps": [
+            {"mapId": name, "mapVersion": version, "mapStatus": "ENABLED" if used else "DISABLED"}
+            for name, version, used in maps
+        ],
         "instantActionStates" if robot.is_3 else "actionStates": list(actions),
         "errors": list(errors(pose, silence)),
         "information": [],
@@ -181,12 +193,12 @@ def initial_pose(action: Action, map_id: str) -> bytes:
     return _bytes(out)
 
 
-def action_state(robot: Robot, action: Action, ok: bool, text: str) -> dict[str, object]:
-    """FINISHED or FAILED, with what came of it."""
+def action_state(robot: Robot, action: Action, status: str, text: str) -> dict[str, object]:
+    """status: RUNNING, FINISHED or FAILED; text: what came of it."""
     return {
         "actionId": action.id,
         "actionType": action.kind,
-        "actionStatus": "FINISHED" if ok else "FAILED",
+        "actionStatus": status,
         "actionResult" if robot.is_3 else "resultDescription": one_line(text),
     }
 

@@ -41,7 +41,10 @@ JOIN_DRIVERS = ("daemon/app", "daemon/app/readers", "daemon/replay", "daemon/doc
 SIMULATION = "daemon/app/simulation.py"
 FACTORY = "daemon/relocalisation/filters.py"
 MAP = "daemon/map"
-MAP_USERS = ("daemon/app", "daemon/building", "daemon/doctor", "daemon/editing", "daemon/refinement", *FLEET)
+MAP_USERS = (
+    *("daemon/app", "daemon/app/readers", "daemon/building", "daemon/doctor", "daemon/editing", "daemon/refinement"),
+    *("daemon/shelf", *FLEET),
+)
 FUZZ = "bench/fuzz/targets"
 
 PURE_UP_TO = FLOORS.index("pipeline")

@@ -163,6 +163,15 @@ def sides_in(path: Path) -> dict[str, tuple[Side, ...]]:
         return {floor: read_sides(db, number) for floor, number in floors(db).items()}
 
 
+def frames_in(path: Path) -> dict[str, str]:
+    """Frames of the maps in a database by their names, in their order; see MapDatabase.frame.
+
+    Raises:
+        FileFormatError: as schema.connect.
+    """
+    return _column(path, "frame")
+
+
 def same_maps(a: Path, b: Path) -> bool:
     """Whether two databases say the same by their hashes, however often they were written."""
     try:

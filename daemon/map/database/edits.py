@@ -61,14 +61,15 @@ def write_edit(db: sqlite3.Connection, held: Held, after: MapContent, what: str,
     for session in after.sessions:
         if session.name not in known:
             write_session(db, held, session, number)
-    axis_before, sides = held.axis_rad, read_sides(db, held.number)
+    axis_before, sides, before = held.axis_rad, read_sides(db, held.number), len(held.landmarks)
     if number is not None:
         text = json.dumps([astuple(s) for s in sides])
         db.execute("UPDATE edits SET sides_before = ? WHERE id = ?", (text.encode(), number))
     write_sides(db, held, after.sides)
     written = write_landmarks(db, held, after.landmarks, after.seen_s, edit=number)
     key_poses = write_key_poses(db, held, after.key_poses, number)
-    write_map(db, held, after.axis_rad, same_frame=not written.changed and after.axis_rad == axis_before)
+    stays = not before or written.removed < before  # a map of which nothing stays is another one
+    write_map(db, held, after.axis_rad, stays and not written.changed and after.axis_rad == axis_before)
     db.execute("UPDATE edits SET hash_after = ? WHERE id = ?", (held.hash, number))
     old = "SELECT id FROM edits WHERE map = ? ORDER BY id DESC LIMIT -1 OFFSET ?"
     db.execute(f"DELETE FROM edits WHERE id IN ({old})", (held.number, MOST_EDITS))

@@ -37,6 +37,12 @@ building's coordinates rounds, far below any measurement."""
 _NOT_SAVED = "map and pose not saved"
 
 
+def state_folder(configured: str) -> Path | None:
+    """service.state_dir, else the directory that systemd made, else none."""
+    name = configured or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(name) if name else None
+
+
 @dataclass(frozen=True)
 class Kept:
     """What an earlier run left.
@@ -81,9 +87,8 @@ class Store:
 
     @staticmethod
     def choose(configured: str, generations: int, session: str = "robot", floor: str = "") -> Store:
-        """service.state_dir, else the directory that systemd made, else none."""
-        name = configured or os.environ.get("STATE_DIRECTORY", "").split(":")[0]
-        return Store(Path(name) if name else None, generations, session, floor)
+        """Of state_folder()."""
+        return Store(state_folder(configured), generations, session, floor)
 
     def load(self) -> Kept | None:
         """The map of an earlier run and its last pose; None where no map can be used."""

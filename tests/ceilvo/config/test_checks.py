@@ -72,6 +72,22 @@ CONFLICTS = [
         ["recorder.kept_bytes=100000000"],
         "c.yaml: recorder.kept_bytes: found 100000000, expected at least recorder.ring_bytes 200000000",
     ),
+    (
+        ["vda5050.interface_name=a/b"],
+        "c.yaml: vda5050.interface_name: found 'a/b', expected one level of an MQTT topic",
+    ),
+    (["vda5050.interface_name=$SYS"], "c.yaml: vda5050.interface_name: found '$SYS', expected one level"),
+    (["vda5050.manufacturer="], "c.yaml: vda5050.manufacturer: found '', expected one level"),
+    (["vda5050.manufacturer=a+b"], "c.yaml: vda5050.manufacturer: found 'a+b', expected one level"),
+    (["vda5050.serial_number=a#"], "c.yaml: vda5050.serial_number: found 'a#', expected one level"),
+    (["vda5050.host="], "c.yaml: vda5050.host: found nothing, expected a name"),
+    (["vda5050.map_id="], "c.yaml: vda5050.map_id: found nothing, expected a name"),
+    (["vda5050.password_file=/etc/x"], "c.yaml: vda5050.user: found nothing, expected the user of vda5050.password"),
+    (["vda5050.map_sources=[ftp://a/b]"], "c.yaml: vda5050.map_sources: found 'ftp://a/b', expected https://HOST"),
+    (["vda5050.map_sources=[/srv/maps]"], "c.yaml: vda5050.map_sources: found '/srv/maps', expected https://HOST"),
+    (["vda5050.map_sources=['https://u:p@h/']"], "c.yaml: vda5050.map_sources: found 'https://u:p@h/', expected https"),
+    (["vda5050.map_sources=['file://h/srv']"], "c.yaml: vda5050.map_sources: found 'file://h/srv', expected https://"),
+    (["vda5050.map_sources=['https://h/?a=b']"], "c.yaml: vda5050.map_sources: found 'https://h/?a=b', expected no ?"),
     (["zenoh.mode=client", "zenoh.multicast=false"], "c.yaml: zenoh.connect: found nothing, expected a router"),
 ]
 
@@ -96,6 +112,30 @@ def test_the_names_that_pass_are_one_segment_for_zenoh_itself() -> None:
         assert conflicts(f"robot.name={name}") == ()
         key = zenoh.KeyExpr(f"ceilvo/{name}/pose")
         assert zenoh.KeyExpr("ceilvo/*/pose").includes(key)
+
+
+def test_a_fleet_managers_values_that_pass() -> None:
+    sources = "vda5050.map_sources=[https://maps.example/robots/, 'http://10.0.0.2:8080/', file:///srv/maps]"
+    assert conflicts("vda5050.serial_number=robot 7", "vda5050.manufacturer=ACME GmbH", sources) == ()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ([], ""),
+        (["vda5050.user=me"], ""),
+        (
+            ["vda5050.user=me", "vda5050.host=mqtt.example"],
+            "vda5050.ca_file: nothing, so the password goes",
+        ),
+        (["vda5050.user=me", "vda5050.host=mqtt.example", "vda5050.ca_file=/etc/ca.pem"], ""),
+        (["vda5050.port=8883"], "vda5050.port: 8883 is MQTT with TLS"),
+        (["vda5050.port=8883", "vda5050.ca_file=/etc/ca.pem"], ""),
+    ],
+)
+def test_notes_on_a_fleet_managers_values(overrides: list[str], says: str) -> None:
+    found = [n for n in notes(replace(Config(), overrides)) if n.startswith("vda5050")]
+    assert len(found) == bool(says) and all(n.startswith(says) for n in found)
 
 
 def test_a_rate_beyond_the_baud_shows_the_arithmetic() -> None:

@@ -102,6 +102,7 @@ CONFLICT_KEYS = (
     ": zenoh.prefix: ",
     ": zenoh.wire: ",
     ": ros2.",
+    ": vda5050.",
     ": zenoh.listen: ",
     ": zenoh.connect: ",
     ": camera.path: ",

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from ceilvo import se2
 from ceilvo.daemon import cli
+from ceilvo.daemon.app.readers.export import export_ros2
 from ceilvo.daemon.replay.trajectory import estimate_json, read_estimate
 from ceilvo.drivers.pictures import decoded
 from ceilvo.drivers.recording import foxglove
@@ -40,7 +41,7 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     """A recording and its bag."""
     folder = tmp_path_factory.mktemp("drive")
     recording, bag = record_drive(folder, request.param == "lossless"), folder / "ros.mcap"
-    assert cli.main(["export", str(recording), str(bag), "--ros2", "--set", "ros2.pose_topic=amcl_pose"]) == 0
+    assert export_ros2(recording, bag, ("ros2.pose_topic=amcl_pose",)) == 0
     assert [p.name for p in folder.glob(".ros*")] == []
     return recording, bag
 

@@ -126,7 +126,7 @@ def test_keys_are_made_shown_added_and_taken_back(tmp_path: Path, capsys: Captur
         (["map", "fetch", "map.db"], "fleet.service: found nothing"),
         (["map", "offer", "map.db", "--set", "fleet.service=hall"], "fleet.key_file: found nothing"),
         (["map", "offer", "map.db", "--set", "fleet.service=a/b"], "fleet.service: found 'a/b'"),
-        (["map", "key", "."], "not a file, expected a robot's key"),
+        (["map", "key", "."], "not a file, expected one with a robot's key"),
         (["mapd", "pending", "--db", "none.db"], "none.db.mapd: no such file"),
         (["mapd", "approve", "--db", "b.db"], "no offer was named"),
         (["mapd", "reject", "--db", "b.db", "7"], "offer 7: does not wait"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -32,15 +31,6 @@ from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Estimate, Frame
 
 SEED = 7
-
-
-@pytest.fixture(autouse=True)
-def log_handlers() -> Iterator[None]:
-    """The command line installs its own, which would outlive the test."""
-    root = logging.getLogger()
-    before = root.handlers[:]
-    yield
-    root.handlers[:] = before
 
 
 @pytest.fixture(scope="module")

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import queue
-import shutil
-import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from fleet_manager import Fleet, mosquitto
 from patience import PATIENCE_S, until
 from ros2_parts import UNIX_NS, estimate
 from zenoh_world import Robot, free_port
 
 from ceilvo import config
 from ceilvo.config import Config, Vda5050
+from ceilvo.daemon.app.readers.shelved import FleetMaps
 from ceilvo.drivers.bus import commands, messages
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import Topic
@@ -26,9 +24,7 @@ from ceilvo.drivers.vda5050 import messages as vda
 from ceilvo.errors import BusError
 from ceilvo.types import State
 
-mqtt = pytest.importorskip("paho.mqtt.client")
 ME = vda.Robot("3.0.0", "acme", "robot1")
-BROKER = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 
 
 def pose(state: State = State.TRACKING, **fields: object) -> messages.Pose:
@@ -85,58 +81,10 @@ def test_a_pose_without_a_number(value: object) -> None:
         vda.initial_pose(vda.Action("initPosition", "1", {"x": value, "y": 1.0, "theta": 0.0}), "map")
 
 
-class Fleet:
-    """A fleet manager, and what it was told by topic."""
-
-    def __init__(self, port: int) -> None:
-        self.told: dict[str, list[dict[str, Any]]] = {}
-        self.changed: queue.Queue[str] = queue.Queue()
-        self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-        self.client.on_message = self._take
-        self.client.connect("127.0.0.1", port)
-        self.client.subscribe("uagv/v3/ceilvo/robot1/#")
-        self.client.loop_start()
-
-    def _take(self, client: Any, userdata: Any, message: Any) -> None:
-        topic = message.topic.rpartition("/")[2]
-        self.told.setdefault(topic, []).append(json.loads(message.payload) if topic != "instantActions" else {})
-
-    def last(self, topic: str) -> dict[str, Any]:
-        return self.told.get(topic, [{}])[-1]
-
-    def order(self, kind: str, **parameters: object) -> None:
-        given = [{"key": k, "value": v} for k, v in parameters.items()]
-        action = {"actionType": kind, "actionId": kind, "blockingType": "NONE", "actionParameters": given}
-        self.client.publish("uagv/v3/ceilvo/robot1/instantActions", json.dumps({"actions": [action]}))
-
-    def result(self, kind: str) -> dict[str, Any]:
-        def found() -> dict[str, Any]:
-            states = self.last("state").get("instantActionStates", [])
-            return next((a for a in states if a["actionId"] == kind), {})
-
-        until(found, f"the end of {kind}")
-        return found()
-
-
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
-    if BROKER is None:
-        pytest.skip("no mosquitto here: apt install mosquitto")
-    port = free_port()
-    (tmp_path / "mosquitto.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    process = subprocess.Popen([BROKER, "-c", str(tmp_path / "mosquitto.conf")], stderr=subprocess.DEVNULL)
-
-    def answers() -> bool:
-        try:
-            mqtt.Client(mqtt.CallbackAPIVersion.VERSION2).connect("127.0.0.1", port)
-        except OSError:
-            return False
-        return True
-
-    until(answers, "the broker listens")
-    yield port
-    process.kill()
-    process.wait()
+    with mosquitto(tmp_path) as port:
+        yield port
 
 
 @pytest.fixture
@@ -149,7 +97,7 @@ def scene(broker: int) -> Iterator[tuple[Robot, ZenohBus, Fleet, Callable[[], No
     bus.open()
     fleet = Fleet(broker)
     settings = Config(zenoh=cfg, vda5050=Vda5050(port=broker, state_period_s=0.2, visualization_period_s=0.05))
-    thread = threading.Thread(target=Adapter(settings).run, args=(stop,))
+    thread = threading.Thread(target=Adapter(settings, FleetMaps(settings)).run, args=(stop,))
     thread.start()
 
     def end() -> None:
@@ -159,8 +107,7 @@ def scene(broker: int) -> Iterator[tuple[Robot, ZenohBus, Fleet, Callable[[], No
     yield robot, bus, fleet, end
     end()
     bus.close()
-    fleet.client.disconnect()
-    fleet.client.loop_stop()
+    fleet.close()
 
 
 def say(bus: ZenohBus, state: State = State.TRACKING) -> None:
@@ -185,18 +132,17 @@ def test_through_a_real_broker(scene: tuple[Robot, ZenohBus, Fleet, Callable[[],
     assert (error["errorType"], error["errorLevel"]) == ("LOCALIZATION_ERROR", "FATAL")
     told(State.TRACKING, lambda: not fleet.last("state")["errors"])
 
-    fleet.order("initializePosition", x=3.0, y=-2.0, theta=1.0, mapId="map")
-    assert fleet.result("initializePosition")["actionStatus"] == "FINISHED"
+    where3 = {"x": 3.0, "y": -2.0, "theta": 1.0}
+    assert fleet.result("initializePosition", **where3, mapId="map")[0] == "FINISHED"
     assert robot.calls == [commands.InitialPose(3.0, -2.0, 1.0)]
-    fleet.order("initPosition", x=3.0, y=-2.0, theta=1.0, mapId="another")
-    assert "mapId: found 'another'" in fleet.result("initPosition")["actionResult"]
-    fleet.order("enableMap", mapId="map")
-    assert fleet.result("enableMap")["actionStatus"] == "FINISHED"
-    fleet.order("downloadMap", mapId="other", mapDownloadLink="x")
-    assert fleet.result("downloadMap")["actionStatus"] == "FAILED"
+    status, text = fleet.result("initPosition", **where3, mapId="another")
+    assert status == "FAILED" and "mapId: found 'another'" in text
+    assert fleet.result("enableMap", mapId="map") == ("FINISHED", "map is in use")
     fleet.client.publish("uagv/v3/ceilvo/robot1/instantActions", b"nonsense")
-    fleet.order("deleteMap", mapId="map")
-    assert fleet.result("deleteMap")["actionStatus"] == "FAILED"
+    for kind in ("downloadMap", "enableMap", "deleteMap"):
+        status, text = fleet.result(kind, mapId="other", mapVersion="1", mapDownloadLink="x")
+        assert status == "FAILED" and text.startswith("service.state_dir: found nothing, expected the folder")
+    assert fleet.result("deleteMap", mapId="map")[0] == "FAILED"
     assert len(robot.calls) == 1, "nothing else moved the robot"
     numbers = [s["headerId"] for s in fleet.told["state"]]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
