@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
@@ -102,18 +102,28 @@ def read_estimate(line: bytes) -> Estimate:
     try:
         body = json.loads(line)
         m, d = body["motion"], body["depletion"]
-        motion = Motion(
-            Displacement(_vector(m["prev_from_curr"])), _matrix(m["cov"]), m["inliers"], _number(m["rms_m"])
-        )
-        health = FilterHealth(
-            *(d["particles"], _number(d["ess"]), d["unique_ancestors"]),
-            *(_number(d["fit_residual"]), _number(d["nis"]), d["nis_dof"]),
-        )
+        ess, residual, nis = (_number(d[name]) for name in ("ess", "fit_residual", "nis"))
+        ancestors = None if d["unique_ancestors"] is None else int(d["unique_ancestors"])
         return Estimate(
-            *(body["seq"], body["stamp_ns"], Pose(_vector(body["pose_map_from_base"])), _matrix(body["cov"])),
-            *(Pose(_vector(body["pose_odom_from_base"])), Twist(_vector(body["twist_base"])), State[body["state"]]),
-            *(_number(body["quality"]), str(body["reason"]), replace(motion, failure=m["failure"]), health),
-            *(body["crossings"], body["landmarks"]),
+            seq=int(body["seq"]),
+            stamp_ns=int(body["stamp_ns"]),
+            pose=Pose(_vector(body["pose_map_from_base"])),
+            cov=_matrix(body["cov"]),
+            odom=Pose(_vector(body["pose_odom_from_base"])),
+            twist=Twist(_vector(body["twist_base"])),
+            state=State[body["state"]],
+            quality=_number(body["quality"]),
+            reason=str(body["reason"]),
+            motion=Motion(
+                prev_from_curr=Displacement(_vector(m["prev_from_curr"])),
+                cov=_matrix(m["cov"]),
+                inliers=int(m["inliers"]),
+                rms_m=_number(m["rms_m"]),
+                failure=None if m["failure"] is None else str(m["failure"]),
+            ),
+            health=FilterHealth(int(d["particles"]), ess, ancestors, residual, nis, int(d["nis_dof"])),
+            crossings=int(body["crossings"]),
+            landmarks=int(body["landmarks"]),
         )
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as e:
         raise FileFormatError(f"estimate {line[:60]!r}: {type(e).__name__}; the recording is damaged") from e

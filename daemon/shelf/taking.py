@@ -18,11 +18,12 @@ from ceilvo.errors import CeilvoError, one_line
 
 def used_map(state_dir: Path, choice: Choice, floor: str, own: str) -> Name:
     """What the map in use is called: as it was brought here, else by the robot's own name for it."""
-    if choice.used is not None:
+    path = state_dir / MAP_NAME
+    if choice.used is not None and path.exists():
         try:
-            frames = frames_in(state_dir / MAP_NAME)
-        except CeilvoError:
-            frames = {}
+            frames = frames_in(path)
+        except CeilvoError:  # it is held or damaged now, and no other one for that
+            return choice.used
         if frames.get(_floor(floor, tuple(frames))) == choice.frame:
             return choice.used
     return Name(own, "")

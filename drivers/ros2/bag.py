@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ceilvo.drivers.ros2.cdr import Cdr
 from ceilvo.drivers.ros2.endpoints import Endpoint
@@ -16,7 +16,7 @@ from ceilvo.errors import FileFormatError
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
 
-_BAG_VERSION = 9
+_BAG_VERSION: Literal[9] = 9
 """Of rosbag2's metadata: Jazzy's; Humble's tools read the MCAP file by itself."""
 
 
@@ -92,6 +92,13 @@ def _qos(endpoint: Endpoint) -> Qos:
     none = QosTime(0, 0)
     durability = QosDurability.TRANSIENT_LOCAL if endpoint.latched else QosDurability.VOLATILE
     return Qos(
-        *(QosHistory.KEEP_LAST, endpoint.depth, QosReliability.RELIABLE, durability),
-        *(none, none, QosLiveliness.AUTOMATIC, none, False),
+        QosHistory.KEEP_LAST,
+        endpoint.depth,
+        QosReliability.RELIABLE,
+        durability,
+        deadline=none,
+        lifespan=none,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=none,
+        avoid_ros_namespace_conventions=False,
     )

@@ -167,6 +167,13 @@ def test_a_map_that_somebody_replaced_meanwhile_is_not_the_chosen_one(shelf: She
     shelf.want(HALL)
     taken = take_chosen(tmp_path, "", "home")
     assert taken is not None and taken.ok and used_map(tmp_path, shelf.choice(), "", "home") == HALL
+    file = tmp_path / MAP_NAME
+    good = file.read_bytes()
+    file.write_bytes(b"x" * len(good))
+    assert used_map(tmp_path, shelf.choice(), "", "home") == HALL, "the daemon will take its good copy"
+    file.unlink()
+    assert used_map(tmp_path, shelf.choice(), "", "home") == Name("home", "")
+    file.write_bytes(good)
     with open_map(tmp_path / MAP_NAME) as db:
         db.edit(content(7, first=10**6), "import --replace")
     assert used_map(tmp_path, shelf.choice(), "", "home") == Name("home", "")
