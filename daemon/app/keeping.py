@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,7 @@ from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.integrity.states import UNUSABLE
-from ceilvo.daemon.map.kept.store import Kept, Store
+from ceilvo.daemon.map.kept.store import SHELF, Kept, Store
 from ceilvo.daemon.map.map_file import StoredMap
 from ceilvo.daemon.relocalisation.floors import FloorMap, Transition, side_by_side
 from ceilvo.types import Array, Estimate
@@ -50,6 +52,21 @@ def begin_on(estimator: Estimator, kept: Kept) -> None:
         pose, cov = floors.in_frame(kept.floor, state.pose, state.cov)
         state = replace(state, pose=pose, cov=cov)
     estimator.load_map(StoredMap(landmarks, maps[0].axis_rad), state, floors)
+
+
+def load(config: Config, store: Store, tell: Callable[[str, str, int], None]) -> Kept | None:
+    """What an earlier run left, on the map that was chosen meanwhile.
+
+    Args:
+        tell: hears of a chosen map: an event's name, its text, and the level of logging.
+    """
+    if store.folder is not None and (store.folder / SHELF).is_dir():
+        from ceilvo.daemon.shelf.taking import take_chosen  # few robots have one, and it imports what edits maps
+
+        taken = take_chosen(store.folder, config.service.floor, config.vda5050.map_id)
+        if taken is not None:
+            tell("map", taken.said, logging.INFO if taken.ok else logging.WARNING)
+    return store.load()
 
 
 class Keeper:

@@ -27,7 +27,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
-from ceilvo.daemon.app.keeping import Keeper, begin_on, store_of
+from ceilvo.daemon.app.keeping import Keeper, begin_on, load, store_of
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
 from ceilvo.daemon.app.telemetry import Telemetry, Truth
@@ -35,7 +35,6 @@ from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
-from ceilvo.daemon.shelf.taking import take_chosen
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.namesake import refuse_namesake
@@ -147,10 +146,7 @@ class Daemon:
         with ExitStack() as ending:
             self._own(ending)
             ending.callback(self._store.close)
-            taken = take_chosen(self._store.folder, self._config.service.floor, self._config.vda5050.map_id)
-            if taken is not None:
-                self._outputs.event("map", taken.said, logging.INFO if taken.ok else logging.WARNING)
-            stored = self._store.load()
+            stored = load(self._config, self._store, self._outputs.event)
             if stored is not None:
                 begin_on(self._estimator, stored)
                 self._outputs.event("map", stored.said)

@@ -13,11 +13,10 @@ from ceilvo.daemon.editing.sources import read
 from ceilvo.daemon.map.checks import Damage, keys, shown
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.daemon.map.document import content_bytes, content_of, document_of
+from ceilvo.daemon.map.kept.store import SHELF
 from ceilvo.errors import CeilvoError, one_line
 from ceilvo.files import write_atomic
 
-FOLDER = "maps"
-"""In the state directory."""
 MOST_MAPS = 50
 """On a shelf; chosen: a campus. A robot's disk is not a library."""
 _CHOICE, _FORMAT, _VERSION = "choice.json", "ceilvo-choice", 1
@@ -57,7 +56,7 @@ class Shelf:
     """Any number of processes may look; files are replaced as a whole."""
 
     def __init__(self, state_dir: Path) -> None:
-        self.folder = state_dir / FOLDER
+        self.folder = state_dir / SHELF
 
     def names(self) -> tuple[Name, ...]:
         """Of all maps that lie here."""

@@ -16,17 +16,34 @@ from ceilvo.daemon.shelf.shelf import Choice, Name, Shelf
 from ceilvo.errors import CeilvoError, one_line
 
 
-def used_map(state_dir: Path, choice: Choice, floor: str, own: str) -> Name:
-    """What the map in use is called: as it was brought here, else by the robot's own name for it."""
+@dataclass(frozen=True)
+class InUse:
+    """
+    Attributes:
+        name: of the map in use: as it was brought here, else its floor's, else the robot's own name for it.
+        floor: that it is on, as the database calls it; "" for the only one.
+        others: floors of the database beside it.
+    """
+
+    name: Name
+    floor: str = ""
+    others: tuple[str, ...] = ()
+
+
+def in_use(state_dir: Path, choice: Choice, floor: str, own: str) -> InUse:
+    """Arguments as take_chosen()."""
     path = state_dir / MAP_NAME
-    if choice.used is not None and path.exists():
-        try:
-            frames = frames_in(path)
-        except CeilvoError:  # it is held or damaged now, and no other one for that
-            return choice.used
-        if frames.get(_floor(floor, tuple(frames))) == choice.frame:
-            return choice.used
-    return Name(own, "")
+    if not path.exists():
+        return InUse(Name(floor or own, ""), floor)
+    try:
+        frames = frames_in(path)
+    except CeilvoError:  # it is held or damaged now, and no other one for that
+        return InUse(choice.used or Name(floor or own, ""), floor)
+    home = _floor(floor, tuple(frames))
+    others = tuple(f for f in frames if f != home)
+    if choice.used is not None and frames.get(home) == choice.frame:
+        return InUse(choice.used, home, others)
+    return InUse(Name(home or own, ""), home, others)
 
 
 @dataclass(frozen=True)
@@ -37,7 +54,7 @@ class Taken:
     said: str
 
 
-def take_chosen(state_dir: Path | None, floor: str, own: str) -> Taken | None:
+def take_chosen(state_dir: Path, floor: str, own: str) -> Taken | None:
     """Put the robot's map on the chosen one; None where nothing was chosen.
 
     The map that was in use, with all that the robot learnt on it, goes to the shelf. The last pose was on that map and
@@ -46,10 +63,8 @@ def take_chosen(state_dir: Path | None, floor: str, own: str) -> Taken | None:
 
     Args:
         floor: service.floor.
-        own: what the map is called that was in use before any was chosen.
+        own: what the map is called that was in use before any was chosen, where its floor has no name.
     """
-    if state_dir is None:
-        return None
     shelf = Shelf(state_dir)
     choice, path = shelf.choice(), state_dir / MAP_NAME
     if choice.next is None or _is_imported_first(state_dir):
@@ -82,7 +97,7 @@ def _take(shelf: Shelf, choice: Choice, wanted: Name, path: Path, floor: str, ow
         before = db.content()
         if not _same(before, content):
             if len(before.landmarks):
-                shelf.put(used_map(path.parent, choice, floor, own), before)
+                shelf.put(in_use(path.parent, choice, floor, own).name, before)
             db.edit(replace(content, floor=db.floor), f"enableMap {wanted}")
         path.with_name(STATE_NAME).unlink(missing_ok=True)
         keep_copy(db)

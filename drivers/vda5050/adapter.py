@@ -19,7 +19,7 @@ from ceilvo.drivers.live.feed import ALIVE, GONE, Feed
 from ceilvo.drivers.ports import Topic
 from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.vda5050 import messages
-from ceilvo.drivers.vda5050.maps import FAILED, FINISHED, KINDS, MapActions, Maps, Told
+from ceilvo.drivers.vda5050.maps import FAILED, FINISHED, KINDS, KnownMap, MapActions, Maps, Told
 from ceilvo.drivers.vda5050.messages import Action, Robot
 from ceilvo.errors import BusError, ConfigError, one_line
 from ceilvo.files import read_secret
@@ -112,19 +112,21 @@ class Adapter:
         for news in self._map_actions.news():
             self._tell(news)
         silence = self._silence()
-        told = (silence, None if self._pose is None else self._pose.state)
+        pose = self._pose
+        told = (silence, *(() if pose is None else (pose.state, messages.floor_of(pose))))
         if told == self._told and self._clock() < self._due["state"]:
             return
         self._told, self._due["state"] = told, self._clock() + self._vda.state_period_s
-        self._publish("state", messages.state, self._pose, silence, self._known(), tuple(self._actions.values()))
+        maps = [(m.id, m.version, m.enabled) for m in self._known()]
+        self._publish("state", messages.state, self._pose, silence, maps, tuple(self._actions.values()))
 
-    def _known(self) -> list[tuple[str, str, bool]]:
-        """What the pose says of its map goes first."""
-        known = [(m.id, m.version, m.enabled) for m in self._maps.known()]
-        self._map_id = known[0][0]
-        if self._pose is None or (said := messages.map_of(self._pose, known[0][0])) == known[0][0]:
-            return known
-        return [(said, str(self._pose.fields.get("map_version") or ""), True), *known[1:]]
+    def _known(self) -> list[KnownMap]:
+        """The map that the pose is on goes first."""
+        known = list(self._maps.known())
+        floor = "" if self._pose is None else messages.floor_of(self._pose)
+        here = next((m for m in known if m.enabled and m.floor == floor), known[0])
+        self._map_id = here.id
+        return [here, *(m for m in known if m is not here)]
 
     def _silence(self) -> str:
         if self._pose is None:
@@ -159,7 +161,7 @@ class Adapter:
 
     def _placed(self, feed: Feed, action: Action) -> Told:
         try:
-            request = messages.initial_pose(action, self._known()[0][0])
+            request = messages.initial_pose(action, {m.id: m.floor for m in self._known() if m.enabled})
         except BusError as e:
             return Told(action, FAILED, str(e))
         answer = feed.ask("cmd/initial_pose", request, self._token)

@@ -23,9 +23,16 @@ _WAITING = 20
 
 @dataclass(frozen=True)
 class KnownMap:
+    """
+    Attributes:
+        enabled: the daemon has it loaded.
+        floor: what poses and commands of the daemon call it then; "" where it has only one.
+    """
+
     id: str
     version: str
     enabled: bool
+    floor: str = ""
 
 
 class Maps(Protocol):

@@ -69,7 +69,7 @@ def position(robot: Robot, pose: Pose, map_id: str) -> dict[str, object] | None:
     if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
         return None
     localized = pose.state in LOCALIZED
-    out: dict[str, object] = {"x": pose.x_m, "y": pose.y_m, "theta": pose.theta_rad, "mapId": map_of(pose, map_id)}
+    out: dict[str, object] = {"x": pose.x_m, "y": pose.y_m, "theta": pose.theta_rad, "mapId": map_id}
     out["localized" if robot.is_3 else "positionInitialized"] = localized
     if math.isfinite(pose.quality):
         out["localizationScore"] = min(max(pose.quality, 0.0), 1.0)
@@ -78,10 +78,10 @@ def position(robot: Robot, pose: Pose, map_id: str) -> dict[str, object] | None:
     return out
 
 
-def map_of(pose: Pose, map_id: str) -> str:
-    """The map that the pose's message names, else the configured one."""
+def floor_of(pose: Pose) -> str:
+    """The floor that the pose's message names, "" for the only one."""
     told = pose.fields.get("map_id")
-    return told if isinstance(told, str) and told else map_id
+    return told if isinstance(told, str) else ""
 
 
 def visualization(robot: Robot, number: int, unix_ns: int, pose: Pose, map_id: str) -> bytes | None:
@@ -175,16 +175,21 @@ def instant_actions(payload: bytes) -> list[Action]:
     return out
 
 
-def initial_pose(action: Action, map_id: str) -> bytes:
+def initial_pose(action: Action, floors: Mapping[str, str]) -> bytes:
     """The command's JSON.
+
+    Args:
+        floors: by mapId what the daemon calls the maps that are loaded; the one that the robot is on is the first.
 
     Raises:
         BusError: a number is missing, or the pose is on another map.
     """
-    where = action.parameters.get("mapId", map_id)
-    if where != map_id:
-        raise BusError(f"mapId: found {one_line(repr(where), 60)}, expected {map_id!r}, the map that is loaded")
-    out = {}
+    here = next(iter(floors))
+    where = action.parameters.get("mapId", here)
+    if not isinstance(where, str) or where not in floors:
+        expected = f"{here!r}, the map that is loaded" if len(floors) == 1 else f"one of {', '.join(floors)}"
+        raise BusError(f"mapId: found {one_line(repr(where), 60)}, expected {expected}")
+    out: dict[str, object] = {"map_id": floors[where]} if floors[where] else {}
     for name, ours in (("x", "x_m"), ("y", "y_m"), ("theta", "theta_rad")):
         value = action.parameters.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):

@@ -8,7 +8,7 @@ from ceilvo.config import Config
 from ceilvo.daemon.map.kept.store import state_folder
 from ceilvo.daemon.shelf.downloads import download
 from ceilvo.daemon.shelf.shelf import Name, Shelf
-from ceilvo.daemon.shelf.taking import used_map
+from ceilvo.daemon.shelf.taking import InUse, in_use
 from ceilvo.drivers.vda5050.maps import KnownMap
 from ceilvo.errors import CeilvoError
 
@@ -20,13 +20,17 @@ class FleetMaps:
         self._config, self._state_dir = config, state_folder(config.service.state_dir)
 
     def known(self) -> Sequence[KnownMap]:
-        used = self._used()
-        others = () if self._state_dir is None else Shelf(self._state_dir).names()
-        return [KnownMap(*used, True), *(KnownMap(*n, False) for n in others if n != used)]
+        used = self._in_use()
+        shelved = () if self._state_dir is None else Shelf(self._state_dir).names()
+        return [
+            KnownMap(*used.name, True, used.floor),
+            *(KnownMap(floor, "", True, floor) for floor in used.others),
+            *(KnownMap(*n, False) for n in shelved if n != used.name),
+        ]
 
     def download(self, map_id: str, version: str, link: str, sha256: str) -> str:
         shelf, name = self._shelf(), Name(map_id, version)
-        if name == self._used() or name in shelf.names():
+        if self._is_used(name) or name in shelf.names():
             raise CeilvoError(f"{name}: is here already, expected another mapVersion")
         content = download(link, self._config.vda5050.map_sources, sha256)
         count, most = len(content.landmarks), self._config.filter.max_landmarks
@@ -37,31 +41,34 @@ class FleetMaps:
 
     def enable(self, map_id: str, version: str) -> str:
         name = Name(map_id, version)
-        if name == self._used():
+        if self._is_used(name):
             return ""
         self._shelf().want(name)
-        return f"the next start of the daemon takes {name}; until then {self._used()} is in use"
+        return f"the next start of the daemon takes {name}; until then {self._in_use().name} is in use"
 
     def settled(self, map_id: str, version: str) -> str | None:
         choice, name = self._shelf().choice(), Name(map_id, version)
         if choice.next == name:
             return None
-        if name == self._used():
+        if self._is_used(name):
             return f"{name} is in use"
         raise CeilvoError(choice.refused or f"{name}: not taken, another map was chosen meanwhile: {choice.next}")
 
     def delete(self, map_id: str, version: str) -> str:
         name = Name(map_id, version)
-        if name == self._used():
+        if self._is_used(name):
             raise CeilvoError(f"{name}: is in use, expected another one; enable another first")
         self._shelf().remove(name)
         return f"{name} is removed"
 
-    def _used(self) -> Name:
-        own = self._config.vda5050.map_id
+    def _is_used(self, name: Name) -> bool:
+        return any(Name(m.id, m.version) == name for m in self.known() if m.enabled)
+
+    def _in_use(self) -> InUse:
+        own, floor = self._config.vda5050.map_id, self._config.service.floor
         if self._state_dir is None:
-            return Name(own, "")
-        return used_map(self._state_dir, Shelf(self._state_dir).choice(), self._config.service.floor, own)
+            return InUse(Name(floor or own, ""), floor)
+        return in_use(self._state_dir, Shelf(self._state_dir).choice(), floor, own)
 
     def _shelf(self) -> Shelf:
         if self._state_dir is None:

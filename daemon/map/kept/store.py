@@ -24,6 +24,8 @@ from ceilvo.types import Array, Estimate, Landmarks
 _log = logging.getLogger("ceilvo.store")
 
 MAP_NAME, STATE_NAME = "map.db", "state.json"
+SHELF = "maps"
+"""A folder of maps beside the one in use, see daemon.shelf."""
 BESIDE_NAME = "map.smaller.json"
 """A map that is much smaller than the one that is kept."""
 VAGUE_M, VAGUE_RAD = 100.0, np.pi

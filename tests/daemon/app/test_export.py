@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import json
+import random
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,7 @@ from ceilvo.drivers.recording import foxglove
 from ceilvo.drivers.recording.mcap_reader import open_recording
 from ceilvo.errors import FileFormatError
 
+SEED = 16
 TYPES = {
     "/amcl_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/odom": "nav_msgs/msg/Odometry",
@@ -164,6 +168,25 @@ def test_estimates_read_back(exported: tuple[Path, Path]) -> None:
 def test_what_is_no_estimate(line: bytes) -> None:
     with pytest.raises(FileFormatError, match="the recording is damaged"):
         read_estimate(line)
+
+
+def test_changed_estimates_are_refused_or_read(exported: tuple[Path, Path]) -> None:
+    """Any value of any key in the place of any other: our error or an estimate, nothing else."""
+    line = json.loads(next(iter(told(exported[0], "/estimate").values())))
+    rng, odd = random.Random(SEED), (None, "", "LOST", -1, 1e300, True, [], {}, [1.0, 2.0], [[0.0] * 3] * 3, [None] * 3)
+    read = 0
+    for _ in range(2000):
+        changed = copy.deepcopy(line)
+        owner = rng.choice([changed, changed, changed["motion"], changed["depletion"]])
+        name = rng.choice(sorted(owner))
+        if rng.random() < 0.2:
+            del owner[name]
+        else:
+            owner[name] = rng.choice(odd)
+        with contextlib.suppress(FileFormatError):
+            assert read_estimate(json.dumps(changed).encode()).pose.shape == (3,)
+            read += 1
+    assert 200 < read < 1900, f"seed {SEED}: both happen"
 
 
 def test_refusals(exported: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zenoh
 from patience import until
+from ros2_parts import UNIX_NS, estimate, parts
 from simulated_daemon import SimulatedDaemon
 
 from ceilvo import se2
@@ -21,6 +22,8 @@ from ceilvo.bench.soak.parts import free_port
 from ceilvo.bench.wires.router import Router, as_ros
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.ros2.cdr import Cdr
+from ceilvo.drivers.ros2.naming import RmwZenoh
+from ceilvo.types import State
 
 pytest.importorskip("zenoh_ros2_sdk")
 
@@ -145,6 +148,60 @@ def test_a_pose_and_a_saving_that_a_program_of_ros_asks_for(tmp_path: Path, rout
     assert '"landmarks"' in heard["saved"]["message"]
     assert heard["warnings"] == []
     assert "initial_pose by this computer" in daemon.said()
+
+
+def bad_poses() -> dict[str, tuple[bytes, str]]:
+    """What another program may send by mistake to /initialpose, and what is said of it."""
+    p = parts()
+    pose = p.conversion.pose(estimate(pose=np.array([3.0, -2.0, 1.0])), UNIX_NS)
+    good = p.cdr.encode(pose)
+    pose.header.frame_id = "odom"
+    other = p.cdr.encode(pose)
+    pose.header.frame_id, pose.pose.pose.position.x = "map", np.nan
+    no_number = p.cdr.encode(pose)
+    return {
+        "cut": (good[:-9], "expected its CDR"),
+        "noise": (np.random.default_rng(3).bytes(len(good)), "expected its CDR"),
+        "frame": (other, "header.frame_id: found 'odom', expected 'map'"),
+        "nan": (no_number, "not finite"),
+        "type": (good, "found another type"),
+    }
+
+
+def test_bad_input_is_counted_said_in_a_line_each_and_changes_nothing(tmp_path: Path, router: Router) -> None:
+    wires = (f"zenoh.connect=[{router.end}]", "zenoh.wire=[json,rmw_zenoh]")
+    bad, p = bad_poses(), parts()
+    key = RmwZenoh(p.config, p.cdr).key(p.ends.initial_pose)
+    with SimulatedDaemon(tmp_path / "state", tmp_path, *wires) as daemon:
+        daemon.until(lambda: daemon.poses and daemon.poses[-1].state is State.TRACKING, "it knows where it is")
+        session = zenoh.open(as_ros(router.end))
+        keys = (key, key.replace("PoseWithCovarianceStamped", "PoseStamped"), "ceilvo/robot1/pose")
+        pose, other_type, robots_own = (session.declare_publisher(k) for k in keys)
+        for publisher in (pose, other_type, robots_own):
+            daemon.until(lambda p=publisher: p.matching_status.matching, "the daemon hears it")  # type: ignore[misc]
+        for name, (payload, _) in bad.items():
+            for _ in range(3):
+                (other_type if name == "type" else pose).put(payload)
+        robots_own.put(b"another's")
+
+        def counted() -> bool:
+            ros2 = daemon.health("ros2")
+            return isinstance(ros2, dict) and ros2["malformed"] == 3 * len(bad)
+
+        daemon.until(counted, "all are counted")
+        daemon.until_poses(10)
+        ros2 = daemon.health("ros2")
+        assert isinstance(ros2, dict) and (ros2["taken"], ros2["refused"], ros2["errors"]) == (0, 0, 0)
+        poses = [row for row in daemon.poses if row.state is State.TRACKING]
+        daemon.until(lambda: "found a publication of another session" in daemon.said(), "the other speaker is named")
+        session.close()
+        assert daemon.end() == 0
+    way_m = np.hypot(*np.diff([(row.x_m, row.y_m) for row in poses], axis=0).T)
+    assert way_m.max() < 0.5, "no pose jumped"
+    lines = [line for line in daemon.said().splitlines() if "; nothing was done" in line and "initialpose" in line]
+    assert len(lines) == 3 * len(bad)
+    for _, says in bad.values():
+        assert any(says in line for line in lines), says
 
 
 def test_open_rmfs_reader_of_transforms(tmp_path: Path, router: Router) -> None:

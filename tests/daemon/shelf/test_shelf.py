@@ -20,7 +20,7 @@ from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME, Store
 from ceilvo.daemon.map.map_file import save_map, save_state
 from ceilvo.daemon.shelf.shelf import MOST_MAPS, Choice, Name, Shelf
-from ceilvo.daemon.shelf.taking import take_chosen, used_map
+from ceilvo.daemon.shelf.taking import in_use, take_chosen
 from ceilvo.errors import CeilvoError
 from ceilvo.types import State
 
@@ -50,7 +50,7 @@ def own_map(folder: Path, made: MapContent, *floors: str) -> None:
             db.edit(replace(made, floor=floor), "learnt")
 
 
-def in_use(folder: Path, floor: str | None = None) -> MapContent:
+def held(folder: Path, floor: str | None = None) -> MapContent:
     with MapDatabase(folder / MAP_NAME, floor) as db:
         return db.content()
 
@@ -115,21 +115,21 @@ def test_a_choice_that_cannot_be_read_chooses_nothing(shelf: Shelf, tmp_path: Pa
     shelf.want(HALL)
     (shelf.folder / "choice.json").write_text(text)
     assert shelf.choice() == Choice() and take_chosen(tmp_path, "", "map") is None
-    assert equal(in_use(tmp_path), content(1))
+    assert equal(held(tmp_path), content(1))
 
 
 def test_a_start_takes_the_chosen_map_and_keeps_the_one_before(shelf: Shelf, tmp_path: Path) -> None:
     own_map(tmp_path, content(1))
     save_state(tmp_path / STATE_NAME, np.zeros(3), 1e-4 * np.eye(3), State.TRACKING, 1)
     assert take_chosen(tmp_path, "", "home") is None
-    assert used_map(tmp_path, shelf.choice(), "", "home") == Name("home", "")
+    assert in_use(tmp_path, shelf.choice(), "", "home").name == Name("home", "")
     shelf.put(HALL, whole())
     shelf.want(HALL)
-    assert equal(in_use(tmp_path), content(1)), "nothing before the start"
+    assert equal(held(tmp_path), content(1)), "nothing before the start"
     taken = take_chosen(tmp_path, "", "home")
     assert taken is not None and taken.ok and taken.said.startswith("map hall/1 2 taken")
-    assert equal(in_use(tmp_path), whole())
-    assert used_map(tmp_path, shelf.choice(), "", "home") == HALL
+    assert equal(held(tmp_path), whole())
+    assert in_use(tmp_path, shelf.choice(), "", "home").name == HALL
     kept = Store(tmp_path).load()
     assert kept is not None and kept.state is None, "the robot is searched for on all of it"
     assert "searched for on all of it" in kept.said
@@ -142,7 +142,7 @@ def test_a_start_takes_the_chosen_map_and_keeps_the_one_before(shelf: Shelf, tmp
     shelf.want(Name("home", ""))
     taken = take_chosen(tmp_path, "", "home")
     assert taken is not None and taken.ok
-    assert equal(in_use(tmp_path), content(1)) and used_map(tmp_path, shelf.choice(), "", "home") == Name("home", "")
+    assert equal(held(tmp_path), content(1)) and in_use(tmp_path, shelf.choice(), "", "home").name == Name("home", "")
     assert len(shelf.read(HALL).landmarks) == 50, "what was learnt on it stays"
     with open_map(tmp_path / MAP_NAME) as db:
         assert db.history()[0].what == "enableMap home"
@@ -166,17 +166,17 @@ def test_a_map_that_somebody_replaced_meanwhile_is_not_the_chosen_one(shelf: She
     shelf.put(HALL, content(2))
     shelf.want(HALL)
     taken = take_chosen(tmp_path, "", "home")
-    assert taken is not None and taken.ok and used_map(tmp_path, shelf.choice(), "", "home") == HALL
+    assert taken is not None and taken.ok and in_use(tmp_path, shelf.choice(), "", "home").name == HALL
     file = tmp_path / MAP_NAME
     good = file.read_bytes()
     file.write_bytes(b"x" * len(good))
-    assert used_map(tmp_path, shelf.choice(), "", "home") == HALL, "the daemon will take its good copy"
+    assert in_use(tmp_path, shelf.choice(), "", "home").name == HALL, "the daemon will take its good copy"
     file.unlink()
-    assert used_map(tmp_path, shelf.choice(), "", "home") == Name("home", "")
+    assert in_use(tmp_path, shelf.choice(), "", "home").name == Name("home", "")
     file.write_bytes(good)
     with open_map(tmp_path / MAP_NAME) as db:
         db.edit(content(7, first=10**6), "import --replace")
-    assert used_map(tmp_path, shelf.choice(), "", "home") == Name("home", "")
+    assert in_use(tmp_path, shelf.choice(), "", "home").name == Name("home", "")
 
 
 def test_only_the_robots_floor_is_changed(shelf: Shelf, tmp_path: Path) -> None:
@@ -186,9 +186,12 @@ def test_only_the_robots_floor_is_changed(shelf: Shelf, tmp_path: Path) -> None:
         shelf.want(HALL)
         taken = take_chosen(tmp_path, floor, "home")
         assert taken is not None and taken.ok, taken
-        assert equal(in_use(tmp_path, expected), content(2))
+        assert equal(held(tmp_path, expected), content(2))
+        found = in_use(tmp_path, shelf.choice(), floor, "home")
+        assert (found.name, found.floor, len(found.others)) == (HALL, expected, 1)
+        assert Name(expected, "") in shelf.names(), "the one before is called by its floor"
         other = "first" if expected == "ground" else "ground"
-        assert equal(in_use(tmp_path, other), content(1))
+        assert equal(held(tmp_path, other), content(1))
         (tmp_path / MAP_NAME).unlink()
         (tmp_path / f"{MAP_NAME}.good").unlink()
 
@@ -203,7 +206,7 @@ def test_what_cannot_be_taken_changes_nothing_and_is_said_once(shelf: Shelf, tmp
     assert taken is not None and not taken.ok and "\n" not in taken.said
     assert "map hall/1 2 not taken" in taken.said and "the map in use stays" in taken.said
     assert shelf.choice().refused == taken.said and shelf.choice().next is None
-    assert take_chosen(tmp_path, "", "home") is None and equal(in_use(tmp_path), content(1))
+    assert take_chosen(tmp_path, "", "home") is None and equal(held(tmp_path), content(1))
 
 
 def test_an_older_ceilvos_map_is_imported_before_another_is_taken(shelf: Shelf, tmp_path: Path) -> None:
@@ -217,10 +220,6 @@ def test_an_older_ceilvos_map_is_imported_before_another_is_taken(shelf: Shelf, 
     taken = take_chosen(tmp_path, "", "home")
     assert taken is not None and taken.ok
     assert np.array_equal(shelf.read(Name("home", "")).landmarks.xy_map_m, content(1).landmarks.xy_map_m)
-
-
-def test_without_a_folder_nothing_is_taken() -> None:
-    assert take_chosen(None, "", "home") is None
 
 
 KILLED = """
@@ -256,5 +255,5 @@ def test_killed_on_the_way_it_is_done_at_the_next_start(shelf: Shelf, tmp_path: 
     assert done.returncode == -signal.SIGKILL
     taken = take_chosen(tmp_path, "", "home")
     assert (taken is None) is (where == "choose" and after == 1)
-    assert equal(in_use(tmp_path), content(2)) and used_map(tmp_path, shelf.choice(), "", "home") == HALL
+    assert equal(held(tmp_path), content(2)) and in_use(tmp_path, shelf.choice(), "", "home").name == HALL
     assert equal(shelf.read(Name("home", "")), content(1)), "the map before is not lost"

@@ -37,8 +37,9 @@ def test_a_position_of_version_3() -> None:
     assert where is not None
     assert where.pop("deviationRange") == pytest.approx(3 * 0.03)
     assert where == {"x": 1.25, "y": -0.5, "theta": 0.75, "mapId": "hall", "localized": True, "localizationScore": 0.97}
-    old = vda.position(replace(ME, version="2.1.0"), pose(map_id="floor 2"), "hall")
-    assert old is not None and old["positionInitialized"] is True and old["mapId"] == "floor 2"
+    old = vda.position(replace(ME, version="2.1.0"), pose(), "hall")
+    assert old is not None and old["positionInitialized"] is True and old["mapId"] == "hall"
+    assert (vda.floor_of(pose(map_id="floor 2")), vda.floor_of(pose(map_id=None))) == ("floor 2", "")
 
 
 @pytest.mark.parametrize("state", list(State))
@@ -52,6 +53,17 @@ def test_errors_and_localized_by_state(state: State) -> None:
     assert where is not None
     assert where["localized"] is (state in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING))
     assert ("deviationRange" in where) is where["localized"]
+
+
+def test_a_pose_on_another_floor_that_is_loaded() -> None:
+    where = {"x": 1.0, "y": 2.0, "theta": 0.5}
+    floors = {"hall": "ground", "first": "first"}
+    for given, floor in (({}, "ground"), ({"mapId": "hall"}, "ground"), ({"mapId": "first"}, "first")):
+        told = json.loads(vda.initial_pose(vda.Action("initPosition", "1", where | given), floors))
+        assert told == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5, "map_id": floor}
+    for wrong in ("ground", "", 3, None):
+        with pytest.raises(BusError, match=r"mapId: found .*, expected one of hall, first"):
+            vda.initial_pose(vda.Action("initPosition", "1", where | {"mapId": wrong}), floors)
 
 
 def test_a_header() -> None:
@@ -78,7 +90,7 @@ def test_what_is_no_instant_action(payload: bytes) -> None:
 @pytest.mark.parametrize("value", [None, "1", True, [1.0]])
 def test_a_pose_without_a_number(value: object) -> None:
     with pytest.raises(BusError, match="x: found"):
-        vda.initial_pose(vda.Action("initPosition", "1", {"x": value, "y": 1.0, "theta": 0.0}), "map")
+        vda.initial_pose(vda.Action("initPosition", "1", {"x": value, "y": 1.0, "theta": 0.0}), {"map": ""})
 
 
 @pytest.fixture
