@@ -124,6 +124,7 @@ def read_estimate(line: bytes) -> Estimate:
             health=FilterHealth(int(d["particles"]), ess, ancestors, residual, nis, int(d["nis_dof"])),
             crossings=int(body["crossings"]),
             landmarks=int(body["landmarks"]),
+            floor=str(body.get("floor", "")),
         )
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as e:
         raise FileFormatError(f"estimate {line[:60]!r}: {type(e).__name__}; the recording is damaged") from e

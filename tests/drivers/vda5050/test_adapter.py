@@ -66,6 +66,24 @@ def test_a_pose_on_another_floor_that_is_loaded() -> None:
             vda.initial_pose(vda.Action("initPosition", "1", where | {"mapId": wrong}), floors)
 
 
+def test_what_came_of_an_action_by_version() -> None:
+    action = vda.Action("enableMap", "7", {})
+    same = {"actionId": "7", "actionType": "enableMap", "actionStatus": "RUNNING"}
+    assert vda.action_state(ME, action, "RUNNING", "waits") == {**same, "actionResult": "waits"}
+    old = vda.action_state(replace(ME, version="2.1.0"), action, "RUNNING", "waits")
+    assert old == {**same, "resultDescription": "waits"}
+
+
+def test_the_maps_of_a_state() -> None:
+    maps = [("hall", "7", True), ("yard", "", False)]
+    told = json.loads(vda.state(ME, 0, UNIX_NS, pose(), "", maps, []))
+    assert told["maps"] == [
+        {"mapId": "hall", "mapVersion": "7", "mapStatus": "ENABLED"},
+        {"mapId": "yard", "mapVersion": "", "mapStatus": "DISABLED"},
+    ]
+    assert told["mobileRobotPosition"]["mapId"] == "hall"
+
+
 def test_a_header() -> None:
     assert vda.header(ME, 5, 1_750_000_000_123_456_789) == {
         "headerId": 5,
