@@ -106,6 +106,7 @@ class Conversion:
         if last is not None:
             shown |= {"seq": last.seq, "quality": last.quality, "reason": last.reason, "nis": last.health.nis}
             shown |= {"crossings": last.crossings, "landmarks": last.landmarks}
+            shown |= {"map_id": last.floor} if last.floor else {}
         shown |= {name: counters[name] for name in _SHOWN if name in counters}
         for stage, times in dict(_mapping(counters.get("latency_ms"))).items():
             shown |= {f"latency_{stage}_{k}_ms": v for k, v in _mapping(times).items()}

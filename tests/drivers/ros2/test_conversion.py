@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,6 +148,14 @@ def test_no_message_has_a_nan() -> None:
     assert len(p.conversion.particles(0, scene().particles).poses) == 1, "one of the two is not finite"
     odd = estimate(cov=np.full((3, 3), np.inf))
     assert np.isfinite(p.conversion.pose(odd, 0).pose.covariance).all()
+
+
+@pytest.mark.parametrize(("floor", "told"), [("first", ["first"]), ("", [])])
+def test_diagnostics_name_the_floor_where_there_are_several(floor: str, told: list[str]) -> None:
+    p = parts()
+    data = p.cdr.encode(p.conversion.diagnostics(UNIX_NS, State.TRACKING, replace(estimate(), floor=floor), {}))
+    status = p.cdr.decode(data, "diagnostic_msgs/msg/DiagnosticArray").status[0]
+    assert [v.value for v in status.values if v.key == "map_id"] == told
 
 
 if __name__ == "__main__":
