@@ -18,6 +18,9 @@ from rosbags.typesys import Stores, get_typestore
 
 POSE, TF, ODOM = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 DIAGNOSTICS, TRIGGER = "diagnostic_msgs/msg/DiagnosticArray", "std_srvs/srv/Trigger"
+_ASKED = 5
+"""Times that the graph is asked for a topic's publishers: the SDK waits for a fixed time, which is short on a busy
+computer; chosen."""
 
 
 class _Kept(logging.Handler):
@@ -69,8 +72,12 @@ class Reader:
         topics = dict(discovery.get_topic_names_and_types(router_port=self._port))
         out: dict[str, Any] = {}
         for topic, kinds in topics.items():
-            info = discovery.get_topic_info(topic, router_port=self._port, verbose=True)
-            ends = [] if info is None else info.publishers or []
+            ends: list[Any] = []
+            for _ in range(_ASKED):
+                info = discovery.get_topic_info(topic, router_port=self._port, verbose=True)
+                ends = [] if info is None else info.publishers or []
+                if ends:
+                    break
             found = [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]
             out[topic] = {"types": kinds, "publishers": found}
         out["services"] = dict(discovery.get_service_names_and_types(router_port=self._port))
