@@ -17,7 +17,7 @@ from ceilvo.daemon.map.checks import Damage
 from ceilvo.daemon.map.database import edits, schema, tables
 from ceilvo.daemon.map.database.content import MapContent, Session
 from ceilvo.daemon.map.database.edits import Edit
-from ceilvo.daemon.map.database.faults import expect, reading, writing
+from ceilvo.daemon.map.database.faults import expect, reading, transaction, writing
 from ceilvo.daemon.map.database.held import (
     Held,
     floors,
@@ -334,17 +334,13 @@ class MapDatabase:
             raise FileFormatError(
                 f"{self.path}: replaced or removed while it was open; nothing was written, open it again"
             )
-        with writing(self.path):
-            before = self._held
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
+        before = self._held
+        try:
+            with transaction(self.path, self._db):
                 self._follow()
                 before = self._held
                 self._held = replace(before) if before.number else tables.make_map(self._db, before.floor)
                 yield self._held
-                self._db.execute("COMMIT")
-            except BaseException:
-                self._held = before
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
+        except BaseException:
+            self._held = before
+            raise
