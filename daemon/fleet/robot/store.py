@@ -29,6 +29,8 @@ VERSION = 1
 HELD, NEXT, TAKEN, TAKING = "held", "next", "taken", "taking"
 """Manifests: the newest one that is here whole, the one that is being fetched, the one that the robot's map stands on,
 and the one that it is being put on."""
+OFFERS_TAKEN, OFFERS_REFUSED = "offers_taken", "offers_refused"
+"""Counters of what the service said."""
 _TABLES = (
     "CREATE TABLE tiles (hash BLOB PRIMARY KEY, data BLOB NOT NULL, size INTEGER NOT NULL) WITHOUT ROWID",
     "CREATE TABLE manifests (which TEXT PRIMARY KEY, floor TEXT NOT NULL, version INTEGER NOT NULL, axis REAL NOT NULL,"
