@@ -65,7 +65,8 @@ class Membership:
             return
         path = self._folder / MAP_NAME
         met = part.met_beside(self._config, path, _knew_its_place(self._folder), PATIENCE_S)
-        self._hear(met, starting=True)
+        if met is not None:
+            self._hear(met, starting=True)
         self._take(sync, path)
         with part.part(self._config, path, self._knows_its_place, self._hear):
             yield

@@ -9,9 +9,10 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.daemon.app.estimator import Estimator, Moved
+from ceilvo.daemon.map.kept.change import Change
 from ceilvo.daemon.map.kept.store import Store
 from ceilvo.daemon.map.map_file import StoredMap
-from ceilvo.types import Array, Pose, State
+from ceilvo.types import Array, Estimate, Pose, State
 
 Tell = Callable[[str, str, int], None]
 """Hears an event: its name, its text, its level of logging."""
@@ -43,21 +44,17 @@ class MapSwap:
         if change is None or last is None:
             self._announced = False
             return
-        moved_mm = 1e3 * change.moved_m(last.pose)
         if not self._announced:
             self._announced = True
-            text = (
-                f"another program changed the map, by {moved_mm:.1f} mm here; what is learnt goes there, too, and the "
-            )
-            self._tell("map", text + "robot goes over to it where it stands and is sure of its place", logging.INFO)
+            text = f"another program changed the map, by {_mm(change, last)} here; what is learnt goes there, too; "
+            self._tell("map", text + "the robot goes over to it where it stands and is sure of its place", logging.INFO)
         if stands and last.state is State.TRACKING and self._estimator.elsewhere() < SURE:
             self._before = self._estimator.move_to(self._store.moved, SIGMA)
             if self._before is None:
                 return
             self._until_ns, self._given_up = now_ns + CONFIRM_NS, self._store.given_up
-            self._tell(
-                "map", f"on the changed map, {moved_mm:.1f} mm from before; landmarks are to confirm it", logging.INFO
-            )
+            text = f"on the changed map, {_mm(change, last)} from before; landmarks are to confirm it"
+            self._tell("map", text, logging.INFO)
 
     def _settle(self, before: Moved, now_ns: int) -> None:
         last = self._estimator.last
@@ -79,3 +76,7 @@ class MapSwap:
         assert last is not None  # there was one before
         way: Array = se2.between(before.last.odom, last.odom)
         return before.map, Pose(np.asarray(se2.compose(before.last.pose, way)))
+
+
+def _mm(change: Change, last: Estimate) -> str:
+    return f"{1e3 * change.moved_m(last.pose):.1f} mm"

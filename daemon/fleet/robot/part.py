@@ -78,9 +78,12 @@ def met_beside(
     """
     stopping = threading.Event() if stop is None else stop
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_work, args=(config, map_file, may_offer, there), daemon=True)
-    process.start()
+    try:
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(config, map_file, may_offer, there), daemon=True)
+        process.start()
+    except OSError as e:  # no memory, no descriptors
+        return Met(f"its process cannot be started: {e.strerror or e}", True)
     there.close()
     waited_s = 0.0
     try:

@@ -61,8 +61,8 @@ class Apart:
 
     def _give_names(self, base: Landmarks, ours: Landmarks, theirs: Landmarks) -> None:
         """What the robot learnt since has other ids in the database where its own are in use there."""
-        new = [i for i in np.setdiff1d(ours.ids, base.ids).tolist() if i not in self._names]
-        taken = [i for i in new if i in set(theirs.ids.tolist())]
+        new = np.setdiff1d(ours.ids, [*base.ids.tolist(), *self._names])
+        taken = new[np.isin(new, theirs.ids)].tolist()
         above = int(max(np.max(a.ids, initial=-1) for a in (base, ours, theirs))) + 1
         above = max(above, *(n + 1 for n in self._names.values()), 0)
         self._names |= {i: above + n for n, i in enumerate(taken)}
