@@ -88,7 +88,8 @@ def queue(
         told = Told(fleet, fleet.ids).with_(told)
     elif len(told.landmarks):  # the fleet may have begun with it; until that is here nothing more can be checked there
         base = store.manifest(HELD)
-        named = None if base is None else _as_the_fleet_calls(told, joined(store.tiles(base), base.tile_m)[0])
+        fleet = None if base is None else joined(store.tiles(base), base.tile_m)[0]
+        named = None if fleet is None else _as_the_fleet_calls(store, learnt, fleet)
         if named is None:
             return 0
         told = named
@@ -209,7 +210,7 @@ def trial(store: FleetStore, learnt: MapContent, replace_all: bool = False) -> R
     known = None if taken is None else stands_on(store, taken, learnt.landmarks)
     if known is not None:
         before = known.ids
-    elif taken is not None or _as_the_fleet_calls(told, fleet) is None:
+    elif taken is not None or _as_the_fleet_calls(store, learnt.landmarks, fleet) is None:
         if len(learnt.landmarks) and not replace_all:
             raise CeilvoError(
                 f"the robot's map has {len(learnt.landmarks)} landmarks and is none of the fleet's, so their frames "
@@ -228,16 +229,26 @@ def stands_on(store: FleetStore, taken: Manifest, learnt: Landmarks) -> Landmark
         FileFormatError: the store cannot be read.
     """
     fleet, _ = joined(store.tiles(taken), taken.tile_m)
-    _, i, j = np.intersect1d(fleet.ids, learnt.ids, assume_unique=True, return_indices=True)
-    apart_m = np.hypot(*(fleet.xy_map_m[i] - learnt.xy_map_m[j]).T)
-    same = (apart_m <= REACH_M) & (fleet.crossing_type[i] == learnt.crossing_type[j])
-    enough = len(i) >= min(FEWEST_KNOWN, len(fleet)) and np.count_nonzero(same) >= SAME_SHARE * len(i)
-    return fleet if enough else None
+    return fleet if _agree(fleet, learnt) else None
 
 
-def _as_the_fleet_calls(told: Told, fleet: Landmarks) -> Told | None:
-    """What a robot told of before it took any map of the fleet's, by the names there, if that began with its own: then
-    what it told of lies there where it lies on its own. Else None."""
+def _agree(known: Landmarks, learnt: Landmarks) -> bool:
+    """Whether what is known under the same ids is where it was."""
+    _, i, j = np.intersect1d(known.ids, learnt.ids, assume_unique=True, return_indices=True)
+    apart_m = np.hypot(*(known.xy_map_m[i] - learnt.xy_map_m[j]).T)
+    same = (apart_m <= REACH_M) & (known.crossing_type[i] == learnt.crossing_type[j])
+    return len(i) >= min(FEWEST_KNOWN, len(known)) and int(np.count_nonzero(same)) >= SAME_SHARE * len(i)
+
+
+def _as_the_fleet_calls(store: FleetStore, learnt: Landmarks, fleet: Landmarks) -> Told | None:
+    """What a robot told of before it took any map of the fleet's, by the names there, if that began with its own: the
+    service took an offer, and all lies there where it lies on the robot's map. Else None.
+
+    Places alone do not say so: a ceiling of tiles fits itself a tile further on.
+    """
+    told = store.told()
+    if not store.counters().get(OFFERS_TAKEN, 0) or not _agree(told.landmarks, learnt):
+        return None
     m = matches_by_place(told.landmarks, fleet, GATE_CHI2)
     near = np.hypot(*(told.landmarks.xy_map_m[m.a] - fleet.xy_map_m[m.b]).T) <= SAME_M
     count = int(np.count_nonzero(near))

@@ -5,17 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from ceilvo.config import Config
 from ceilvo.daemon.fleet.keys import Signer
 from ceilvo.daemon.fleet.robot.client import Drive, Sent, Who, is_newer_held, queue, recover, send, take_in
 from ceilvo.daemon.fleet.robot.fetching import Fetched, fetch
 from ceilvo.daemon.fleet.robot.link import AwayError, RefusedError, linked
 from ceilvo.daemon.fleet.robot.store import HELD, NAME, OFFERS_REFUSED, OFFERS_TAKEN, TAKEN, FleetStore
+from ceilvo.daemon.fleet.robot.taking import SAME_M
 from ceilvo.daemon.fleet.wire import WireError
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.daemon.map.database.copies import keep_copy, open_map
 from ceilvo.daemon.map.database.database import MapDatabase
+from ceilvo.daemon.map.kept.change import Change
+from ceilvo.daemon.map.map_file import StoredMap
 from ceilvo.errors import CeilvoError
+from ceilvo.types import Array
 
 OLD_NAME = "map.json"
 """The map of a daemon that has no database yet."""
@@ -172,12 +178,25 @@ def _take_held(config: Config, db: MapDatabase, store: FleetStore) -> str:
         make_offers(db, store, who, config.fleet.waiting_bytes)
 
     def write(new: MapContent) -> None:
-        db.edit(new, "map of the fleet")
+        db.edit(new, "map of the fleet", same_frame=_is_same_frame(content, new))
         keep_copy(db)
 
     new = take_in(store, content, write)
     count = len(new.content.landmarks)
     return f"map of the fleet taken, {count} landmarks, {new.own} of them this robot's own"
+
+
+def _is_same_frame(before: MapContent, after: MapContent) -> bool:
+    """Whether a pose on one is as good on the other: a start then looks for the robot where it was."""
+    one, other = (StoredMap(c.landmarks, c.axis_rad) for c in (before, after))
+    change = Change.between(one, other)
+    return change is not None and all(change.moved_m(np.array([*xy, 0.0])) < SAME_M for xy in _corners(before))
+
+
+def _corners(content: MapContent) -> Array:
+    """(2, 2) of all its landmarks."""
+    xy = content.landmarks.xy_map_m
+    return np.stack([xy.min(axis=0), xy.max(axis=0)])
 
 
 def standing_of(map_file: Path) -> Standing:

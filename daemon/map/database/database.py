@@ -232,12 +232,15 @@ class MapDatabase:
             tables.write_map(self._db, held, held.axis_rad)
         return count
 
-    def edit(self, after: MapContent, what: str, found: str = "", now_s: float | None = None) -> Written:
+    def edit(
+        self, after: MapContent, what: str, found: str = "", now_s: float | None = None, same_frame: bool = False
+    ) -> Written:
         """Make the map what an edit made of it, so that it can be undone.
 
         Args:
             what: the command, for the log.
             found: hash of the map that the edit was made of; "" where that does not matter.
+            same_frame: poses on the map stay right, although landmarks are moved.
 
         Raises:
             FileFormatError: as save.
@@ -246,7 +249,7 @@ class MapDatabase:
         after = replace(after, key_poses=spaced(after.key_poses))
         with self._change() as held:
             expect(self.path, held.hash, found)
-            return edits.write_edit(self._db, held, after, what, at_s)
+            return edits.write_edit(self._db, held, after, what, at_s, same_frame)
 
     def edit_floors(
         self, after: Mapping[str, tuple[MapContent, str]], what: str, now_s: float | None = None

@@ -18,9 +18,9 @@ from ceilvo.types import Array, Landmarks, Pose
 FEWEST, SHARE = 8, 0.5
 """Landmarks that two maps must have in common, and how much that is of the smaller one; chosen: what is fewer may have
 the same numbers by chance."""
-BEND_M = 0.3
-"""19 of 20 of them are moved by less than this against the rest, or it is another map; chosen: half of a small tile,
-and ten times what a refinement moves."""
+BEND_M, MOST_SHARE = 0.3, 0.8
+"""That share of them is moved by less than this against the rest, or it is another map; chosen: half of a small tile,
+and ten times what a refinement moves. The others have the same number and type by chance."""
 AXES_RAD = np.radians(5.0)
 """Between the ceiling's axes as the two maps have them; chosen."""
 _NEAR = 8
@@ -57,9 +57,10 @@ class Change:
         moved = _rigid(a.xy_map_m[i], b.xy_map_m[j])
         bend = b.xy_map_m[j] - transform(Pose(moved), a.xy_map_m[i])
         axes = float(wrap(there.map_axis_rad - here.map_axis_rad - float(moved[2])))
-        if np.quantile(np.hypot(*bend.T), 0.95) > BEND_M or abs(axes) > AXES_RAD:
+        near = np.hypot(*bend.T) <= BEND_M
+        if np.count_nonzero(near) < MOST_SHARE * len(near) or abs(axes) > AXES_RAD:
             return None
-        return Change(moved, b.xy_map_m[j], bend)
+        return Change(moved, b.xy_map_m[j][near], bend[near])
 
     def points(self, xy_m: Array) -> Array:
         """Points (N, 2) of the robot's map on the new one."""
@@ -96,6 +97,8 @@ class Change:
         _, at, k = np.intersect1d(base.ids[i], theirs.ids, assume_unique=True, return_indices=True)
         i, j = i[at], j[at]
         fits = (base.crossing_type[i] == theirs.crossing_type[k]) & (ours.crossing_type[j] == base.crossing_type[i])
+        bend = theirs.xy_map_m[k] - transform(Pose(self.there_from_here), base.xy_map_m[i])
+        fits &= np.hypot(*bend.T) <= BEND_M
         news = fits & _is_other(base.of(i), ours.of(j))
         i, j, k = i[news], j[news], k[news]
         out["xy_map_m"][k] += (ours.xy_map_m[j] - base.xy_map_m[i]) @ turn.T
