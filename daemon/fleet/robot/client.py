@@ -172,9 +172,9 @@ def _renumber(store: FleetStore, waiting: list[Waiting], last: int) -> None:
 
 
 def is_newer_held(store: FleetStore) -> bool:
-    """Whether a version is here whole that the robot's map does not stand on."""
+    """Whether a version is here whole, and not empty, that the robot's map does not stand on."""
     held, taken = store.manifest(HELD), store.manifest(TAKEN)
-    return held is not None and (taken is None or held.root != taken.root)
+    return held is not None and bool(held.hashes) and (taken is None or held.root != taken.root)
 
 
 def take_in(
@@ -206,6 +206,11 @@ def trial(store: FleetStore, learnt: MapContent, replace_all: bool = False) -> R
     if held is None:
         raise CeilvoError(f"{store.path}: no whole map of the fleet is here yet; fetch it first")
     fleet, seen_s = joined(store.tiles(held), held.tile_m)
+    if len(fleet) < FEWEST_KNOWN:
+        raise CeilvoError(
+            f"version {held.version} of the fleet's map has {len(fleet)} landmarks, expected {FEWEST_KNOWN} or more: "
+            "nobody could tell whether a map stands on it; it is taken once others have offered more"
+        )
     before = _NO_IDS
     known = None if taken is None else stands_on(store, taken, learnt.landmarks)
     if known is not None:
@@ -237,7 +242,7 @@ def _agree(known: Landmarks, learnt: Landmarks) -> bool:
     _, i, j = np.intersect1d(known.ids, learnt.ids, assume_unique=True, return_indices=True)
     apart_m = np.hypot(*(known.xy_map_m[i] - learnt.xy_map_m[j]).T)
     same = (apart_m <= REACH_M) & (known.crossing_type[i] == learnt.crossing_type[j])
-    return len(i) >= min(FEWEST_KNOWN, len(known)) and int(np.count_nonzero(same)) >= SAME_SHARE * len(i)
+    return len(i) >= FEWEST_KNOWN and int(np.count_nonzero(same)) >= SAME_SHARE * len(i)
 
 
 def _as_the_fleet_calls(store: FleetStore, learnt: Landmarks, fleet: Landmarks) -> Told | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,14 +108,13 @@ def test_the_robot_whose_map_the_fleets_began_with_takes_the_next(tmp_path: Path
     with open_map(service, "", create=True), Ledger(ledger_of(service)) as ledger:
         for n in (0, 1):
             ledger.add_key(key_of(n).public, f"robot{n}", True, 0.0)
-    for server in running(service, port):
+    with contextmanager(running)(service, port):
         path = tmp_path / "map.db"
         with open_map(path, create=True) as db:
             learnt = survey()
             db.save(replace(learnt, ids=learnt.ids + 70, expected=learnt.sightings), AXIS_RAD, "robot0/drive")
         met = meet(config, path, may_offer=True)
         assert met.reached and met.standing is not None and met.standing.offered == 1
-        until(lambda server=server: server.status()["floors"] == {"": 1}, "a first version")
         grown(service, config, tmp_path)
         met = meet(config, path, may_offer=True)
         assert met.newer and met.standing is not None
@@ -129,20 +129,21 @@ def test_the_robot_whose_map_the_fleets_began_with_takes_the_next(tmp_path: Path
 
 
 def grown(service: Path, config: Config, tmp_path: Path) -> None:
-    """Another robot of the fleet drives through all of the hall and offers it, and the service has it, but for what is at the gates."""
+    """Another robot drives through all of the hall and offers it; the service has it, but for what is at its gates."""
     folder = tmp_path / "other"
     folder.mkdir()
     key, path = folder / "robot.key", folder / "map.db"
     key.write_text(bytes([2] * 32).hex())
     key.chmod(0o600)
     other = replace(config, fleet=replace(config.fleet, key_file=str(key)))
-    meet(other, path, may_offer=False)
+    until(lambda: meet(other, path, may_offer=False).newer, "a version that is not empty")
     take_held(other, path)
     with open_map(path) as db:
         region = Region(np.zeros(2), np.array(SIZE_M))
         learnt = driven(db.content().landmarks, HALL, region, np.zeros(2), np.random.default_rng(2))
         db.save(learnt, AXIS_RAD, "other")
-    meet(other, path, may_offer=True)
+    met = meet(other, path, may_offer=True)
+    assert met.standing is not None and met.standing.offered == 1, met
     most = round(0.95 * len(learnt))
     until(lambda: count(service) >= most, "all of it")
     until(lambda: meet(other, path, may_offer=False).reached and count_held(path) >= most, "its version")
