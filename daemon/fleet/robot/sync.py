@@ -85,8 +85,8 @@ class Standing:
         """
         held, taken, counts = store.manifest(HELD), store.manifest(TAKEN), store.counters()
         version, newest = (0 if m is None else m.version for m in (taken, held))
-        offers = (counts.get(name, 0) for name in (OFFERS_TAKEN, OFFERS_REFUSED))
-        return Standing(version, newest, *offers, len(store.waiting()))
+        offered, refused = (counts.get(name, 0) for name in (OFFERS_TAKEN, OFFERS_REFUSED))
+        return Standing(version, newest, offered, refused, len(store.waiting()))
 
 
 @dataclass(frozen=True)
