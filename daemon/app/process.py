@@ -125,7 +125,7 @@ class Daemon:
         self._bus, self._wires = wires.bus, wires.others
         name, fixed, recording = config.robot.name, plan.calibration, self._recording
         links, kept = (self._base, self._bus), self._store.map_of
-        self._outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, self._wires, kept)
+        self._outputs: Outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, self._wires, kept)
         self._fleet = Membership(config, self._store.folder, lambda: self._estimator.last, self._outputs.event)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         parts, seed = (self._estimator, self._capture, *links, plan.truth, clock), config.service.seed
