@@ -69,6 +69,7 @@ class Service:
     folder: Path
     port: int
     merge_period_s: float
+    policy: str = "quorum"
     starts: int = 0
     cpu_s: float = 0.0
     _process: subprocess.Popen[bytes] | None = field(default=None)
@@ -81,8 +82,8 @@ class Service:
         config = self.folder / "mapd.yaml"
         config.write_text(
             f"zenoh: {{mode: client, connect: [tcp/127.0.0.1:{self.port}], multicast: false}}\n"
-            f"mapd: {{building: {SERVICE}, policy: quorum, quorum: {QUORUM}, merge_period_s: {self.merge_period_s},"
-            f" offers_per_hour: {OFFERS_PER_HOUR}}}\n"
+            f"mapd: {{building: {SERVICE}, policy: {self.policy}, quorum: {QUORUM},"
+            f" merge_period_s: {self.merge_period_s}, offers_per_hour: {OFFERS_PER_HOUR}}}\n"
         )
         command = [sys.executable, "-m", "ceilvo.daemon.cli", "mapd", "run", "--db", str(self.path)]
         command += ["--config", str(config)]

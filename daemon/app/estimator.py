@@ -54,6 +54,14 @@ class Display:
     landmarks: Landmarks
 
 
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What a pipeline was on before it went on on another map, and its last estimate there."""
+
+    map: StoredMap
+    last: Estimate
+
+
 def no_listener(given: Input, estimate: Estimate | None, pipeline: Pipeline) -> None:
     """For runs that nobody records."""
 
@@ -157,6 +165,24 @@ class Estimator:
             self._do(LoadMap(*knows, pose, cov, recent, elsewhere, floors or Floors()))
             if state is None:
                 self._do(Reset(keep_map=True))
+
+    def move_to(self, moved: Callable[[StoredMap, Array], tuple[StoredMap, Pose]], sigma: Array) -> Moved | None:
+        """Go on on another map; where the robot is on it is to be confirmed by landmarks. None before the first map,
+        and where it has several floors, which lie in a frame of their own.
+
+        Args:
+            moved: gives that map and the pose (3,) there, for the map in use and the pose on it.
+            sigma: (3,) standard deviations of how well it knows that.
+        """
+        with self._lock:
+            last, axis_rad = self._last, self._pipeline.relocaliser.state.map_axis_rad
+            if last is None or axis_rad is None or self._pipeline.floors.floors:
+                return None
+            before = StoredMap(self._pipeline.landmarks(), axis_rad)
+            after, pose = moved(before, last.pose)
+            cov = last.cov + np.diag(np.square(sigma))
+            self._do(LoadMap(after.landmarks, after.map_axis_rad, pose, cov, True, self._pipeline.elsewhere))
+            return Moved(before, last)
 
     def set_pose(self, pose: Pose, sigma: Array, why: str, floor: str = "") -> None:
         """Continue from a pose given from outside, (3,) map_from_base with standard deviations (3,).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
+from ceilvo.daemon.app.swap import MapSwap, Tell
 from ceilvo.daemon.integrity.states import UNUSABLE
 from ceilvo.daemon.map.kept.store import SHELF, Kept, Store
 from ceilvo.daemon.map.map_file import StoredMap
@@ -28,6 +30,10 @@ _AWAY_M, _AWAY_RAD = 0.02, 0.02
 
 COPY_NS = 3600 * 10**9
 """Between good copies of the map; chosen: one of 100,000 landmarks takes half a second."""
+
+
+def no_events(name: str, text: str, level: int) -> None:
+    """For runs that nobody listens to."""
 
 
 def store_of(config: Config) -> Store:
@@ -72,8 +78,10 @@ def load(config: Config, store: Store, tell: Callable[[str, str, int], None]) ->
 class Keeper:
     """keep() is the main thread's; save() may be called by any."""
 
-    def __init__(self, estimator: Estimator, store: Store, period_s: float) -> None:
+    def __init__(self, estimator: Estimator, store: Store, period_s: float, tell: Tell = no_events) -> None:
         self._estimator, self._store = estimator, store
+        self._swap = MapSwap(estimator, store, tell)
+        self._lock = threading.RLock()
         self._period_ns = round(1e9 * period_s)
         self._due_ns = 0
         self._copy_due_ns: int | None = None
@@ -91,19 +99,27 @@ class Keeper:
         """
         if self._copy_due_ns is None:
             self._copy_due_ns = now_ns + COPY_NS
+        last = self._estimator.last
+        stands = last is not None and self._stands(last)
+        with self._lock:
+            self._swap.step(now_ns, stands)
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + self._period_ns
             self.save()
         elif now_ns >= self._copy_due_ns:
             self._copy_due_ns = now_ns + COPY_NS
             self._store.keep_copy()
-        elif (last := self._estimator.last) is not None and self._stands(last) and self._is_news(last):
+        elif last is not None and stands and self._is_news(last):
             self._began = last
             if self._store.save_pose(last, self._estimator.elsewhere()):
                 self._kept = last
 
     def save(self) -> bool:
         """Write map and pose; False when they were not, with the reason in the log."""
+        with self._lock:  # what is saved is of one map
+            return self._save()
+
+    def _save(self) -> bool:
         last = self._estimator.last
         if last is None:
             return False

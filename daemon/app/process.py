@@ -27,6 +27,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
+from ceilvo.daemon.app.fleet import Membership
 from ceilvo.daemon.app.keeping import Keeper, begin_on, load, store_of
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
@@ -58,8 +59,7 @@ log = logging.getLogger("ceilvo")
 _TICK_S = 0.05
 """Period of the main thread; chosen: a change of state is in systemd's status this soon (docs/faults.md)."""
 _SILENT_FRAMES = 3.0
-"""Periods of the frames that are used, without one, that make a slow camera silent; chosen: two lost in a row are not
-news."""
+"""Periods of used frames without one that make a slow camera silent; chosen: two lost in a row are not news."""
 _SILENT_PERIOD_S = 0.1
 """Between estimates of a silent camera; chosen: often enough to be seen."""
 _STOP_S = 1.0
@@ -118,18 +118,18 @@ class Daemon:
             no_listener if self._recording is None else self._recording.input,
             self._store.session,
         )
-        self._keeper = Keeper(self._estimator, self._store, config.service.state_period_s)
+        period_s, tell = config.service.state_period_s, lambda *said: self._outputs.event(*said)
+        self._keeper = Keeper(self._estimator, self._store, period_s, tell)
         answers = handlers(config, plan.calibration, self._estimator, self._store, self._keeper.save)
         wires = wires_of(config, plan.calibration, answers)
         self._bus, self._wires = wires.bus, wires.others
         name, fixed, recording = config.robot.name, plan.calibration, self._recording
         links, kept = (self._base, self._bus), self._store.map_of
-        self._outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, self._wires, kept)
+        self._outputs: Outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, self._wires, kept)
+        self._fleet = Membership(config, self._store.folder, lambda: self._estimator.last, self._outputs.event)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
-        about = config.service.seed, plan.calibration.driving_nis
-        self._telemetry = Telemetry(
-            self._estimator, self._capture, *links, plan.truth, clock, *about, self._store, self._wires
-        )
+        parts, seed = (self._estimator, self._capture, *links, plan.truth, clock), config.service.seed
+        self._telemetry = Telemetry(*parts, seed, plan.calibration.driving_nis, self._store, self._wires)
         self._thread = threading.Thread(target=self._estimate, name="estimator", daemon=True)
 
     @property
@@ -146,6 +146,7 @@ class Daemon:
         with ExitStack() as ending:
             self._own(ending)
             ending.callback(self._store.close)
+            ending.enter_context(self._fleet.kept_up())
             stored = load(self._config, self._store, self._outputs.event)
             if stored is not None:
                 begin_on(self._estimator, stored)
@@ -236,9 +237,8 @@ class Daemon:
             last = self._estimator.last
             state = State.INIT if last is None else last.state
         self._report_status(state)
-        self._outputs.health(
-            state, self._telemetry.uptime_s, {**self._telemetry.counters(), **self._recorder_counters()}
-        )
+        counters = {**self._telemetry.counters(), **self._recorder_counters(), **self._fleet.counters()}
+        self._outputs.health(state, self._telemetry.uptime_s, counters)
         if not self._map_full and self._estimator.counters()["map_full"]:
             self._map_full = True
             self._outputs.event("map", _MAP_FULL, logging.WARNING)

@@ -233,9 +233,11 @@ def running(path: Path, port: int, policy: str = "approve") -> Iterator[Server]:
     server, up = Server(curator, replace(Config(), mapd=mapd, zenoh=zenoh)), threading.Event()
     thread = threading.Thread(target=server.serve, args=(lambda text: up.set(),))
     thread.start()
-    assert up.wait(PATIENCE_S)
-    yield server
-    server.stopping.set()
-    thread.join(PATIENCE_S)
-    assert not thread.is_alive()
-    curator.close()
+    try:
+        assert up.wait(PATIENCE_S)
+        yield server
+    finally:
+        server.stopping.set()
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+        curator.close()

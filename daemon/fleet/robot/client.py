@@ -8,19 +8,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ceilvo.daemon.editing.joining import GATE_CHI2, REACH_M, matches_by_place
 from ceilvo.daemon.fleet.keys import Signer
 from ceilvo.daemon.fleet.learnt import Told, gained, parts
+from ceilvo.daemon.fleet.manifests import Manifest
 from ceilvo.daemon.fleet.offers import Offer, signed
 from ceilvo.daemon.fleet.replies import OFFER, REPLAYED, UNCHECKED, Reply
 from ceilvo.daemon.fleet.robot.link import Link, RefusedError
-from ceilvo.daemon.fleet.robot.store import HELD, TAKEN, TAKING, FleetStore, Waiting
-from ceilvo.daemon.fleet.robot.taking import Renewed, taken_in
+from ceilvo.daemon.fleet.robot.store import HELD, OFFERS_REFUSED, OFFERS_TAKEN, TAKEN, TAKING, FleetStore, Waiting
+from ceilvo.daemon.fleet.robot.taking import SAME_M, Renewed, taken_in
 from ceilvo.daemon.fleet.tiles import joined
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.errors import CeilvoError
 from ceilvo.types import Landmarks
 
 _LAST_SEQ = "last_seq"
+FEWEST_KNOWN, SAME_SHARE = 8, 0.8
+"""Landmarks that two maps of one frame must have in common, and how many of them where both say; chosen: as the service
+asks of an offer."""
+_NO_IDS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -74,11 +80,19 @@ def queue(
         FileFormatError: the store cannot be written.
     """
     recover(store, learnt)
-    base = store.manifest(TAKEN)
-    told = store.told()
+    base, told = store.manifest(TAKEN), store.told()
     if base is not None:
-        fleet, _ = joined(store.tiles(base), base.tile_m)
+        fleet = stands_on(store, base, learnt)
+        if fleet is None:
+            return 0
         told = Told(fleet, fleet.ids).with_(told)
+    elif len(told.landmarks):  # the fleet may have begun with it; until that is here nothing more can be checked there
+        base = store.manifest(HELD)
+        fleet = None if base is None else joined(store.tiles(base), base.tile_m)[0]
+        named = None if fleet is None else _as_the_fleet_calls(store, learnt, fleet)
+        if named is None:
+            return 0
+        told = named
     news = gained(told, learnt)
     seq = max(clock_ns() // 1000, store.counters().get(_LAST_SEQ, 0))
     made, room = 0, most_bytes - store.waiting_bytes()
@@ -130,10 +144,10 @@ def send(store: FleetStore, who: Who, link: Link) -> Sent:
                 return Sent(taken, tuple(refused), str(e), e.refusal.wait_s)
             refused.append(str(e))
             store.offered(first.seq)
-            store.count(offers_refused=1)
+            store.count(**{OFFERS_REFUSED: 1})
             continue
         store.offered(first.seq)
-        store.count(offers_taken=1)
+        store.count(**{OFFERS_TAKEN: 1})
         taken += 1
     return Sent(taken, tuple(refused))
 
@@ -158,9 +172,9 @@ def _renumber(store: FleetStore, waiting: list[Waiting], last: int) -> None:
 
 
 def is_newer_held(store: FleetStore) -> bool:
-    """Whether a version is here whole that the robot's map does not stand on."""
+    """Whether a version is here whole, and not empty, that the robot's map does not stand on."""
     held, taken = store.manifest(HELD), store.manifest(TAKEN)
-    return held is not None and (taken is None or held.root != taken.root)
+    return held is not None and bool(held.hashes) and (taken is None or held.root != taken.root)
 
 
 def take_in(
@@ -188,21 +202,66 @@ def take_in(
 
 def trial(store: FleetStore, learnt: MapContent, replace_all: bool = False) -> Renewed:
     """What take_in() would make of the robot's map; arguments and errors as there."""
-    held, taken = store.manifest(HELD), store.manifest(TAKEN)
+    held, taken, told = store.manifest(HELD), store.manifest(TAKEN), store.told()
     if held is None:
         raise CeilvoError(f"{store.path}: no whole map of the fleet is here yet; fetch it first")
-    if taken is None and len(learnt.landmarks) and not replace_all:
-        raise CeilvoError(
-            f"the robot's map has {len(learnt.landmarks)} landmarks and is none of the fleet's, so their frames may "
-            "differ; --replace takes the fleet's in its place"
-        )
     fleet, seen_s = joined(store.tiles(held), held.tile_m)
-    if taken is None:
+    if len(fleet) < FEWEST_KNOWN:
+        raise CeilvoError(
+            f"version {held.version} of the fleet's map has {len(fleet)} landmarks, expected {FEWEST_KNOWN} or more: "
+            "nobody could tell whether a map stands on it; it is taken once others have offered more"
+        )
+    before = _NO_IDS
+    known = None if taken is None else stands_on(store, taken, learnt.landmarks)
+    if known is not None:
+        before = known.ids
+    elif taken is not None or _as_the_fleet_calls(store, learnt.landmarks, fleet) is None:
+        if len(learnt.landmarks) and not replace_all:
+            raise CeilvoError(
+                f"the robot's map has {len(learnt.landmarks)} landmarks and is none of the fleet's, so their frames "
+                "may differ; ceilvod map fetch --replace takes the fleet's in its place"
+            )
         learnt = replace(learnt, landmarks=learnt.landmarks.of(np.arange(0)), seen_s=np.empty((0, 2)), key_poses=())
-        before, told = np.empty(0, np.int64), store.told().of_none()
-    else:
-        before, told = joined(store.tiles(taken), taken.tile_m)[0].ids, store.told()
+        told = told.of_none()
     return taken_in(learnt, before, told, fleet, seen_s, held.axis_rad)
+
+
+def stands_on(store: FleetStore, taken: Manifest, learnt: Landmarks) -> Landmarks | None:
+    """The fleet's landmarks as the robot's map was put on them; None where it does not stand on them any more: it was
+    reset, or another one is in its place.
+
+    Raises:
+        FileFormatError: the store cannot be read.
+    """
+    fleet, _ = joined(store.tiles(taken), taken.tile_m)
+    return fleet if _agree(fleet, learnt) else None
+
+
+def _agree(known: Landmarks, learnt: Landmarks) -> bool:
+    """Whether what is known under the same ids is where it was."""
+    _, i, j = np.intersect1d(known.ids, learnt.ids, assume_unique=True, return_indices=True)
+    apart_m = np.hypot(*(known.xy_map_m[i] - learnt.xy_map_m[j]).T)
+    same = (apart_m <= REACH_M) & (known.crossing_type[i] == learnt.crossing_type[j])
+    return len(i) >= FEWEST_KNOWN and int(np.count_nonzero(same)) >= SAME_SHARE * len(i)
+
+
+def _as_the_fleet_calls(store: FleetStore, learnt: Landmarks, fleet: Landmarks) -> Told | None:
+    """What a robot told of before it took any map of the fleet's, by the names there, if that began with its own: the
+    service took an offer, and all lies there where it lies on the robot's map. Else None.
+
+    Places alone do not say so: a ceiling of tiles fits itself a tile further on.
+    """
+    told = store.told()
+    if not store.counters().get(OFFERS_TAKEN, 0) or not _agree(told.landmarks, learnt):
+        return None
+    m = matches_by_place(told.landmarks, fleet, GATE_CHI2)
+    near = np.hypot(*(told.landmarks.xy_map_m[m.a] - fleet.xy_map_m[m.b]).T) <= SAME_M
+    count = int(np.count_nonzero(near))
+    if count < FEWEST_KNOWN or count < SAME_SHARE * len(told.landmarks):
+        return None
+    refs = told.refs.copy()
+    refs[m.a[near]] = fleet.ids[m.b[near]]
+    return replace(told, refs=refs)
 
 
 def recover(store: FleetStore, learnt: Landmarks) -> None:

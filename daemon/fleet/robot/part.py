@@ -7,12 +7,13 @@ interpreter that the estimator needs.
 from __future__ import annotations
 
 import contextlib
-import logging
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -26,6 +27,8 @@ _FIRST_S = 20.0
 """After the start; chosen: the robot should know where it is by then."""
 _MOST_S = 300.0
 """That a meeting may take; chosen: a map of 100,000 landmarks over a poor radio."""
+_LOOK_S = 0.1
+"""Between looks whether the process is done."""
 
 
 @contextmanager
@@ -33,25 +36,24 @@ def part(
     config: Config,
     map_file: Path,
     may_offer: Callable[[], bool],
-    tell: Callable[[str, int], None],
+    hear: Callable[[Met], None],
     first_s: float = _FIRST_S,
 ) -> Iterator[None]:
     """Meet the service every fleet.period_s, for as long as the context lasts.
 
     Args:
         may_offer: whether what the map has is worth an offer now; called in the thread.
-        tell: hears what happened and the level of logging; called in the thread.
+        hear: what came of each meeting; called in the thread.
     """
     stop = threading.Event()
 
     def run() -> None:
-        wait_s, before = min(first_s, config.fleet.period_s), ""
+        wait_s = min(first_s, config.fleet.period_s)
         while not stop.wait(wait_s):
             wait_s = config.fleet.period_s
-            met = _in_a_process(config, map_file, may_offer(), stop)
-            if met is not None and met.said and (met.is_news or met.said != before):
-                tell(f"fleet: {met.said}", logging.INFO if met.is_news else logging.WARNING)
-            before = "" if met is None else met.said
+            met = met_beside(config, map_file, may_offer(), _MOST_S, stop)
+            if met is not None:
+                hear(met)
 
     thread = threading.Thread(target=run, name="fleet", daemon=True)
     thread.start()
@@ -62,20 +64,34 @@ def part(
         thread.join(1.0)
 
 
-def _in_a_process(config: Config, map_file: Path, may_offer: bool, stop: threading.Event) -> Met | None:
-    """None where it was ended by `stop`."""
+def met_beside(
+    config: Config, map_file: Path, may_offer: bool, most_s: float, stop: threading.Event | None = None
+) -> Met | None:
+    """One meeting in a process of its own, which ends with this one.
+
+    Args:
+        most_s: after so long it is given up; what has come until then is kept.
+        stop: gives it up when it is set.
+
+    Returns:
+        None where it was given up because of `stop`.
+    """
+    stopping = threading.Event() if stop is None else stop
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(config, map_file, may_offer, there), daemon=True)
-    process.start()
-    there.close()
-    waited = 0.0
     try:
-        while not here.poll(0.2):
-            waited += 0.2
-            if stop.is_set() or waited > _MOST_S:
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(config, map_file, may_offer, there), daemon=True)
+        process.start()
+    except OSError as e:  # no memory, no descriptors
+        return Met(f"its process cannot be started: {e.strerror or e}", True)
+    there.close()
+    waited_s = 0.0
+    try:
+        while not here.poll(_LOOK_S):
+            waited_s += _LOOK_S
+            if stopping.is_set() or waited_s > most_s:
                 process.kill()
-                return None if stop.is_set() else Met(f"gave up after {_MOST_S:g} s", True)
+                return None if stopping.is_set() else Met(f"map service away: gave up after {most_s:g} s", False)
         found = here.recv()
         return found if isinstance(found, Met) else None
     except EOFError:
@@ -86,8 +102,18 @@ def _in_a_process(config: Config, map_file: Path, may_offer: bool, stop: threadi
 
 
 def _work(config: Config, map_file: Path, may_offer: bool, to: Connection) -> None:
-    """In the process."""
+    """In the process. A signal that ends the daemon is not for it: it goes on until the daemon is gone."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(to,), daemon=True).start()
     with contextlib.suppress(OSError):  # the service's unit may forbid it
         os.nice(_NICE)
     met = meet(config, map_file, may_offer)
-    to.send(Met(printable(met.said), met.is_news))
+    to.send(replace(met, said=printable(met.said)))
+
+
+def _end_with(other: Connection) -> None:
+    """Two processes must not tell of the same landmarks: the next daemon may start one as soon as this one is dead."""
+    with contextlib.suppress(EOFError, OSError):
+        other.recv()  # nothing is ever sent: it ends with the process on the other side
+    os._exit(1)

@@ -5,11 +5,9 @@ Everything is committed piece by piece, so that whatever is cut off goes on wher
 
 from __future__ import annotations
 
-import contextlib
-import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +16,7 @@ import numpy as np
 from ceilvo.daemon.fleet.learnt import Told
 from ceilvo.daemon.fleet.manifests import Manifest
 from ceilvo.daemon.fleet.tiles import Place, hash_of
-from ceilvo.daemon.map.database.faults import BUSY_S, DamagedError, reading, writing
+from ceilvo.daemon.map.database.faults import BUSY_S, DamagedError, make_file, reading, transaction
 from ceilvo.daemon.map.database.rows import ROW, landmarks_of_rows, rows_of
 from ceilvo.errors import FileFormatError
 from ceilvo.files import set_aside
@@ -31,6 +29,8 @@ VERSION = 1
 HELD, NEXT, TAKEN, TAKING = "held", "next", "taken", "taking"
 """Manifests: the newest one that is here whole, the one that is being fetched, the one that the robot's map stands on,
 and the one that it is being put on."""
+OFFERS_TAKEN, OFFERS_REFUSED = "offers_taken", "offers_refused"
+"""Counters of what the service said."""
 _TABLES = (
     "CREATE TABLE tiles (hash BLOB PRIMARY KEY, data BLOB NOT NULL, size INTEGER NOT NULL) WITHOUT ROWID",
     "CREATE TABLE manifests (which TEXT PRIMARY KEY, floor TEXT NOT NULL, version INTEGER NOT NULL, axis REAL NOT NULL,"
@@ -83,21 +83,9 @@ class FleetStore:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @contextmanager
-    def change(self) -> Iterator[sqlite3.Connection]:
-        """
-        Raises:
-            FileFormatError: it could not be written; nothing was changed.
-        """
-        with writing(self.path):
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._db
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
+    def change(self) -> AbstractContextManager[sqlite3.Connection]:
+        """One transaction, see faults.transaction."""
+        return transaction(self.path, self._db)
 
     # -- manifests and tiles
 
@@ -271,18 +259,7 @@ def _digest(landmarks: Landmarks) -> bytes:
 
 def _opened(path: Path) -> sqlite3.Connection:
     if not path.exists():
-        beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            beside.unlink(missing_ok=True)
-            with writing(path), contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as db:
-                for statement in _TABLES:
-                    db.execute(statement)
-                db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-                db.execute(f"PRAGMA user_version = {VERSION}")
-            beside.replace(path)
-        finally:
-            with contextlib.suppress(OSError):
-                beside.unlink(missing_ok=True)
+        make_file(path, _make)
     with reading(path):
         db = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
         try:
@@ -293,6 +270,13 @@ def _opened(path: Path) -> sqlite3.Connection:
             db.close()
             raise
     return db
+
+
+def _make(db: sqlite3.Connection) -> None:
+    for statement in _TABLES:
+        db.execute(statement)
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {VERSION}")
 
 
 def _look(path: Path, db: sqlite3.Connection) -> None:

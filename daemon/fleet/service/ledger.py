@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from ceilvo.daemon.fleet.offers import Offer, Signed
 from ceilvo.daemon.fleet.service.claims import CLAIM, VALUES, Claims
 from ceilvo.daemon.fleet.service.tables import opened
 from ceilvo.daemon.fleet.tiles import Place
-from ceilvo.daemon.map.database.faults import reading, writing
+from ceilvo.daemon.map.database.faults import reading, transaction
 from ceilvo.daemon.map.database.rows import ROW, Rows
 from ceilvo.types import Ints
 
@@ -78,22 +78,9 @@ class Ledger:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @contextmanager
-    def change(self) -> Iterator[sqlite3.Connection]:
-        """One transaction, on the disk when it is done.
-
-        Raises:
-            FileFormatError: it could not be written; nothing was changed.
-        """
-        with writing(self.path):
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._db
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
+    def change(self) -> AbstractContextManager[sqlite3.Connection]:
+        """One transaction, see faults.transaction."""
+        return transaction(self.path, self._db)
 
     # -- keys
 

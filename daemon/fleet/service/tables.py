@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import sqlite3
 from pathlib import Path
 
-from ceilvo.daemon.map.database.faults import BUSY_S, reading, writing
+from ceilvo.daemon.map.database.faults import BUSY_S, make_file, reading
 from ceilvo.errors import FileFormatError
 
 APPLICATION_ID = 0x63656D64
@@ -56,7 +54,7 @@ def opened(path: Path, create: bool) -> sqlite3.Connection:
             raise FileFormatError(
                 f"{path}: no such file, expected the ledger of a map service; 'ceilvod mapd run' makes it"
             )
-        _make(path)
+        make_file(path, _make)
     with reading(path):
         db = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
         try:
@@ -76,19 +74,8 @@ def opened(path: Path, create: bool) -> sqlite3.Connection:
     return db
 
 
-def _make(path: Path) -> None:
-    """Made beside and renamed: a kill meanwhile leaves none rather than half of one."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        beside.unlink(missing_ok=True)
-        with writing(path), contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as db:
-            for statement in TABLES:
-                db.execute(statement)
-            db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            db.execute(f"PRAGMA user_version = {VERSION}")
-        beside.replace(path)
-    except OSError as e:
-        raise FileFormatError(f"{path}: cannot be written: {e.strerror or e}; check its folder and its owner") from e
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+def _make(db: sqlite3.Connection) -> None:
+    for statement in TABLES:
+        db.execute(statement)
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {VERSION}")

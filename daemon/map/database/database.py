@@ -17,7 +17,7 @@ from ceilvo.daemon.map.checks import Damage
 from ceilvo.daemon.map.database import edits, schema, tables
 from ceilvo.daemon.map.database.content import MapContent, Session
 from ceilvo.daemon.map.database.edits import Edit
-from ceilvo.daemon.map.database.faults import expect, reading, writing
+from ceilvo.daemon.map.database.faults import expect, reading, transaction, writing
 from ceilvo.daemon.map.database.held import (
     Held,
     floors,
@@ -232,12 +232,15 @@ class MapDatabase:
             tables.write_map(self._db, held, held.axis_rad)
         return count
 
-    def edit(self, after: MapContent, what: str, found: str = "", now_s: float | None = None) -> Written:
+    def edit(
+        self, after: MapContent, what: str, found: str = "", now_s: float | None = None, same_frame: bool = False
+    ) -> Written:
         """Make the map what an edit made of it, so that it can be undone.
 
         Args:
             what: the command, for the log.
             found: hash of the map that the edit was made of; "" where that does not matter.
+            same_frame: poses on the map stay right, although landmarks are moved.
 
         Raises:
             FileFormatError: as save.
@@ -246,7 +249,7 @@ class MapDatabase:
         after = replace(after, key_poses=spaced(after.key_poses))
         with self._change() as held:
             expect(self.path, held.hash, found)
-            return edits.write_edit(self._db, held, after, what, at_s)
+            return edits.write_edit(self._db, held, after, what, at_s, same_frame)
 
     def edit_floors(
         self, after: Mapping[str, tuple[MapContent, str]], what: str, now_s: float | None = None
@@ -334,17 +337,13 @@ class MapDatabase:
             raise FileFormatError(
                 f"{self.path}: replaced or removed while it was open; nothing was written, open it again"
             )
-        with writing(self.path):
-            before = self._held
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
+        before = self._held
+        try:
+            with transaction(self.path, self._db):
                 self._follow()
                 before = self._held
                 self._held = replace(before) if before.number else tables.make_map(self._db, before.floor)
                 yield self._held
-                self._db.execute("COMMIT")
-            except BaseException:
-                self._held = before
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
+        except BaseException:
+            self._held = before
+            raise

@@ -54,8 +54,14 @@ class Edit:
     key_poses: int
 
 
-def write_edit(db: sqlite3.Connection, held: Held, after: MapContent, what: str, at_s: float) -> Written:
-    """Make the map what `after` says, and keep what it was, if it was anything. Sessions that are new come with it."""
+def write_edit(
+    db: sqlite3.Connection, held: Held, after: MapContent, what: str, at_s: float, same_frame: bool = False
+) -> Written:
+    """Make the map what `after` says, and keep what it was, if it was anything. Sessions that are new come with it.
+
+    Args:
+        same_frame: poses on the map stay right, although landmarks are moved.
+    """
     number = _begun(db, held, what, at_s) if held.version else None
     known = {s.name for s in read_sessions(db, held.number)}
     for session in after.sessions:
@@ -69,7 +75,8 @@ def write_edit(db: sqlite3.Connection, held: Held, after: MapContent, what: str,
     written = write_landmarks(db, held, after.landmarks, after.seen_s, edit=number)
     key_poses = write_key_poses(db, held, after.key_poses, number)
     stays = not before or written.removed < before  # a map of which nothing stays is another one
-    write_map(db, held, after.axis_rad, stays and not written.changed and after.axis_rad == axis_before)
+    unmoved = stays and not written.changed and after.axis_rad == axis_before
+    write_map(db, held, after.axis_rad, same_frame=same_frame or unmoved)
     db.execute("UPDATE edits SET hash_after = ? WHERE id = ?", (held.hash, number))
     old = "SELECT id FROM edits WHERE map = ? ORDER BY id DESC LIMIT -1 OFFSET ?"
     db.execute(f"DELETE FROM edits WHERE id IN ({old})", (held.number, MOST_EDITS))

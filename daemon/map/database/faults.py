@@ -1,11 +1,13 @@
-"""What SQLite says when something is wrong, as one line for people."""
+"""Files of SQLite: transactions, how a file is made, and what is wrong with one as one line for people."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
 import sqlite3
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -88,6 +90,46 @@ def writing(path: Path) -> Iterator[None]:
         raise damaged(path, f"damaged: {one_line(e)}") from e
     except (Damage, OverflowError) as e:
         raise FileFormatError(f"{path}: not written, it holds what it held: {e}") from e
+
+
+@contextmanager
+def transaction(path: Path, db: sqlite3.Connection) -> Iterator[sqlite3.Connection]:
+    """All of it or nothing, on the disk when it is done.
+
+    Raises:
+        FileFormatError: it could not be written; nothing was changed.
+    """
+    with writing(path):
+        db.execute("BEGIN IMMEDIATE")
+        try:
+            yield db
+            db.execute("COMMIT")
+        except BaseException:
+            if db.in_transaction:
+                db.execute("ROLLBACK")
+            raise
+
+
+def make_file(path: Path, fill: Callable[[sqlite3.Connection], None]) -> None:
+    """A new file, made beside and renamed: a kill meanwhile leaves none rather than half of one.
+
+    Args:
+        fill: makes its tables.
+
+    Raises:
+        FileFormatError: it cannot be written.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        beside.unlink(missing_ok=True)
+        with writing(path), contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as db:
+            fill(db)
+        beside.replace(path)
+    except OSError as e:
+        raise FileFormatError(f"{path}: cannot be written: {e.strerror or e}; check its folder and its owner") from e
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
 
 
 def damaged(path: Path, what: str) -> DamagedError:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ceilvo.daemon.map.checks import Damage
-from ceilvo.daemon.map.database.faults import BUSY_S, look_at, reading, writing
+from ceilvo.daemon.map.database.faults import BUSY_S, look_at, make_file, reading
 from ceilvo.daemon.map.database.rows import digest_of
 from ceilvo.errors import FileFormatError
 
@@ -71,7 +71,7 @@ def has_rtree() -> bool:
 
 
 def create(path: Path, rtree: bool | None = None) -> None:
-    """A new file with empty tables, made beside and renamed: a kill meanwhile leaves none rather than half of one.
+    """A new file with empty tables.
 
     Args:
         rtree: an R*Tree of landmarks, else a grid; None: as SQLite was compiled.
@@ -79,18 +79,12 @@ def create(path: Path, rtree: bool | None = None) -> None:
     Raises:
         FileFormatError: it cannot be written.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        beside.unlink(missing_ok=True)
-        with writing(path), contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as db:
-            db.execute("PRAGMA journal_mode = DELETE")
-            _make(db, has_rtree() if rtree is None else rtree)
-        beside.replace(path)
-    except OSError as e:
-        raise FileFormatError(f"{path}: cannot be written: {e.strerror or e}; check its folder and its owner") from e
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+
+    def fill(db: sqlite3.Connection) -> None:
+        db.execute("PRAGMA journal_mode = DELETE")
+        _make(db, has_rtree() if rtree is None else rtree)
+
+    make_file(path, fill)
 
 
 def _make(db: sqlite3.Connection, rtree: bool) -> None:

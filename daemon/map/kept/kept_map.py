@@ -19,7 +19,7 @@ from ceilvo.daemon.map.database.copies import (
     set_aside_with_log,
 )
 from ceilvo.daemon.map.database.database import MapDatabase
-from ceilvo.daemon.map.database.faults import DamagedError, HeldError
+from ceilvo.daemon.map.database.faults import DamagedError, HeldError, SupersededError
 from ceilvo.daemon.map.kept.found import Found, floors_around, found_in
 from ceilvo.daemon.map.kept.generations import Generations
 from ceilvo.daemon.map.kept.usable import out_of_the_way, usable
@@ -58,6 +58,16 @@ class KeptMap:
         self._copied = 0
         self._generations = Generations(path, generations)
         self._old = Generations(path.with_name(OLD_NAME), generations)
+
+    @property
+    def stored(self) -> StoredMap | None:
+        """What it holds, as of the last look(); None where nothing."""
+        return None if self._db is None else self._db.load()
+
+    @property
+    def hash(self) -> str:
+        """Of that; "" where there is none."""
+        return self._hash
 
     @property
     def frame(self) -> str:
@@ -233,7 +243,8 @@ class KeptMap:
         first.
 
         Raises:
-            FileFormatError, OSError: it cannot be written; what lies there stays.
+            FileFormatError, OSError: it cannot be written; what lies there stays. SupersededError where another program
+                has written since look().
         """
         try:
             self._write(landmarks, map_axis_rad, key_poses, refused)
@@ -241,6 +252,8 @@ class KeptMap:
             self.close()
             self.look()
             self._write(landmarks, map_axis_rad, key_poses, refused)
+        except SupersededError:
+            raise
         except FileFormatError:
             self.close()
             raise
@@ -251,7 +264,8 @@ class KeptMap:
         is_new = self._anew or not self._db.version
         if self._db.version and (self._unkept or not self._written):
             self._keep(self._db)
-        self._db.save(landmarks, map_axis_rad, self._session, refused=refused, anew=self._anew)
+        found = "" if is_new else self._hash
+        self._db.save(landmarks, map_axis_rad, self._session, found=found, refused=refused, anew=self._anew)
         self._hold(self._db)
         self._anew = False
         if key_poses is not None and len(key_poses):
@@ -287,6 +301,10 @@ class KeptMap:
         self._keep(self._db)
         self._written = True
         return bool(self._generations.paths())
+
+    def keep_next(self) -> None:
+        """What lies there becomes a generation before it is replaced, however young the last one is."""
+        self._unkept = True
 
     def close(self) -> None:
         if self._db is not None:

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ceilvo.daemon.map.database.faults import SupersededError
+from ceilvo.daemon.map.kept.apart import Apart
+from ceilvo.daemon.map.kept.change import Change, unmoved
 from ceilvo.daemon.map.kept.found import Found
 from ceilvo.daemon.map.kept.kept_map import OLD_NAME, KeptMap
 from ceilvo.daemon.map.kept.smaller_map import SmallerMap, is_much_smaller
@@ -19,7 +22,7 @@ from ceilvo.daemon.map.kept.usable import usable
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_state, save_state
 from ceilvo.errors import CeilvoError
-from ceilvo.types import Array, Estimate, Landmarks
+from ceilvo.types import Array, Estimate, Landmarks, Pose
 
 _log = logging.getLogger("ceilvo.store")
 
@@ -33,9 +36,6 @@ VAGUE_M, VAGUE_RAD = 100.0, np.pi
 of hours in the dark, leave no digits for the filter."""
 _VAGUE_COV = np.diag([1e2 * VAGUE_M**2, 1e2 * VAGUE_M**2, 1e2 * VAGUE_RAD**2])
 """Stored for all of them."""
-_ROUNDED_M, _ROUNDED = 1e-9, 1e-9
-"""Metres, and share of a variance, below which a landmark is taken not to have moved; chosen: far above what turning a
-building's coordinates rounds, far below any measurement."""
 _NOT_SAVED = "map and pose not saved"
 
 
@@ -68,6 +68,9 @@ class Store:
 
     A file that cannot be used is set aside before it would be overwritten. Maps of earlier runs stay as generations,
     and a map never gives way to a much smaller one.
+
+    Attributes:
+        given_up: how often its owner gave the map up.
     """
 
     def __init__(self, folder: Path | None, generations: int = 5, session: str = "robot", floor: str = "") -> None:
@@ -75,11 +78,13 @@ class Store:
         self._folder, self._session = folder, session
         self._complained = ""
         self._in_use = False
+        self.given_up = 0
         self._lock = threading.Lock()
         at = Path() if folder is None else folder
         self._generations = generations
         self._map = KeptMap(at / MAP_NAME, generations, session, floor)
         self._others: dict[str, KeptMap] = {}
+        self._apart = Apart(at / MAP_NAME)
         self._beside = SmallerMap(at / BESIDE_NAME)
 
     @property
@@ -105,6 +110,7 @@ class Store:
         if found is None:
             return None
         self._in_use = True
+        self._apart.begin(found.map if len(floors) == 1 else None, self._map.hash)
         said, on = "its last pose is a hypothesis until landmarks confirm it", found
         if state is not None and state.frame is not None:
             on = next((f for f in floors if f.frame == state.frame), found)
@@ -156,6 +162,8 @@ class Store:
         with self._lock:
             self._in_use = False
             self._map, self._others = self._on(floor), {}
+            self.given_up += 1
+            self._apart.begin(None, "")
             try:
                 return self._map.give_up()
             except (CeilvoError, OSError) as e:
@@ -207,13 +215,47 @@ class Store:
     def _written(
         self, kept: KeptMap, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None, refused: int
     ) -> bool:
+        ours = StoredMap(landmarks, map_axis_rad)
+        try:
+            return self._write(kept, ours, key_poses, refused)
+        except SupersededError:  # another program, between the look and the writing
+            return self._write(kept, ours, key_poses, refused)
+
+    def _write(self, kept: KeptMap, ours: StoredMap, key_poses: KeyPoses | None, refused: int) -> bool:
         kept.look()
-        if is_much_smaller(len(landmarks), kept.landmarks):
-            return self._save_beside(kept, landmarks, map_axis_rad)
+        alone = kept is self._map and not self._others
+        whole = self._apart.onto(ours, kept.stored, kept.hash) if alone else ours
+        if is_much_smaller(len(whole.landmarks), kept.landmarks):
+            return self._save_beside(kept, ours.landmarks, ours.map_axis_rad)
         before = kept.content
-        landmarks = landmarks if before is None or kept is self._map else unmoved(landmarks, before)
-        kept.write(landmarks, map_axis_rad, key_poses, refused)
+        landmarks = whole.landmarks if before is None or kept is self._map else unmoved(whole.landmarks, before)
+        kept.write(landmarks, whole.map_axis_rad, key_poses, refused)
+        if alone:
+            self._apart.written(ours, kept.hash)
         return True
+
+    # -- another program's changes
+
+    @property
+    def change(self) -> Change | None:
+        """From the robot's map to the one in the database; None where they are one."""
+        return self._apart.change
+
+    def moved(self, ours: StoredMap, pose: Array) -> tuple[StoredMap, Pose]:
+        """The robot's map and its pose (3,) as they are on the database's map; the robot is on that from now on."""
+        with self._lock:
+            change, theirs = self._apart.change, self._map.stored
+            if change is None or theirs is None:
+                return ours, Pose(pose)
+            whole = self._apart.onto(ours, theirs, self._map.hash)
+            self._apart.begin(theirs, self._map.hash)
+            return whole, change.pose(pose)
+
+    def stay(self) -> None:
+        """The robot is on a map of its own again: that is saved next, and the database's stays as a generation."""
+        with self._lock:
+            self._apart.begin(None, "")
+            self._map.keep_next()
 
     def save_pose(self, estimate: Estimate, elsewhere: float = 0.0) -> bool:
         """Write the pose alone; False where the map that lies in the folder is not the one in use, or saving failed of
@@ -240,7 +282,8 @@ class Store:
 
     def _write_pose(self, folder: Path, e: Estimate, elsewhere: float) -> None:
         cov = _VAGUE_COV if _is_vague(e.cov) else e.cov
-        save_state(folder / STATE_NAME, e.pose, cov, e.state, e.stamp_ns, elsewhere, self._on(e.floor).frame)
+        pose = e.pose if self.change is None else self.change.pose(e.pose)
+        save_state(folder / STATE_NAME, pose, cov, e.state, e.stamp_ns, elsewhere, self._on(e.floor).frame)
 
     def _save_beside(self, kept: KeptMap, landmarks: Landmarks, map_axis_rad: float) -> bool:
         if self._beside.write(landmarks, map_axis_rad):
@@ -277,20 +320,6 @@ def _which(found: Found, floors: Sequence[Found]) -> str:
     if found.name.startswith(OLD_NAME):
         return f"{found.name} imported into {MAP_NAME}, it stays as it was"
     return f"an earlier map loaded, {found.name}"
-
-
-def unmoved(landmarks: Landmarks, before: Landmarks) -> Landmarks:
-    """Those that lie where they lay, to the last bit: on their way into another frame and back they are rounded."""
-    at = np.searchsorted(before.ids, landmarks.ids)
-    known = np.flatnonzero(at < len(before))
-    known = known[before.ids[at[known]] == landmarks.ids[known]]
-    old = before.of(at[known])
-    same = np.all(np.abs(old.xy_map_m - landmarks.xy_map_m[known]) < _ROUNDED_M, axis=1)
-    off = np.abs(old.cov_m2 - landmarks.cov_m2[known])
-    same &= np.all(off <= _ROUNDED * np.trace(old.cov_m2, axis1=1, axis2=2)[:, None, None], axis=(1, 2))
-    xy, cov = landmarks.xy_map_m.copy(), landmarks.cov_m2.copy()
-    xy[known[same]], cov[known[same]] = old.xy_map_m[same], old.cov_m2[same]
-    return replace(landmarks, xy_map_m=xy, cov_m2=cov)
 
 
 def _is_vague(cov: Array) -> bool:

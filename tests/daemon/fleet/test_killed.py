@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 import random
-import threading
 from pathlib import Path
 
 import curator_writer
 from curator_writer import ROWS, VIEWS
 from fleet_parts import mapd, survey, surveyed
-from patience import PATIENCE_S
-from writers import started
+from writers import killed
 
 from ceilvo.bench.fleet.robots import key_of
 from ceilvo.daemon.fleet.service.curator import Curator
@@ -27,18 +25,8 @@ def test_a_service_killed_at_random_moments_has_what_it_acknowledged_once(tmp_pa
     path, rng, reached, pending = surveyed(tmp_path / "b.db", trusted=(0,)), random.Random(SEED), 0, 0
     before = int(survey().sightings.sum())
     for kill in range(KILLS):
-        process, said = started(curator_writer.write, path)
-        with said:
-            assert said.recv() in (reached, reached + 1), f"kill {kill} (seed {SEED})"
-            threading.Event().wait(rng.uniform(0.0, LONGEST_S))
-            process.kill()
-            process.join(PATIENCE_S)
-            try:
-                while said.poll():
-                    reached = max(reached, said.recv())
-            except EOFError:
-                pass
-        process.close()
+        about = f"kill {kill} (seed {SEED})"
+        reached = killed(curator_writer.write, path, rng.uniform(0.0, LONGEST_S), reached, about)
         curator = Curator(path, mapd())
         now = curator._ledger.keys()[key_of(0).public].seq
         stored = curator._floors[""].stored()

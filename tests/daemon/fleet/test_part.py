@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import logging
 import queue
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet_parts import HALL, SERVICE, SIZE_M, running, survey, surveyed
+from fleet_parts import HALL, SERVICE, SIZE_M, held, running, survey, surveyed
+from kept_maps import count
 from patience import PATIENCE_S, until
 from zenoh_world import free_port
 
-from ceilvo.bench.fleet.robots import AXIS_RAD
+from ceilvo.bench.fleet.robots import AXIS_RAD, key_of
 from ceilvo.bench.fleet.world import Region, driven
 from ceilvo.config import Config, Fleet, Zenoh
 from ceilvo.daemon.fleet.robot.part import part
-from ceilvo.daemon.fleet.robot.sync import meet, take_held
+from ceilvo.daemon.fleet.robot.store import FleetStore
+from ceilvo.daemon.fleet.robot.sync import Met, Standing, meet, standing_of, store_of, take_held
+from ceilvo.daemon.fleet.service.ledger import Ledger
 from ceilvo.daemon.fleet.service.server import Server
+from ceilvo.daemon.fleet.service.tables import ledger_of
+from ceilvo.daemon.fleet.tiles import joined
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.daemon.map.database.copies import open_map
 from ceilvo.errors import CeilvoError
@@ -32,7 +37,7 @@ def port() -> int:
 
 @pytest.fixture
 def server(tmp_path: Path, port: int) -> Iterator[Server]:
-    yield from running(surveyed(tmp_path / "b.db", trusted=(0,)), port)
+    yield from running(surveyed(tmp_path / "b.db", trusted=(0, 1)), port)
 
 
 @pytest.fixture
@@ -50,27 +55,105 @@ def test_a_robot_begins_with_the_fleets_map_learns_offers_and_takes_the_next(
     path = tmp_path / "map.db"
     assert take_held(config, path) == ""
     met = meet(config, path, may_offer=True)
-    assert met.is_news and met.said == "version 1 of the map is here, the next start takes it"
+    assert met.is_news and met.reached and met.newer and met.said == ""
+    assert met.standing == Standing(version=0, newest=1)
     assert take_held(config, path) == f"map of the fleet taken, {len(survey())} landmarks, 0 of them this robot's own"
     assert take_held(config, path) == ""
     with open_map(path) as db:
         region = Region(np.zeros(2), np.array(SIZE_M))
         learnt = driven(db.content().landmarks, HALL, region, np.zeros(2), np.random.default_rng(1))
         db.save(learnt, AXIS_RAD, "robot1/drive")
-    said: queue.Queue[tuple[str, int]] = queue.Queue()
+        frame = db.frame
+    heard: queue.Queue[Met] = queue.Queue()
     offering = [False]
-    with part(config, path, lambda: offering[0], lambda text, level: said.put((text, level)), first_s=0.1):
+    with part(config, path, lambda: offering[0], heard.put, first_s=0.1):
         until(lambda: server.status()["requests"], "a meeting")
         assert server.status()["floors"] == {"": 1}, "nothing is offered while the robot does not know where it is"
         offering[0] = True
-        text, level = said.get(timeout=PATIENCE_S)
-        while "version 2" not in text:
-            text, level = said.get(timeout=PATIENCE_S)
-        assert level == logging.INFO and text.startswith("fleet: ")
+        met = heard.get(timeout=PATIENCE_S)
+        while met.standing is None or met.standing.newest != 2:
+            met = heard.get(timeout=PATIENCE_S)
+        assert met.newer and met.standing == Standing(version=1, newest=2, offered=1)
     taken = take_held(config, path)
     assert taken.endswith("0 of them this robot's own")
     with open_map(path) as db:
         assert len(db.content().landmarks) == len(learnt)
+        assert db.frame == frame, "the stored pose counts at the next start"
+    assert standing_of(path) == Standing(version=2, newest=2, offered=1)
+
+
+def test_a_map_that_was_reset_is_neither_offered_nor_mixed_with_the_fleets(
+    server: Server, config: Config, tmp_path: Path
+) -> None:
+    path = tmp_path / "map.db"
+    meet(config, path, may_offer=False)
+    take_held(config, path)
+    with open_map(path) as db:
+        own = survey()
+        turned = replace(own, xy_map_m=own.xy_map_m[:, ::-1] + 3.0)  # the same ids, elsewhere
+        db.save(turned, AXIS_RAD, "robot1/anew", anew=True)
+        found = db.hash
+    met = meet(config, path, may_offer=True)
+    assert met.reached and met.standing == Standing(version=1, newest=1)
+    grown(tmp_path / "b.db", config, tmp_path)
+    meet(config, path, may_offer=True)
+    with pytest.raises(CeilvoError, match="none of the fleet's"):
+        take_held(config, path)
+    with open_map(path) as db:
+        assert db.hash == found
+
+
+def test_the_robot_whose_map_the_fleets_began_with_takes_the_next(tmp_path: Path, config: Config, port: int) -> None:
+    service = tmp_path / "empty.db"
+    with open_map(service, "", create=True), Ledger(ledger_of(service)) as ledger:
+        for n in (0, 1):
+            ledger.add_key(key_of(n).public, f"robot{n}", True, 0.0)
+    with contextmanager(running)(service, port):
+        path = tmp_path / "map.db"
+        with open_map(path, create=True) as db:
+            learnt = survey()
+            db.save(replace(learnt, ids=learnt.ids + 70, expected=learnt.sightings), AXIS_RAD, "robot0/drive")
+        met = meet(config, path, may_offer=True)
+        assert met.reached and met.standing is not None and met.standing.offered == 1
+        grown(service, config, tmp_path)
+        met = meet(config, path, may_offer=True)
+        assert met.newer and met.standing is not None
+        said = take_held(config, path)
+        assert said.startswith("map of the fleet taken, ") and said.endswith(" 0 of them this robot's own")
+        with open_map(path) as db, open_map(service) as fleets:
+            taken = db.content().landmarks.ids
+            assert len(taken) > len(learnt) and np.all(np.isin(taken, fleets.content().landmarks.ids))
+        met = meet(config, path, may_offer=True)
+        assert met.standing is not None and met.standing.version >= 2
+        assert met.standing.offered == 1, "nothing is told twice"
+
+
+def grown(service: Path, config: Config, tmp_path: Path) -> None:
+    """Another robot drives through all of the hall and offers it; the service has it, but for what is at its gates."""
+    folder = tmp_path / "other"
+    folder.mkdir()
+    key, path = folder / "robot.key", folder / "map.db"
+    key.write_text(bytes([2] * 32).hex())
+    key.chmod(0o600)
+    other = replace(config, fleet=replace(config.fleet, key_file=str(key)))
+    until(lambda: meet(other, path, may_offer=False).newer, "a version that is not empty")
+    take_held(other, path)
+    with open_map(path) as db:
+        region = Region(np.zeros(2), np.array(SIZE_M))
+        learnt = driven(db.content().landmarks, HALL, region, np.zeros(2), np.random.default_rng(2))
+        db.save(learnt, AXIS_RAD, "other")
+    met = meet(other, path, may_offer=True)
+    assert met.standing is not None and met.standing.offered == 1, met
+    most = round(0.95 * len(learnt))
+    until(lambda: count(service) >= most, "all of it")
+    until(lambda: meet(other, path, may_offer=False).reached and count_held(path) >= most, "its version")
+
+
+def count_held(path: Path) -> int:
+    """Landmarks of the newest version that is beside a robot's map."""
+    with FleetStore(store_of(path)) as store:
+        newest = held(store)
+        return len(joined(store.tiles(newest), newest.tile_m)[0])
 
 
 def test_a_service_that_is_away_is_said_once(config: Config, tmp_path: Path) -> None:

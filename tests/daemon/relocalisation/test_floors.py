@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ceilvo.bench.place.rides import WAYS, ride
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
-from ceilvo.daemon.map.kept.store import unmoved
+from ceilvo.daemon.map.kept.change import unmoved
 from ceilvo.daemon.map.map_file import StoredMap
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.floor_changes import AT_M, LEFT_M, FloorChanges

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import sys
-import threading
 from pathlib import Path
 
 import database_on_disk
@@ -13,9 +12,8 @@ import database_writer
 import pytest
 import small_disk
 from map_contents import same_landmarks
-from patience import PATIENCE_S
 from small_disk import SmallDisk
-from writers import started
+from writers import killed
 
 from ceilvo.daemon.map.database.copies import open_map
 
@@ -32,18 +30,8 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path, caplog: pytest.
     rng, path = random.Random(SEED), tmp_path / "map.db"
     reached, torn, copying = 0, 0, 0
     for kill in range(KILLS):
-        process, said = started(database_writer.write, path)
-        with said:
-            assert said.recv() in (reached, reached + 1), f"kill {kill} (seed {SEED})"
-            threading.Event().wait(rng.uniform(0.0, LONGEST_S))
-            process.kill()
-            process.join(PATIENCE_S)
-            try:
-                while said.poll():
-                    reached = max(reached, said.recv())
-            except EOFError:
-                pass
-        process.close()
+        about = f"kill {kill} (seed {SEED})"
+        reached = killed(database_writer.write, path, rng.uniform(0.0, LONGEST_S), reached, about)
         log, half_written = path.with_name("map.db-wal"), list(tmp_path.glob(".*.tmp"))
         torn += log.exists()
         with open_map(path, create=True) as db:
