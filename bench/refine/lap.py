@@ -48,10 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     length_m = len(lap) * SPEED_MPS / RATE_HZ
     print(f"a lap of {length_m:.0f} m at {SPEED_MPS} m/s, {a.lamps} lamps, seed {a.seed}", flush=True)
     done: list[Estimate] = []
+    known = 0
     for k, seen in enumerate(sightings(eye, way, calibration, calibration, rng.spawn(1)[0])):
         done.append(pipeline.step_crossings(seen.stamp_ns, seen.crossings, seen.wheels))
         if (k + 1) % len(lap) == 0:
-            print(told(done[-len(lap) :], way[k + 1 - len(lap) : k + 1], pipeline.landmarks()), flush=True)
+            landmarks = pipeline.landmarks()
+            print(told(done[-len(lap) :], way[k + 1 - len(lap) : k + 1], landmarks, known), flush=True)
+            known = len(landmarks)
     return 0
 
 
@@ -75,16 +78,17 @@ def _arc(twist: Array) -> Array:
     return np.array([length / turn * np.sin(turn), length / turn * (1.0 - np.cos(turn)), turn])
 
 
-def told(lap: Sequence[Estimate], truth: Array, landmarks: Landmarks) -> str:
-    """Figures of a lap."""
+def told(lap: Sequence[Estimate], truth: Array, landmarks: Landmarks, known: int) -> str:
+    """Figures of a lap, at the start of which so many landmarks were known."""
     off = np.array([e.pose[:2] for e in lap]) - truth[:, :2]
     length = 1e3 * np.hypot(*off.T)
-    nis = np.array([e.health.nis / e.health.nis_dof for e in lap if e.health.nis_dof])
+    nis = np.array([e.health.nis for e in lap if e.health.nis_dof])
     states = Counter(e.state.name for e in lap)
     return (
         f"off the truth {np.sqrt(np.mean(length**2)):.1f} mm rms, {length.max():.1f} mm at most, {length[-1]:.1f} mm "
-        f"at the end; innovations {np.median(nis):.2f} median, {np.quantile(nis, 0.95):.2f} in 95 % (of degrees of "
-        f"freedom); {dict(states)}; {len(landmarks)} landmarks, {twice(landmarks)} there twice"
+        f"at the end; NIS per degree of freedom {np.median(nis):.3f} median, {np.quantile(nis, 0.95):.3f} in 95 %, "
+        f"{nis.max():.1f} at most; {dict(states)}; {len(landmarks)} landmarks, {len(landmarks) - known} of them new, "
+        f"{twice(landmarks)} there twice"
     )
 
 
