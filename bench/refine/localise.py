@@ -21,6 +21,7 @@ from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.refine.building import WRONG
 from ceilvo.bench.refine.study import Room, error_of, localised, mapped, onto_truth, room
 from ceilvo.config import Config
+from ceilvo.crossing_types import JOINTS
 from ceilvo.daemon.refinement.calibration_field import corrected
 from ceilvo.daemon.refinement.measured import Measured, Tape
 from ceilvo.daemon.refinement.sessions import refined_map
@@ -48,23 +49,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     off = WRONG * np.array([1.0, 1.0, true.camera.distortion[0], 0.0, 0.0])  # the finder estimates the tilt itself
     believed, hall = corrected(true, off), room(a.room, 0.6, a.seed, a.sessions, a.mapped_m)
     sessions, landmarks, axis = mapped(hall, believed, Config(), a.seed + 1, lambda said: print(said, flush=True))
-    print("map before: {}; {} landmarks are of no crossing".format(*error_of(landmarks, hall.features)))
+    print("joints before: {}; {} landmarks are of no crossing".format(*error_of(*_joints(landmarks, hall.features))))
     tape = Measured((_tape(landmarks, hall.features, sorted({int(i) for s in sessions for i in s.landmark})),))
     done = refined_map([Floor(landmarks, axis, tuple(sessions))], [believed], measured=tape)
     after = done.floors[0]
-    print("map after:  {}; {} landmarks are of no crossing".format(*error_of(after.landmarks, hall.features)))
+    print(
+        "joints after:  {}; {} landmarks are of no crossing".format(*error_of(*_joints(after.landmarks, hall.features)))
+    )
     print(
         f"calibration after: focal {done.last.calibrations[0].camera.focal_px:.2f} px, truth {true.camera.focal_px:.2f}"
     )
     way = _cut(room(a.room, 0.6, a.seed, 1, a.length_m), a.length_m)
-    truth_from_map = onto_truth(after.landmarks, hall.features)[0]
+    truth_from_map = onto_truth(*_joints(after.landmarks, hall.features))[0]
     runs = {
         "refined map, corrected calibration": (after.landmarks, after.axis_rad, done.last.calibrations[0]),
         "map as it was, old calibration": (landmarks, axis, believed),
     }
     told: dict[str, tuple[Array, Array]] = {}
     for name, (known, direction, calibration) in runs.items():
-        laid = truth_from_map if known is after.landmarks else onto_truth(known, hall.features)[0]
+        laid = truth_from_map if known is after.landmarks else onto_truth(*_joints(known, hall.features))[0]
         eye = SyntheticEye(hall.features, true, np.random.default_rng([a.seed, 2]))
         rng = np.random.default_rng([a.seed, 3])
         estimates = localised(eye, way, known, direction, laid, calibration, Config(), rng)
@@ -77,14 +80,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _joints(landmarks: Landmarks, features: Features) -> tuple[Landmarks, Array]:
+    """Joints only, which are a tile apart: what is nearest to a corner of a vent may be its next slat."""
+    own = landmarks.of(np.flatnonzero(landmarks.crossing_type == JOINTS))
+    return own, features.xy_map_m[features.crossing_type == JOINTS]
+
+
 def _tape(landmarks: Landmarks, features: Features, seen: list[int]) -> Tape:
-    """Between those landmarks of sessions that are farthest apart along a diagonal."""
-    _, used, nearest = onto_truth(landmarks, features)
+    """Between those joints of sessions that are farthest apart along a diagonal."""
+    landmarks, truth_m = _joints(landmarks, features)
+    _, used, nearest = onto_truth(landmarks, truth_m)
     good = used & np.isin(landmarks.ids, seen) & (landmarks.sightings > np.median(landmarks.sightings))
     which = np.flatnonzero(good)
     along = landmarks.xy_map_m[which].sum(axis=1)
     i, j = int(which[np.argmin(along)]), int(which[np.argmax(along)])
-    length = float(np.hypot(*(features.xy_map_m[nearest[i]] - features.xy_map_m[nearest[j]])))
+    length = float(np.hypot(*(truth_m[nearest[i]] - truth_m[nearest[j]])))
     print(f"a tape of {length:.3f} m")
     return Tape(0, (int(landmarks.ids[i]), int(landmarks.ids[j])), length, TAPE_SIGMA_M)
 

@@ -128,20 +128,20 @@ def localised(
     return [pipeline.step_crossings(s.stamp_ns, s.crossings, s.wheels) for s in seen]
 
 
-def error_of(landmarks: Landmarks, features: Features) -> tuple[MapError, int]:
-    """Against the true crossings nearest to them, and how many landmarks have none."""
-    _, used, nearest = onto_truth(landmarks, features)
-    off = error(landmarks.xy_map_m[used], features.xy_map_m[nearest[used]])
+def error_of(landmarks: Landmarks, truth_m: Array) -> tuple[MapError, int]:
+    """Against the true crossings (N, 2) nearest to them, and how many landmarks have none."""
+    _, used, nearest = onto_truth(landmarks, truth_m)
+    off = error(landmarks.xy_map_m[used], truth_m[nearest[used]])
     return off, int(np.count_nonzero(~used))
 
 
-def onto_truth(landmarks: Landmarks, features: Features) -> tuple[Array, NDArray[np.bool_], Ints]:
-    """How a map lies on the truth (3,), which landmarks are of a true crossing (L,), and of which (L,)."""
-    own, tree = landmarks.xy_map_m, cKDTree(features.xy_map_m)
+def onto_truth(landmarks: Landmarks, truth_m: Array) -> tuple[Array, NDArray[np.bool_], Ints]:
+    """How a map lies on true crossings (N, 2), (3,), which landmarks are of one (L,), and of which (L,)."""
+    own, tree = landmarks.xy_map_m, cKDTree(truth_m)
     motion, laid = np.zeros(3), own
     for _ in range(_ROUNDS):
         off, nearest = tree.query(laid)
         used = off < _TRUE_M
-        motion = rigid_motion(own[used], features.xy_map_m[nearest[used]])
+        motion = rigid_motion(own[used], truth_m[nearest[used]])
         laid = se2.transform(motion, own)
     return motion, used, nearest

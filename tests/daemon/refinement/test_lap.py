@@ -36,7 +36,7 @@ def test_landmarks_near_each_other_that_are_two_things_are_not_there_twice_and_a
 
 def test_how_a_map_lies_on_the_truth_is_found_from_the_nearest_crossings() -> None:
     way = np.array([0.03, -0.02, 0.002])
-    motion, used, nearest = onto_truth(moved(known(), inverse(way)), FEATURES)
+    motion, used, nearest = onto_truth(moved(known(), inverse(way)), FEATURES.xy_map_m)
     assert np.all(used) and len(np.unique(nearest)) == len(nearest)
     assert np.all(np.abs(motion - way) < [1e-3, 1e-3, 1e-4])
 
