@@ -1,9 +1,9 @@
 """By how much pictures come later than wheels, from the shape of speed and turn rate over time.
 
 For every lag on a raster: how badly do the wheels' increments, so much earlier, predict the eye's? A lag is known where
-that is curved, so only speeding up, braking and turning tell. At a steady speed the wheels' noise is less half a
-frame between their samples, which would add up to a lag: such parts tell nothing and are left out. What a stretch of the
-drive tells is one estimate; two in a row that agree make the delay steady.
+that is curved, so only speeding up, braking and turning tell. At a steady speed the wheels' noise is less half a frame
+between their samples, which would add up to a lag: such parts tell nothing and are left out. What a stretch tells is
+one estimate; two in a row that agree make the delay steady.
 """
 
 from __future__ import annotations
