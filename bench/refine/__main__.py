@@ -59,9 +59,13 @@ def _room(a: argparse.Namespace) -> int:
     off = WRONG * np.array([1.0, 1.0, true.camera.distortion[0], 0.0, 0.0])  # the finder estimates the tilt itself
     believed, hall = corrected(true, off), room(a.room, 0.6, a.seed, a.sessions, a.length_m)
     sessions, landmarks, axis_rad = mapped(hall, believed, Config(), a.seed + 1, lambda said: print(said, flush=True))
-    print("before: {}; {} landmarks are of no crossing".format(*error_of(landmarks, hall.features)))
+    print("before: {}; {} landmarks are of no crossing".format(*error_of(landmarks, hall.features.xy_map_m)))
     done = refined_map([Floor(landmarks, axis_rad, tuple(sessions))], [believed])
-    print("after:  {}; {} landmarks are of no crossing".format(*error_of(done.floors[0].landmarks, hall.features)))
+    print(
+        "after:  {}; {} landmarks are of no crossing".format(
+            *error_of(done.floors[0].landmarks, hall.features.xy_map_m)
+        )
+    )
     twice, (shown, explained) = len(landmarks) - len(done.floors[0].landmarks), done.features
     print(f"{twice} landmarks had two names; {explained} of {shown} features are explained")
     print(f"correction {np.round(done.last.estimate.correction, 6)} +- {np.round(done.last.correction_sigma, 6)}")

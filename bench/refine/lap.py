@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from ceilvo import se2
 from ceilvo.bench.place.ceiling.eye import SyntheticEye
+from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.bench.refine.study import RATE_HZ, sightings
 from ceilvo.config import Config
@@ -27,7 +28,7 @@ SIDES_M = (86.0, 50.0)
 CORNER_M = 1.2
 """Radius of a corner: 1 rad/s."""
 TWICE_M = 0.2
-"""Landmarks of one type that are nearer to each other are one, seen twice; chosen: less than the smallest tile."""
+"""A landmark belongs to the true crossing nearest to it, within so much; chosen: a third of a tile."""
 _SURE = np.diag([1e-6, 1e-6, 1e-6])
 
 
@@ -48,10 +49,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     length_m = len(lap) * SPEED_MPS / RATE_HZ
     print(f"a lap of {length_m:.0f} m at {SPEED_MPS} m/s, {a.lamps} lamps, seed {a.seed}", flush=True)
     done: list[Estimate] = []
+    known = 0
     for k, seen in enumerate(sightings(eye, way, calibration, calibration, rng.spawn(1)[0])):
         done.append(pipeline.step_crossings(seen.stamp_ns, seen.crossings, seen.wheels))
         if (k + 1) % len(lap) == 0:
-            print(told(done[-len(lap) :], way[k + 1 - len(lap) : k + 1], pipeline.landmarks()), flush=True)
+            landmarks = pipeline.landmarks()
+            print(told(done[-len(lap) :], way[k + 1 - len(lap) : k + 1], landmarks, world.features, known), flush=True)
+            known = len(landmarks)
     return 0
 
 
@@ -75,23 +79,25 @@ def _arc(twist: Array) -> Array:
     return np.array([length / turn * np.sin(turn), length / turn * (1.0 - np.cos(turn)), turn])
 
 
-def told(lap: Sequence[Estimate], truth: Array, landmarks: Landmarks) -> str:
-    """Figures of a lap."""
+def told(lap: Sequence[Estimate], truth: Array, landmarks: Landmarks, features: Features, known: int) -> str:
+    """Figures of a lap, at the start of which so many landmarks were known."""
     off = np.array([e.pose[:2] for e in lap]) - truth[:, :2]
     length = 1e3 * np.hypot(*off.T)
-    nis = np.array([e.health.nis / e.health.nis_dof for e in lap if e.health.nis_dof])
+    nis = np.array([e.health.nis for e in lap if e.health.nis_dof])
     states = Counter(e.state.name for e in lap)
     return (
         f"off the truth {np.sqrt(np.mean(length**2)):.1f} mm rms, {length.max():.1f} mm at most, {length[-1]:.1f} mm "
-        f"at the end; innovations {np.median(nis):.2f} median, {np.quantile(nis, 0.95):.2f} in 95 % (of degrees of "
-        f"freedom); {dict(states)}; {len(landmarks)} landmarks, {twice(landmarks)} there twice"
+        f"at the end; NIS per degree of freedom {np.median(nis):.3f} median, {np.quantile(nis, 0.95):.3f} in 95 %, "
+        f"{nis.max():.1f} at most; {dict(states)}; {len(landmarks)} landmarks, {len(landmarks) - known} of them new, "
+        f"{twice(landmarks, features)} there twice"
     )
 
 
-def twice(landmarks: Landmarks) -> int:
-    """Landmarks that are another one of their type."""
-    pairs = cKDTree(landmarks.xy_map_m).query_pairs(TWICE_M, output_type="ndarray")
-    return int(np.count_nonzero(landmarks.crossing_type[pairs[:, 0]] == landmarks.crossing_type[pairs[:, 1]]))
+def twice(landmarks: Landmarks, features: Features) -> int:
+    """Landmarks that are of a true crossing that another one of their type is of already."""
+    off, nearest = cKDTree(features.xy_map_m).query(landmarks.xy_map_m)
+    which = np.column_stack([nearest, landmarks.crossing_type])[off < TWICE_M]
+    return len(which) - len(np.unique(which, axis=0))
 
 
 if __name__ == "__main__":

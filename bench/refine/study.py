@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ceilvo import se2
@@ -22,7 +23,7 @@ from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
 from ceilvo.daemon.replay.inputs import Sighting
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Crossings, Landmarks, Pose
+from ceilvo.types import Array, Crossings, Estimate, Ints, Landmarks, Pose
 
 SPEED_MPS, RATE_HZ = 0.8, 15.0
 _SURE = np.diag([1e-6, 1e-6, 1e-6])
@@ -109,12 +110,38 @@ def mapped(
     return sessions, pipeline.landmarks(), pipeline.relocaliser.state.map_axis_rad or 0.0
 
 
-def error_of(landmarks: Landmarks, features: Features) -> tuple[MapError, int]:
-    """Against the true crossings nearest to them, and how many landmarks have none."""
-    own, tree = landmarks.xy_map_m, cKDTree(features.xy_map_m)
-    laid = own
+def localised(
+    eye: SyntheticEye,
+    way: Array,
+    known: Landmarks,
+    axis_rad: float,
+    truth_from_map: Array,
+    calibration: Calibration,
+    config: Config,
+    rng: np.random.Generator,
+) -> list[Estimate]:
+    """Every estimate of a drive (K, 3) on a known map that lies so on the truth, begun where the robot is."""
+    pipeline = Pipeline(calibration, config, rng.spawn(1)[0])
+    start = se2.compose(se2.inverse(truth_from_map), way[0])
+    pipeline.load_map(known, axis_rad, Pose(np.asarray(start)), _SURE, recent=True)
+    seen = sightings(eye, way, calibration, simulated_calibration(), rng.spawn(1)[0])
+    return [pipeline.step_crossings(s.stamp_ns, s.crossings, s.wheels) for s in seen]
+
+
+def error_of(landmarks: Landmarks, truth_m: Array) -> tuple[MapError, int]:
+    """Against the true crossings (N, 2) nearest to them, and how many landmarks have none."""
+    _, used, nearest = onto_truth(landmarks, truth_m)
+    off = error(landmarks.xy_map_m[used], truth_m[nearest[used]])
+    return off, int(np.count_nonzero(~used))
+
+
+def onto_truth(landmarks: Landmarks, truth_m: Array) -> tuple[Array, NDArray[np.bool_], Ints]:
+    """How a map lies on true crossings (N, 2), (3,), which landmarks are of one (L,), and of which (L,)."""
+    own, tree = landmarks.xy_map_m, cKDTree(truth_m)
+    motion, laid = np.zeros(3), own
     for _ in range(_ROUNDS):
         off, nearest = tree.query(laid)
         used = off < _TRUE_M
-        laid = se2.transform(rigid_motion(own[used], features.xy_map_m[nearest[used]]), own)
-    return error(own[used], features.xy_map_m[nearest[used]]), int(np.count_nonzero(~used))
+        motion = rigid_motion(own[used], truth_m[nearest[used]])
+        laid = se2.transform(motion, own)
+    return motion, used, nearest

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ceilvo.crossing_types import turned_type
-from ceilvo.daemon.building.evidence import Counts, Evidence, as_view, false_alarm, scores, wrong_rate
+from ceilvo.daemon.building.evidence import Counts, Evidence, as_view, false_alarm, likeness, scores
 from ceilvo.daemon.map.database.content import MapContent
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.se2 import compose, rotation, transform, wrap
@@ -31,7 +31,11 @@ _MOST_PLACES = 20_000
 """That are weighed on all of both maps; chosen for time."""
 _SAME_M = 0.3
 """Motions that lay the middle of the other map nearer to each other are one; chosen: half of a small tile."""
-_FIRST = 24
+_BETTER = 400
+"""Best of those proposed and of those drawn that are weighed thing by thing; chosen for time."""
+_LIKE = 200
+"""That look most like the right one, by which is told what wrong places show; chosen."""
+_FIRST = 48
 """Of the best that are fitted; chosen."""
 _WRONG, _PAIRS = 3000, 16
 """Lamps laid on lamps and the like, for what wrong places look like, of how many types and turns; chosen for time."""
@@ -82,22 +86,26 @@ def frame_of(a: MapContent, b: MapContent, seed: int = 0) -> Frame:
     proposed, seen = proposed[large], seen.of(large)
     told = np.flatnonzero(wrong.looked_at >= FEWEST_THINGS)
     drawn, wrong = drawn[told], wrong.of(told)
-    rate = wrong_rate(Counts.all_of([seen, wrong]))
-    order = np.argsort(-scores(seen, rate), kind="stable")
+    every, counts = np.concatenate([proposed, drawn]), Counts.all_of([seen, wrong])
+    alike = np.argsort(-likeness(counts), kind="stable")[:_LIKE]
+    weighed, rate = evidence.weighed(every[alike]), counts.of(alike).rate()
+    proposed = proposed[np.argsort(-scores(seen, rate), kind="stable")[:_BETTER]]
+    drawn = drawn[np.argsort(-scores(wrong, rate), kind="stable")[:_BETTER]]
+    score = weighed.scores(proposed)
+    order = np.argsort(-score, kind="stable")
     first = np.array([_fitted(a, b, proposed[k]) for k in order[:_FIRST]])
-    fitted = evidence.of(first)
-    best = int(np.argmax(scores(fitted, rate)))
-    found, own = first[best], fitted.of(np.array([best]))
-    others = fitted.of(np.flatnonzero(~_near(first, found, middle)))
-    rest = order[_FIRST:][~_near(proposed[order[_FIRST:]], found, middle)]
-    rivals = scores(Counts.all_of([others, seen.of(rest)]), rate)
-    drawn_scores = scores(wrong.of(np.flatnonzero(~_near(drawn, found, middle))), rate)
-    return _judged(found, own, float(scores(own, rate)[0]), rivals, np.append(rivals, drawn_scores), places)
+    fitted = weighed.scores(first)
+    best = int(np.argmax(fitted))
+    found = first[best]
+    others, rest = ~_near(first, found, middle), order[_FIRST:][~_near(proposed[order[_FIRST:]], found, middle)]
+    rivals = np.concatenate([fitted[others], score[rest]])
+    wrong_scores = np.append(rivals, weighed.scores(drawn[~_near(drawn, found, middle)]))
+    return _judged(found, evidence.of(found[None]), float(fitted[best]), rivals, wrong_scores, places)
 
 
 def _judged(found: Array, own: Counts, score: float, rivals: Array, wrong: Array, places: int) -> Frame:
     """The decision: rare by chance, alone, and not contradicted."""
-    alarm, n, k = false_alarm(score, wrong), int(own.looked_at[0]), int(own.contradicted[0])
+    alarm, n, k = false_alarm(score, wrong), round(float(own.looked_at[0])), round(float(own.contradicted[0]))
     ahead = score - float(np.max(rivals, initial=-np.inf))
     refused = ""
     if n < FEWEST_THINGS:

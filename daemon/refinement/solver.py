@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
-from scipy.sparse import bsr_array, coo_array
+from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from ceilvo.daemon.refinement.equations import Equations
@@ -17,6 +17,8 @@ from ceilvo.types import Array, Ints
 
 _LEAST_PART = 4096
 """Unknowns of a part that is decomposed by itself; chosen: smaller ones cost little."""
+_AT_ONCE = 1024
+"""Landmarks whose rows are made at once; chosen: 20 MB where each is seen with a hundred others from several places."""
 MOST_BAND_BYTES = 6 * 2**30
 """Of the band; a hall of 40 m x 30 m with 30,000 landmarks takes .5 GB."""
 
@@ -74,7 +76,6 @@ class Solver:
         a = self._blocks(e.lp[self._of_gone])
         middle = bsr_array((inverse, np.arange(len(gone)), np.arange(len(gone) + 1)), shape=(3 * len(gone),) * 2)
         through = a @ middle if len(gone) else a
-        parts = [_negative((through @ a.T).tocoo())]
         to_border = np.zeros((self._size, border_size + 1))
         to_border[: 2 * self._landmarks, :border_size] = e.lb.reshape(-1, border_size)
         to_border[: 2 * self._landmarks, border_size] = e.l.ravel()
@@ -82,8 +83,10 @@ class Solver:
         to_border[at, :border_size], to_border[at, border_size] = e.pb[self._kept], e.p[self._kept]
         right = np.concatenate([e.pb[self._gone], e.p[self._gone, :, None]], axis=2)
         to_border[: 2 * self._landmarks] -= through @ right.reshape(-1, border_size + 1)
-        parts.append(self._direct(e, pp, ll))
-        solved = self._solved(parts, to_border, noise)
+        direct = self._direct(e, pp, ll)
+        if self._order is None:
+            self._order, self._ends = _ordered(a, direct)
+        solved = self._solved(_Reduced(direct, through, a), to_border, noise)
         folded = np.concatenate([bb, e.b[:, None]], axis=1) - to_border[:, :border_size].T @ solved
         folded -= np.einsum("kib,kij,kjc->bc", right[..., :border_size], inverse, right, optimize=True)
         border = -np.linalg.solve(folded[:, :border_size], folded[:, border_size])
@@ -131,69 +134,117 @@ class Solver:
         direct.sum_duplicates()
         return direct
 
-    def _solved(self, parts: list[coo_array], right: Array, noise: Array | None) -> Array:
-        """The inverse of the sum of the parts times (n, m), by a Cholesky decomposition of a band for each part of
-        the survey that is tied to no other."""
-        order, rank = self._ordered(parts)
-        places = []
-        while parts:  # a part goes when the next one is made
-            p = parts.pop()
-            row, column = rank[p.row], rank[p.col]
-            low = row >= column
-            places.append((row[low], column[low], p.data[low]))
-            del p, row, column
+    def _solved(self, matrix: _Reduced, right: Array, noise: Array | None) -> Array:
+        """The inverse of the matrix times (n, m), by a Cholesky decomposition of a band for each part of the survey
+        that is tied to no other."""
+        order = self._order
+        assert order is not None
+        rank = np.empty(self._size, np.int32)
+        rank[order] = np.arange(self._size, dtype=np.int32)
         out = np.empty_like(right)
         drawn = np.empty_like(noise) if noise is not None else None
         for begin, end in zip([0, *self._ends[:-1]], self._ends, strict=True):
-            band, which = self._decomposed(places, begin, end), order[begin:end]
+            which = order[begin:end]
+            band = self._decomposed(matrix, rank, begin, end)
             out[which] = cho_solve_banded((band, True), right[which], check_finite=False)
             if noise is not None and drawn is not None:
                 drawn[which], info = dtbtrs(band, noise[begin:end], uplo="L", trans="T")
                 assert info == 0
+            del band  # before the next one is made
         if noise is not None and drawn is not None:
             noise[:] = drawn
         return out
 
-    def _decomposed(
-        self, places: list[tuple[NDArray[np.int32], NDArray[np.int32], Array]], begin: int, end: int
-    ) -> Array:
+    def _decomposed(self, matrix: _Reduced, rank: NDArray[np.int32], begin: int, end: int) -> Array:
         """The lower band (w, n) of a part, decomposed."""
-        own = [slice(None) if end - begin == self._size else (c >= begin) & (c < end) for _, c, _ in places]
-        places = [
-            (row[o] - begin, column[o] - begin, data[o]) for (row, column, data), o in zip(places, own, strict=True)
-        ]
-        width = max(int(np.max(row - column, initial=0)) for row, column, _ in places) + 1
+        width = matrix.width(rank, begin, end)
         if 8 * width * (end - begin) > MOST_BAND_BYTES:
             raise RefinementError(
                 f"refinement needs {8e-9 * width * self._size:.0f} GB for {self._landmarks} landmarks, expected at "
                 f"most {MOST_BAND_BYTES / 2**30:.0f} GB: refine the building's parts one by one (ceilvod map crop)"
             )
         band = np.zeros((width, end - begin), order="F")
-        for row, column, data in places:
-            band[row - column, column] += data
-        del places
+        matrix.draw(band, rank, begin, end)
         try:
             return np.asarray(cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False))
         except LinAlgError as e:
             raise RefinementError(f"the views do not tie the map together: {e}") from e
 
-    def _ordered(self, parts: list[coo_array]) -> tuple[Ints, NDArray[np.int32]]:
-        """The unknowns in the order of the band, and the rank of each."""
-        if self._order is None:
-            rows, columns = (np.concatenate([getattr(p, k) for p in parts]) for k in ("row", "col"))
-            ones = np.ones(len(rows), np.int8)
-            pattern = coo_array((ones, (rows, columns)), shape=(self._size, self._size)).tocsr()
-            self._order = np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), np.int64)
-            part = connected_components(pattern, directed=False)[1][self._order]  # one after the other in the order
-            self._ends = _grown([*(np.flatnonzero(np.diff(part)) + 1).tolist(), self._size])
-        rank = np.empty(self._size, np.int32)  # half the memory of all the places that it is looked up for
-        rank[self._order] = np.arange(self._size, dtype=np.int32)
-        return self._order, rank
+
+@dataclass(frozen=True)
+class _Reduced:
+    """What is left of the equations once poses are eliminated: `direct` less `through` times `by_pose` transposed,
+    which is made some landmarks at a time, for all of it is larger than its band.
+
+    Attributes:
+        direct: (n, n) landmarks first, then poses that are kept.
+        through, by_pose: (2 L, 3 G) in blocks, landmarks by eliminated poses.
+    """
+
+    direct: coo_array
+    through: bsr_array
+    by_pose: bsr_array
+
+    def width(self, rank: NDArray[np.int32], begin: int, end: int) -> int:
+        """Of the band that holds all entries between unknowns of ranks begin to end."""
+        row, column = rank[self.direct.row], rank[self.direct.col]
+        own = (row >= begin) & (row < end)
+        widest = int(np.max(row[own] - column[own], initial=0))
+        poses = np.repeat(rank[: self.through.shape[0] : 2], np.diff(self.by_pose.indptr))
+        first, last = np.full(self.by_pose.shape[1] // 3, end), np.full(self.by_pose.shape[1] // 3, begin)
+        own = (poses >= begin) & (poses < end)
+        np.minimum.at(first, self.by_pose.indices[own], poses[own])
+        np.maximum.at(last, self.by_pose.indices[own], poses[own])
+        return 1 + max(widest, 1 + int(np.max(last - first, initial=0)))
+
+    def draw(self, band: Array, rank: NDArray[np.int32], begin: int, end: int) -> None:
+        """Add the entries between unknowns of ranks begin to end to their lower band."""
+        row, column = rank[self.direct.row], rank[self.direct.col]
+        low = (row >= column) & (row >= begin) & (row < end)
+        row, column = row[low] - begin, column[low] - begin
+        band[row - column, column] += self.direct.data[low]
+        place = rank[: self.through.shape[0] : 2]
+        own = np.flatnonzero((place >= begin) & (place < end))
+        seen = self.by_pose.T.tobsr(blocksize=(3, 2))
+        for some in np.array_split(own, -(-len(own) // _AT_ONCE)):
+            product = (_block_rows(self.through, some) @ seen).tobsr(blocksize=(2, 2))
+            row = np.repeat(place[some], np.diff(product.indptr)) - begin
+            column = place[product.indices] - begin
+            for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)):
+                low = row > column if i < j else row >= column
+                r, c = row[low] + i, column[low] + j
+                band[r - c, c] -= product.data[low, i, j]
 
 
-def _negative(matrix: coo_array) -> coo_array:
-    matrix.data *= -1.0
-    return matrix
+def _block_rows(matrix: bsr_array, which: Ints) -> bsr_array:
+    """Some of the rows of blocks."""
+    counts = np.diff(matrix.indptr)[which]
+    ends = np.cumsum(counts)
+    at = np.arange(int(ends[-1])) + np.repeat(matrix.indptr[which] - (ends - counts), counts)
+    size, columns = matrix.blocksize[0] * len(which), matrix.shape[1]
+    return bsr_array((matrix.data[at], matrix.indices[at], np.append(0, ends)), shape=(size, columns))
+
+
+def _ordered(by_pose: bsr_array, direct: coo_array) -> tuple[Ints, list[int]]:
+    """The unknowns in the order of the band (Reverse Cuthill and McKee), the two of a landmark one after the other, and
+    where parts end that are tied to no other."""
+    landmarks = by_pose.shape[0] // 2
+    shape = (landmarks, by_pose.shape[1] // 3)
+    seen = csr_array((np.ones(len(by_pose.indices), bool), by_pose.indices, by_pose.indptr), shape=shape)
+    together = (seen @ seen.T).tocoo()
+    node = np.arange(direct.shape[0])
+    node = np.where(node < 2 * landmarks, node // 2, node - landmarks)
+    row, column = (np.concatenate([p, node[d]]) for p, d in ((together.row, direct.row), (together.col, direct.col)))
+    count = int(node[-1]) + 1
+    pattern = coo_array((np.ones(len(row), np.int8), (row, column)), shape=(count, count)).tocsr()
+    del row, column, together
+    found = np.asarray(reverse_cuthill_mckee(pattern, symmetric_mode=True), np.int64)
+    part = connected_components(pattern, directed=False)[1][found]  # one after the other in the order
+    sizes = np.where(found < landmarks, 2, 1)
+    ends = np.cumsum(sizes)
+    first = np.where(found < landmarks, 2 * found, found + landmarks)
+    order = np.repeat(first - (ends - sizes), sizes) + np.arange(int(ends[-1]))
+    return order, _grown([*ends[np.flatnonzero(np.diff(part))].tolist(), int(ends[-1])])
 
 
 def _grown(ends: list[int]) -> list[int]:

@@ -1,8 +1,9 @@
 """By how much pictures come later than wheels, from the shape of speed and turn rate over time.
 
 For every lag on a raster: how badly do the wheels' increments, so much earlier, predict the eye's? A lag is known where
-that is curved, so only speeding up, braking and turning tell. What a stretch of the drive tells is one estimate; two in
-a row that agree make the delay steady.
+that is curved, so only speeding up, braking and turning tell. At a steady speed the wheels' noise is less half a frame
+between their samples, which would add up to a lag: such parts tell nothing and are left out. What a stretch tells is
+one estimate; two in a row that agree make the delay steady.
 """
 
 from __future__ import annotations
@@ -24,6 +25,11 @@ _REACH = 5
 """Of the parabola to either side, in steps: 0.1 s. Noise makes small dents, as wide as a frame period; chosen."""
 _NOISE_M, _NOISE_RAD = 0.0005, 0.0007
 """Of one frame's increments besides the wheels' covariance; chosen: vision, and lines between the wheels' samples."""
+_SHAPE_S = np.arange(_EARLIEST_S, _LATEST_S + _STEP_S, 0.1)
+"""Where the eye's increments are compared with each other; chosen: a turn takes longer."""
+_STEADY = 0.25
+"""Squared difference, over its variance, of the eye's increments at those times, below which they tell no lag; chosen:
+vision errs by a tenth of it, and .1 m/s2 makes .4 at 30 Hz."""
 _MOST_NIS = 25.0
 """Of one increment; chosen: a slip is no reason for a lag."""
 _SIGMA_S = 0.012
@@ -74,6 +80,8 @@ class Delay:
         if window is None:
             return
         s = self.state
+        if _steady(paths, *window):
+            return
         s.cost += _cost(paths, *window)
         s.terms += 2
         found = _minimum(s.cost, s.terms)
@@ -104,6 +112,18 @@ class Delay:
                 s.steady_s + _SMOOTHING * (estimate_s - s.steady_s) if near and s.steady_s is not None else middle
             )
         s.estimate_s, s.cost, s.terms = estimate_s, np.zeros(len(LAGS_S)), 0
+
+
+def _steady(paths: Paths, from_s: float, to_s: float) -> bool:
+    """Whether the eye moved alike all around one of its increments."""
+    at_s = np.array([from_s, to_s])[:, None] - _SHAPE_S
+    start, end = np.stack([np.interp(at_s, paths.time_s, column) for column in paths.eye.T], axis=-1)
+    var_xy, var_turn = paths.wheel_variance(from_s, to_s)
+    ahead, turned = _forward(start, end), (end - start)[:, 2]
+    return bool(
+        np.ptp(ahead) ** 2 < _STEADY * (var_xy + _NOISE_M**2)
+        and np.ptp(turned) ** 2 < _STEADY * (var_turn + _NOISE_RAD**2)
+    )
 
 
 def _cost(paths: Paths, from_s: float, to_s: float) -> Array:

@@ -55,7 +55,7 @@ def test_drives_that_each_believe_to_begin_at_the_origin_become_one_map(
     first = 0 if "drive-1.mcap: lies at" in said else 1
     there = moved(whole, hall.ways[first][0])
     crossings = there.landmarks.crossing_type == GRID
-    error, alone = error_of(there.landmarks.of(crossings), hall.features)
+    error, alone = error_of(there.landmarks.of(crossings), hall.features.xy_map_m)
     print(said, error, alone)
     assert min(len(k) for k in whole.key_poses) > 10 and len(whole.key_poses) == len(whole.sessions) == 2
     assert f"holds {len(whole.landmarks)} landmarks and {sum(map(len, whole.key_poses))} key poses" in said

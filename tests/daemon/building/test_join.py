@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ceilvo.bench.join.pairs import Case, pair
-from ceilvo.daemon.building.evidence import false_alarm
+from ceilvo.daemon.building.evidence import Counts, false_alarm, scores
 from ceilvo.daemon.building.frames import ALARM, Frame, frame_of
 from ceilvo.daemon.building.joined import join
 from ceilvo.daemon.cli import main
@@ -51,6 +51,18 @@ def test_another_hall_is_refused(two: tuple[MapContent, MapContent, np.ndarray, 
     assert found.refused
 
 
+@pytest.mark.parametrize("kind", ["raster", "apart-raster"])
+def test_a_raster_of_lamps_is_told_by_its_gaps_and_vents_and_another_hall_with_the_same_is_refused(kind: str) -> None:
+    a, b, a_from_b, middle = pair(Case(kind, 108, 0.15))
+    found = frame_of(a, b)
+    print(found)
+    if a_from_b is None:
+        assert found.refused
+        return
+    off = transform(found.a_from_b, middle[None])[0] - transform(a_from_b, middle[None])[0]
+    assert not found.refused and found.false_alarm <= ALARM and np.hypot(*off) < 0.2
+
+
 def test_bare_tiles_are_refused() -> None:
     a, b, a_from_b, middle = pair(Case("bare", SEED, 0.3))
     assert a_from_b is not None
@@ -64,6 +76,13 @@ def test_a_chance_is_stated_only_where_there_are_wrong_places_to_judge_by() -> N
     assert false_alarm(50.0, wrong[:5]) == 1.0
     assert false_alarm(float(wrong.max()), wrong) > 0.3
     assert false_alarm(60.0, wrong) < 1e-4
+
+
+def test_what_contradicts_as_often_as_at_wrong_places_speaks_for_none_however_much_of_it_there_is() -> None:
+    counts = Counts(np.array([20.0, 300.0, 300.0, 0.0]), np.array([1.0, 18.0, 75.0, 0.0]))
+    small, large, wrong, nothing = scores(counts, 0.25).tolist()
+    assert 0.0 < small < large and wrong < -10.0 and nothing == 0.0
+    assert scores(counts, 0.06)[1] == pytest.approx(0.0)  # where all places show the same, the right one is no better
 
 
 def test_what_the_later_map_has_no_more_goes_and_what_it_has_comes(

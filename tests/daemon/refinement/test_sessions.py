@@ -26,10 +26,10 @@ def test_two_drives_of_the_daemon_become_one_straight_map() -> None:
     believed = corrected(true, WRONG * np.array([0.0, 1.0, true.camera.distortion[0], 0.0, 0.0]))
     hall = room("5", 0.6, SEED, 2, 16.0)
     sessions, landmarks, axis_rad = mapped(hall, believed, Config(), SEED + 1, lambda said: None)
-    before = error_of(landmarks.of(landmarks.crossing_type == GRID), hall.features)[0]
+    before = error_of(landmarks.of(landmarks.crossing_type == GRID), hall.features.xy_map_m)[0]
     done = refined_map([Floor(landmarks, axis_rad, tuple(sessions))], [believed])
     (floor,) = done.floors
-    after, alone = error_of(floor.landmarks.of(floor.landmarks.crossing_type == GRID), hall.features)
+    after, alone = error_of(floor.landmarks.of(floor.landmarks.crossing_type == GRID), hall.features.xy_map_m)
     print(f"seed {SEED}: {[len(s) for s in sessions]} key poses; before {before}; after {after}; {alone} alone")
     assert [s.session for s in floor.sessions] == ["simulated/0", "simulated/1"]
     assert min(len(s) for s in sessions) > 25

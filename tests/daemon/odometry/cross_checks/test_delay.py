@@ -6,6 +6,7 @@ from told_drives import DRIVING, ahead, paths_of, seen, told
 
 from ceilvo.daemon.odometry.cross_checks.delay import NO_DELAY_S, Delay
 from ceilvo.daemon.odometry.cross_checks.paths import Paths
+from ceilvo.types import Displacement, WheelMotion
 
 
 @pytest.mark.parametrize("late_s", [0.1, 0.2, 0.33])
@@ -36,6 +37,21 @@ def test_a_steady_speed_tells_nothing() -> None:
         check.step(paths)
     assert check.state.steady_s is None
     assert check.known_s == 0.0
+
+
+def test_a_steady_speed_tells_nothing_by_wheels_that_are_noisy() -> None:
+    """Between two samples of the wheels their noise is halved, so every other half frame looks like the right lag."""
+    check, paths, rng = Delay(), Paths(), np.random.default_rng(0)
+    for _ in range(1500):
+        told = ahead(0.08)
+        noise = np.sqrt(np.diag(told.cov)) * rng.standard_normal(3)
+        paths.add(
+            seen(np.array([0.08, 0.0, 0.0]), rng),
+            WheelMotion(Displacement(np.asarray(told.prev_from_curr + noise)), told.cov),
+            1.0 / 15.0,
+        )
+        check.step(paths)
+        assert check.state.estimate_s is None and check.known_s == 0.0
 
 
 def test_a_delay_that_changes_is_followed() -> None:
