@@ -16,6 +16,8 @@ from ceilvo.errors import FileFormatError, one_line
 
 MAGIC = b"SQLite format 3\0"
 """What every such file begins with."""
+LOG, SHARED = "-wal", "-shm"
+"""What SQLite adds for the log, and for what programs share of it."""
 BUSY_S = 5.0
 """Another program may hold the file for so long; chosen: an edit of 100,000 landmarks takes about 2 s."""
 _NOT_WRITTEN = {
@@ -139,12 +141,19 @@ def damaged(path: Path, what: str) -> DamagedError:
 def look_at(path: Path) -> None:
     """See what lies under the name before SQLite does, which waits for a pipe and writes into an empty file.
 
+    A file that has a log beside it is SQLite's, and may be open in this process: whoever opens and closes it by other
+    means lets go of all locks that SQLite holds on it here (POSIX), and the next program that closes the database takes
+    itself for the last one and removes the log, with all that is written to it since.
+
     Raises:
         FileFormatError: DamagedError where it is no database.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
             raise damaged(path, "a folder, a pipe or a device, expected a file")
+        if found.st_size and path.with_name(path.name + LOG).exists():
+            return
         with path.open("rb") as f:
             head = f.read(len(MAGIC))
     except FileNotFoundError as e:

@@ -140,7 +140,7 @@ def test_a_service_that_answers_nonsense_is_one_line_and_changes_nothing(site: S
         for word in (STATUS, MANIFEST):
             key = service_key("ceilvo", SERVICE, word)
             forger.declare_queryable(key, lambda query, key=key: query.reply(key, b"\x28\xb5\x2f\xfd nonsense"))
-        with site.robot(1) as robot:
+        with site.robot(1, "fleet.key_file=") as robot:  # it fetches only
             robot.until(lambda: "fleet: manifest" in robot.said(), "that it is said")
             robot.until_poses(5)
             assert "fleet's map taken" not in robot.said()

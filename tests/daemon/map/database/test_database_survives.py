@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from map_contents import same_landmarks
 from small_disk import SmallDisk
 from writers import killed
 
-from ceilvo.daemon.map.database.copies import open_map
+from ceilvo.daemon.map.database.copies import floors_in, open_map
+from ceilvo.daemon.map.database.database import MapDatabase
 
 KILLS = int(os.environ.get("KILLS", "20"))
 """`make kill-test` sets 200."""
@@ -46,6 +48,21 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path, caplog: pytest.
     print(f"\n{KILLS} kills, {torn} of them left a log, {copying} half a copy; {reached} saves, none lost")
     assert reached >= KILLS and torn > KILLS // 2
     assert not caplog.records, "nothing was damaged"
+
+
+def test_a_second_look_in_one_process_does_not_let_another_remove_the_log(tmp_path: Path) -> None:
+    """What was written after another program closed the file went into a log without a name."""
+    path = tmp_path / "map.db"
+    other = f"from ceilvo.daemon.map.database.database import MapDatabase as M; from pathlib import Path; " \
+            f"M(Path({str(path)!r})).close()"  # fmt: skip
+    with open_map(path, create=True) as db:
+        for n in range(3):
+            db.save(database_writer.of_save(n), 0.25, "a drive")
+            assert floors_in(path) == ("",)
+            subprocess.run([sys.executable, "-c", other], check=True)
+            assert path.with_name("map.db-wal").exists(), f"after {n + 1} saves"
+        with MapDatabase(path) as reader:
+            assert reader.hash == db.hash
 
 
 @pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)
