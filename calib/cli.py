@@ -6,7 +6,18 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from ceilvo.calib.commands import calibration_file, check, intrinsics, mount, projection, report, shutter, sigma, survey
+from ceilvo.calib.commands import (
+    board,
+    calibration_file,
+    check,
+    intrinsics,
+    mount,
+    projection,
+    report,
+    shutter,
+    sigma,
+    survey,
+)
 from ceilvo.errors import CeilvoError
 
 STEPS = (intrinsics, projection, mount, sigma, survey, check, report)
@@ -38,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     for step in STEPS:
         step.add(commands)
     shutter.add(commands)
+    board.add(commands)
     calibration_file.add(commands)
     return parser
 

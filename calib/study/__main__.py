@@ -39,8 +39,9 @@ from ceilvo.calib.solve.station import Station, errors_against_grid
 from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.study import drive as drive_study
 from ceilvo.calib.study import scale as scale_study
-from ceilvo.calib.targets.board import Board, BoardFinder
+from ceilvo.calib.targets.board import Board
 from ceilvo.calib.targets.ceiling_view import CeilingReader
+from ceilvo.calib.targets.finder import BoardFinder
 from ceilvo.calibration import Calibration, mount_angles, mount_rotation, projection_matrix
 from ceilvo.errors import CalibrationError
 
