@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -142,7 +143,9 @@ def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: 
 
 def _spans(args: argparse.Namespace, size: tuple[int, int]) -> Spans:
     """Pictures of two marks or more on the ceiling, and sigma of a mark's place in them, px."""
-    _no_practice(args)
+    if args.simulate:
+        xyz, clicks = _practised(args)
+        return [(xyz, clicks)], scale.CLICK_PX
     marks = read_marks(args.marks, args.units, ask_on_terminal)
     with pictures(args, None) as source:
         usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))
@@ -154,12 +157,12 @@ def _spans(args: argparse.Namespace, size: tuple[int, int]) -> Spans:
     return [(xyz, uv)], scale.CLICK_PX
 
 
-def _no_practice(args: argparse.Namespace) -> None:
-    if args.simulate:
-        raise CalibrationError(
-            "--marks: found --simulate, but the virtual bench has no marks; practise with its tiles: "
-            "calib projection --simulate"
-        )
+def _practised(args: argparse.Namespace) -> tuple[Array, Array]:
+    """xyz_m (N, 3) and clicks (N, 2) of the virtual bench's own marks; the page shows how far off each click was."""
+    gray, xyz, true_px = bench_of(args).marks()
+    print(f"{STEP}: practice: the virtual bench's own marks, not those of {args.marks}", file=sys.stderr)
+    names = [f"the disc at {x:+.2f}, {y:+.2f} m" for x, y, _ in xyz]
+    return xyz, ClickPage(args.listen)(gray, names, true_px)
 
 
 def _checked_height(height_m: float | None) -> None:
@@ -211,7 +214,8 @@ def _measured(args: argparse.Namespace, session: Session, size: tuple[int, int])
     """xyz_m and uv_px of measured points, and where from; marks that were found or clicked are kept as such."""
     if args.points is not None:
         return *read_points(args.points, args.units), f"points of {args.points}"
-    _no_practice(args)
+    if args.simulate:
+        return *_practised(args), "marks clicked for practice"
     marks = read_marks(args.marks, args.units, ask_on_terminal)
     with pictures(args, None) as source:
         usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))

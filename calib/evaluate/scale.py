@@ -168,7 +168,7 @@ def of_session(projection: Mapping[str, Any], mount: Mapping[str, Any] | None) -
     if tile_m is None and state == "unconfirmed":
         state, texts = "confirmed", [*texts, "measured points"]
     to_do = ""
-    if state == "unconfirmed":
+    if state == "unconfirmed" and tile_m is not None:
         to_do = tile_alone(float(tile_m)) + (
             "; the wheels' run was of another tile: 'calib mount --force'" if stale else ""
         )

@@ -121,14 +121,14 @@ class BoardFinder:
         mine = np.flatnonzero(tags < self.board.columns * self.board.rows)
         if len(mine) < 2:
             return _every(None)
-        uv = np.array([np.asarray(quads[i], np.float64).reshape(4, 2) for i in mine])
+        uv = np.array([np.asarray(quads[int(i)], np.float64).reshape(4, 2) for i in mine])
         best: tuple[float, Ints] | None = None
         for turn, upwards in itertools.product(range(4), (True, False)):
             row, column = np.divmod(tags[mine], self.board.columns)
             cell = (row if upwards else self.board.rows - 1 - row) * self.board.columns + column
             ids = 4 * cell[:, None] + (np.arange(4) + turn) % 4
             xy = self.board.corners_m[ids.ravel(), :2]
-            h, _ = cv2.findHomography(xy, uv.reshape(-1, 2))
+            h: Array | None = cv2.findHomography(xy, uv.reshape(-1, 2))[0]  # type: ignore[assignment]
             if h is None:
                 continue
             p = np.column_stack([xy, np.ones(len(xy))]) @ h.T
@@ -190,9 +190,9 @@ def _chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
 
 
 def _circles(gray: Gray, board: Board) -> Array | None:
-    p = cv2.SimpleBlobDetector_Params()
+    p = cv2.SimpleBlobDetector_Params()  # type: ignore[attr-defined]
     p.minArea, p.maxArea = _BLOB_PX2[0], _BLOB_PX2[1] * gray.size
-    blobs = cv2.SimpleBlobDetector_create(p)
+    blobs = cv2.SimpleBlobDetector_create(p)  # type: ignore[attr-defined]
     kind = cv2.CALIB_CB_SYMMETRIC_GRID if board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
     for more in (0, cv2.CALIB_CB_CLUSTERING):
         found, centres = cv2.findCirclesGrid(gray, (board.columns, board.rows), flags=kind | more, blobDetector=blobs)

@@ -120,8 +120,8 @@ def scene() -> Iterator[Scene]:
 def test_a_pose_line_by_hand() -> None:
     line = pose_line(messages.decode_pose(pose(7, reason="few lamps")))
     assert line == (
-        "robot1       7 TRACKING       x   +1.250 m  y   -0.500 m  theta  +90.00 deg  "
-        "sigma   50.0 mm  0.50 deg  quality 0.90  age  12.5 ms  few lamps"
+        "robot1       7 TRACKING       x   +1.250 y   -0.500 m   +90.00 deg  "
+        "sigma   50.0 mm  0.50 deg  q 0.90   12.5 ms  few lamps"
     )
 
 
