@@ -44,12 +44,13 @@ function cross(u, v, text, colour) {
 }
 function axes() {
   const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find(s => s * zoom >= 60) || 1000;
+  g.fillStyle = "#000a"; g.fillRect(0, 0, c.width, 18); g.fillRect(0, 18, 44, c.height);
   g.fillStyle = g.strokeStyle = "#9cf"; g.font = "12px sans-serif"; g.lineWidth = 1;
   for (let u = Math.ceil(ox / step) * step; (u - ox) * zoom < c.width; u += step) {
-    const x = (u + 0.5 - ox) * zoom; g.fillRect(x, 0, 1, 6); g.fillText("u " + u, x + 2, 14);
+    const x = (u + 0.5 - ox) * zoom; if (x < 44) continue; g.fillRect(x, 0, 1, 6); g.fillText("u " + u, x + 2, 14);
   }
   for (let v = Math.ceil(oy / step) * step; (v - oy) * zoom < c.height; v += step) {
-    const y = (v + 0.5 - oy) * zoom; g.fillRect(0, y, 6, 1); g.fillText("v " + v, 2, y + 12);
+    const y = (v + 0.5 - oy) * zoom; if (y < 18) continue; g.fillRect(0, y, 6, 1); g.fillText("v " + v, 2, y + 12);
   }
 }
 function draw() {

@@ -1,4 +1,4 @@
-"""The page to click in: what a person does to it arrives, and what its own script does in Chromium, where there is one."""
+"""The page to click in: what a person does to it arrives, and what its script does in Chromium, if there is one."""
 
 from __future__ import annotations
 
