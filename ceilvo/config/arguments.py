@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -28,6 +27,8 @@ def check_word(parser: argparse.ArgumentParser, commands: Commands, words: Seque
     word = next(iter(words), "-")
     if word.startswith("-") or word in commands.choices:
         return
+    import difflib  # a restart has no need of it
+
     near = difflib.get_close_matches(word, commands.choices, n=2, cutoff=_NEAR)
     hint = f"did you mean {' or '.join(repr(n) for n in near)}?" if near else f"expected {', '.join(commands.choices)}"
     parser.error(f"no command {one_line(word)!r}; {hint}")
