@@ -77,6 +77,7 @@ bench-calib: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.calib.study sigma --count 100
 	$(BIN)/python -m ceilvo.calib.study drive --count 8
 	$(BIN)/python -m ceilvo.calib.study rigs --count 50
+	$(BIN)/python -m ceilvo.calib.study scale --count 40
 
 soak: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.soak --hours $(or $(HOURS),1)

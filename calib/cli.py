@@ -6,7 +6,19 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from ceilvo.calib.commands import calibration_file, check, intrinsics, mount, projection, report, shutter, sigma, survey
+from ceilvo.calib.commands import (
+    board,
+    calibration_file,
+    check,
+    intrinsics,
+    mount,
+    projection,
+    report,
+    shutter,
+    sigma,
+    survey,
+)
+from ceilvo.config.arguments import check_word
 from ceilvo.errors import CeilvoError
 
 STEPS = (intrinsics, projection, mount, sigma, survey, check, report)
@@ -16,7 +28,8 @@ _INTERRUPTED = 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Exit code: 0 = PASS, 1 = FAIL or a failure, 2 = wrong use, 78 = wrong input, 130 = interrupted."""
-    args = _parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else list(argv)
+    args = _parser(words).parse_args(words)
     try:
         return int(args.run(args))
     except CeilvoError as e:
@@ -28,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="calib",
         description="Commissioning of a ceiling camera: the numbered commands, one after the other.",
@@ -38,7 +51,9 @@ def _parser() -> argparse.ArgumentParser:
     for step in STEPS:
         step.add(commands)
     shutter.add(commands)
+    board.add(commands)
     calibration_file.add(commands)
+    check_word(parser, commands, words)
     return parser
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import date
 
 import numpy as np
 
 from ceilvo.calibration import Calibration, NoiseCurves
 from ceilvo.camera import CameraModel
-from ceilvo.errors import CalibrationError
+from ceilvo.errors import CalibrationError, one_line
 
 DISTORTION_COUNTS = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
 """How many coefficients OpenCV's models take."""
@@ -68,6 +68,27 @@ def check_fits(calibration: Calibration, camera_name: str, camera_id: str, width
             f"calibration does not fit {camera_name}: found {' and '.join(differs)}; "
             "use the calibration of this camera or calibrate it"
         )
+
+
+def scale_of(calibration: Calibration) -> tuple[str, str]:
+    """ "confirmed", "unconfirmed" or "contradicted" by a second source, and what there is to say of it, a line.
+
+    Files of before there was such a check say nothing of it: unconfirmed.
+    """
+    scale = calibration.meta.get("scale")
+    known = scale if isinstance(scale, Mapping) else {}
+    state = known.get("state")
+    sources = known.get("sources")
+    said = "; ".join(one_line(s) for s in sources) if isinstance(sources, list) else ""
+    if state not in ("confirmed", "contradicted"):
+        tile = "its lengths" if calibration.tile_m is None else f"its tile of {calibration.tile_m:g} m"
+        return "unconfirmed", (
+            f"scale unconfirmed: nothing but {tile} says how long a metre is; 'calib projection --height-m', --marks, "
+            "or 'calib mount' with wheels confirms it"
+        )
+    if state == "contradicted":
+        return state, f"scale contradicted: {said}; measure the tile again and run 'calib projection --force'"
+    return state, f"scale confirmed: {said}"
 
 
 def value_problems(c: Calibration) -> Iterator[str]:

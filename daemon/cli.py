@@ -17,12 +17,12 @@ from ceilvo import __version__
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
-from ceilvo.config.arguments import command, from_up
+from ceilvo.config.arguments import check_word, command, from_up
 from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
-from ceilvo.errors import CeilvoError, FileFormatError
+from ceilvo.errors import CeilvoError, ConfigError, FileFormatError
 
 log = logging.getLogger("ceilvo")
 
@@ -99,6 +99,7 @@ def _parser(first: Sequence[str]) -> argparse.ArgumentParser:
     building.add(words, DEFAULT_CONFIG)
     fleet_words.add(commands, _config_options)
     _add_experiment(commands)
+    check_word(parser, commands, first)
     return parser
 
 
@@ -212,6 +213,11 @@ def _run(options: argparse.Namespace) -> int:
     if options.simulate:
         return _run_simulated(options)
     path = options.config or DEFAULT_CONFIG
+    if options.config is None and not path.exists():
+        raise ConfigError(
+            f"{path}: no such file; name a configuration with --config FILE, or try it without any hardware: "
+            "ceilvod run --simulate"
+        )
     config = load_config(path, options.set)
     file = options.calibration or calibration_path(config, path)
     calibration = _checked(config, read_calibration(file), path)
@@ -234,7 +240,7 @@ def _run_simulated(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from ceilvo.daemon.replay.command import replay_recording
+    from ceilvo.daemon.replay.command import check_source, replay_recording
     from ceilvo.daemon.replay.replay import Outputs
     from ceilvo.daemon.replay.rerun import Rerun, is_recording, replay_run, runs_in
     from ceilvo.daemon.replay.runs import replay_runs
@@ -251,6 +257,7 @@ def _replay(options: argparse.Namespace) -> int:
             return replay_runs(run, outputs, options.reference, options.align, workers)
         return replay_run(run, outputs, options.reference, options.align)
     config = _config(options)
+    check_source(options.source)
     calibration = read_calibration(_calibration_file(options, config))
     return replay_recording(options.source, config, calibration, outputs, options.reference, options.align)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ceilvo.calib.evaluate.shutter import first_row
 from ceilvo.calib.session.common import Subcommands
 from ceilvo.calibration import Calibration, mount_angles
+from ceilvo.calibration_check import scale_of
 from ceilvo.calibration_file import read_calibration, sign_calibration, write_calibration
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 
@@ -54,7 +56,10 @@ def _sign(args: argparse.Namespace) -> int:
 
 
 def _simulate(args: argparse.Namespace) -> int:
-    write_calibration(args.file, simulated_calibration(simulated_camera(args.lens)), force=args.force)
+    truth = {"scale": {"state": "confirmed", "sources": ["the simulator's own truth"]}}
+    write_calibration(
+        args.file, replace(simulated_calibration(simulated_camera(args.lens)), meta=truth), force=args.force
+    )
     print(f"{args.file}: written")
     return 0
 
@@ -81,6 +86,7 @@ def describe(calibration: Calibration) -> str:
         ("camera mounting", f"yaw {yaw:+.2f}, roll {roll:+.2f}, pitch {pitch:+.2f} deg"),
         ("one pixel", f"{1e3 * calibration.ceiling_height_m / camera.fx_px:.2f} mm on the ceiling above the camera"),
         ("tile", f"{calibration.tile_m:g} m" if calibration.tile_m else "unknown"),
+        ("scale", scale_of(calibration)[1]),
         ("sigma at r", _sigma_row(calibration)),
         ("sigma of heading", f"{np.degrees(noise.sigma_theta_rad):.3f} deg"),
     )

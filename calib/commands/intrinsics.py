@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ceilvo.calib.evaluate.coverage import coverage, coverage_picture
+from ceilvo.calib.evaluate.coverage import Light, coverage, coverage_picture, light_of, lighter
 from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import intrinsics_result, update_file
 from ceilvo.calib.session.common import (
@@ -33,7 +33,8 @@ from ceilvo.calib.solve.intrinsics import (
     problems,
 )
 from ceilvo.calib.solve.lens import guessed_camera
-from ceilvo.calib.targets.board import Board, BoardFinder, other_board
+from ceilvo.calib.targets.board import DICTIONARY, KINDS, MARKER, TAGS, Board
+from ceilvo.calib.targets.finder import BoardFinder, other_board
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.config.arguments import from_up
 from ceilvo.errors import CalibrationError
@@ -49,8 +50,6 @@ _NEW_VIEW = 0.12
 """Distance over distance, or rad, by which a live view of the board must differ from those taken."""
 _LIVE_ENOUGH = 15
 """Pictures at which a live run ends when the picture is covered."""
-_MARKER = 0.72
-"""Of a ChArUco square, that its marker fills; chosen."""
 
 
 def add(commands: Subcommands) -> None:
@@ -58,26 +57,39 @@ def add(commands: Subcommands) -> None:
         commands,
         STEP,
         run,
-        help="1. the lens, from pictures of a chessboard or ChArUco board",
+        help="1. the lens, from pictures of a board ('calib board' prints one)",
         description="Hold the board everywhere in the picture, leaning every way, near and far, 15 to 30 pictures.",
         epilog="example: calib intrinsics --device /dev/video0 --board chessboard --columns 9 --rows 6 --square-mm 25",
     )
-    p.add_argument("--board", choices=("chessboard", "charuco"), default="chessboard")
-    p.add_argument("--columns", type=int, default=9, help="inner corners; of ChArUco: squares (%(default)s)")
+    board_options(p)
+    p.add_argument(
+        "--columns", type=int, default=9, help="inner corners; squares of ChArUco, tags, circles (%(default)s)"
+    )
     p.add_argument("--rows", type=int, default=6, help="(%(default)s)")
-    p.add_argument("--square-mm", type=float, default=25.0, help="side of a square (%(default)s)")
-    p.add_argument("--marker-mm", type=float, help="side of a ChArUco marker (0.72 of the square)")
-    p.add_argument("--dictionary", default="5X5_100", help="of the markers (%(default)s)")
+    p.add_argument(
+        "--square-mm", type=float, default=25.0, help="side of a square; from tag to tag, circle to circle; acircles: "
+        "row to row (%(default)s)"
+    )  # fmt: skip
     p.add_argument("--model", choices=("auto", *MODELS), default="auto", help="lens model (%(default)s)")
     p.add_argument("--window-px", type=from_up(1), help="half side of a corner's window; default: as the squares allow")
     p.add_argument("--keep-all", action="store_true", help="drop no picture, however large its residual")
 
 
+def board_options(p: argparse.ArgumentParser) -> None:
+    """What printing and finding a board have in common."""
+    p.add_argument("--board", choices=KINDS, default="chessboard", help="acircles: rows shifted by half (%(default)s)")
+    p.add_argument(
+        "--marker-mm", type=float, help="side of a marker or a tag, diameter of a circle; default: by the board"
+    )
+    p.add_argument("--dictionary", help=f"of the markers ({DICTIONARY}; of an AprilGrid {TAGS})")
+    p.add_argument("--legacy", action="store_true", help="ChArUco as OpenCV drew it before 4.6, where rows are even")
+
+
 def run(args: argparse.Namespace) -> int:
     session = session_of(args)
     session.begin(STEP)
-    board = _board(args)
-    shots, size, camera_id, progress = _collect(args, session, board)
+    board = board_of(args, args.square_mm)
+    shots, size, camera_id, progress, light = _collect(args, session, board)
     progress.end()
     if len(shots) < MIN_SHOTS:
         raise CalibrationError(
@@ -87,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
     progress.tell("fitting lens models")
     fit, scores = fit_best(shots, size, args.model, keep_all=args.keep_all)
     progress.end()
-    covered = coverage(shots, size)
+    covered = coverage(shots, size, light)
     bad = covered.missing() + problems(fit)
     result = intrinsics_result(fit, scores, camera_id) | {
         "coverage": covered.text,
@@ -97,36 +109,43 @@ def run(args: argparse.Namespace) -> int:
         "board": board.text,
     }
     session.save(STEP, result)
-    session.write("intrinsics/coverage.png", _png(coverage_picture(shots, size)))
+    session.write("intrinsics/coverage.png", _png(coverage_picture(shots, size, light=light)))
     plots.save(session, "intrinsics/radial.svg", plots.radial(result["radial"]))
     print(update_file(session)) if session.result("projection") else None
     return conclude(STEP, _rows(fit, scores, covered.text), bad, args)
 
 
-def _board(args: argparse.Namespace) -> Board:
-    if 0.001 <= args.square_mm < 1.0:
+def board_of(args: argparse.Namespace, square_mm: float) -> Board:
+    """The board of the options.
+
+    Raises:
+        CalibrationError: there is no such board.
+    """
+    if 0.001 <= square_mm < 1.0:
         raise CalibrationError(
-            f"--square-mm: found {args.square_mm:g}, which looks like metres; expected {1e3 * args.square_mm:g}"
+            f"--square-mm: found {square_mm:g}, which looks like metres; expected {1e3 * square_mm:g}"
         )
-    square = args.square_mm / 1e3
-    marker = (args.marker_mm or _MARKER * args.square_mm) / 1e3
-    return Board(args.board, args.columns, args.rows, square, marker, args.dictionary)
+    if args.legacy and args.board != "charuco":
+        raise CalibrationError(f"--legacy: found a board of kind {args.board}, expected charuco")
+    marker_mm = MARKER[args.board] * square_mm if args.marker_mm is None else args.marker_mm
+    words = args.dictionary or (TAGS if args.board == "aprilgrid" else DICTIONARY)
+    return Board(args.board, args.columns, args.rows, square_mm / 1e3, marker_mm / 1e3, words, args.legacy)
 
 
 def _collect(
     args: argparse.Namespace, session: Session, board: Board
-) -> tuple[list[Shot], tuple[int, int], str, Progress]:
+) -> tuple[list[Shot], tuple[int, int], str, Progress, Light | None]:
     """Shots of this run and of the interrupted one before it, on disk as soon as they are found."""
     progress, finder = Progress(STEP), BoardFinder(board, args.window_px)
     bench = bench_of(args).board(board, _SIMULATED) if args.simulate else None
     with pictures(args, bench) as source:
         subject = board.subject | {"source": source.info.name, "window_px": args.window_px}
-        shots, size, done = kept(session, board, subject)
+        shots, size, done, light = kept(session, board, subject)
         if source.info.live:
             progress.note(f"{session.folder / 'intrinsics' / 'live.png'} shows what is covered, anew with each picture")
         if done:
             progress.note(f"going on with {len(shots)} pictures of the run before")
-        seen = rejected = 0
+        seen = rejected = alike = 0
         unseen: list[Picture] = []
         for picture in source:
             seen += 1
@@ -136,11 +155,9 @@ def _collect(
             if not reason:
                 sighting = finder(picture.gray)
                 reason = sighting.reason
-                if (
-                    sighting.ok
-                    and source.info.live
-                    and not _is_new(board, shots, sighting.ids, sighting.uv_px, picture)
-                ):
+                new = not sighting.ok or not source.info.filmed
+                if not new and not _is_new(board, shots, sighting.ids, sighting.uv_px, picture):
+                    alike += 1
                     progress.tell(f"{len(shots)} taken; move the board")
                     continue
             if reason:
@@ -153,19 +170,22 @@ def _collect(
             else:
                 h, w = picture.gray.shape
                 size = (w, h)
+                here = light_of(picture.gray)
                 record = {
                     "name": picture.name,
                     "width_px": w,
                     "height_px": h,
                     "ids": sighting.ids,
                     "uv_px": sighting.uv_px,
+                    "light": here,
                 }
                 session.add_sample(STEP, record)
                 shots.append(Shot(picture.name, board.corners_m[sighting.ids], sighting.uv_px))
-                covered = coverage(shots, size)
+                light = lighter(light, here) if light is not None or len(shots) == 1 else None
+                covered = coverage(shots, size, light)
                 progress.tell(f"{len(shots)} taken, {rejected} rejected; {covered.text}")
                 if source.info.live:
-                    session.write("intrinsics/live.png", _png(coverage_picture(shots, size, picture.gray)))
+                    session.write("intrinsics/live.png", _png(coverage_picture(shots, size, picture.gray, light)))
                     if (len(shots) >= _LIVE_ENOUGH and not covered.missing()) or len(shots) >= _LIVE_MOST:
                         break
             if source.info.live and seen >= _LIVE_FRAMES:
@@ -173,19 +193,17 @@ def _collect(
         _explain_nothing(shots, unseen, board, seen, rejected)
         if size is None:
             raise CalibrationError(f"{source.info.name}: found no usable picture among {seen}")
-        progress.note(f"{len(shots)} pictures used, {rejected} rejected")
-        return shots, size, source.info.camera_id, progress
+        left_out = f", {alike} left out that are like others" if alike and not source.info.live else ""
+        progress.note(f"{len(shots)} pictures used, {rejected} rejected{left_out}")
+        return shots, size, source.info.camera_id, progress, light
 
 
 def _explain_nothing(shots: list[Shot], unseen: list[Picture], board: Board, seen: int, rejected: int) -> None:
     if shots:
         return
-    other = next((o for o in (other_board(p.gray) for p in unseen) if o), "") if board.kind == "chessboard" else ""
+    other = next((o for o in (other_board(board, p.gray) for p in unseen) if o), "")
     if other:
-        raise CalibrationError(
-            f"intrinsics: found a board of {other} inner corners, expected {board.columns} x {board.rows}; "
-            "give --columns and --rows of the board that is used"
-        )
+        raise CalibrationError(f"intrinsics: found a board of {other} of the board that is used")
     raise CalibrationError(
         f"intrinsics: found the {board.text} in none of {seen} pictures ({rejected} rejected, reasons above); "
         "the whole board must be in the picture, flat, in focus and evenly lit"
@@ -194,8 +212,8 @@ def _explain_nothing(shots: list[Shot], unseen: list[Picture], board: Board, see
 
 def kept(
     session: Session, board: Board, subject: dict[str, Any]
-) -> tuple[list[Shot], tuple[int, int] | None, set[str]]:
-    """Shots of an interrupted run, the size of its pictures and their names.
+) -> tuple[list[Shot], tuple[int, int] | None, set[str], Light | None]:
+    """Shots of an interrupted run, the size of its pictures, their names, and the most light in each part of them.
 
     Raises:
         CalibrationError: they are of something else, or damaged.
@@ -204,7 +222,11 @@ def kept(
     with session.reading_samples(STEP):
         shots = [_shot(board, record) for record in records if record.get("ids")]
         size = (int(records[0]["width_px"]), int(records[0]["height_px"])) if records else None
-        return shots, size, {str(record["name"]) for record in records}
+        light = None
+        if records and all("light" in record for record in records):  # older runs kept none
+            for record in records:
+                light = lighter(light, np.array(record["light"], np.int64))
+        return shots, size, {str(record["name"]) for record in records}, light
 
 
 def _shot(board: Board, record: dict[str, Any]) -> Shot:

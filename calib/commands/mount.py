@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.calib.evaluate import scale
 from ceilvo.calib.session import plots
 from ceilvo.calib.session.assemble import lens_so_far, update_file
 from ceilvo.calib.session.common import (
@@ -24,7 +25,7 @@ from ceilvo.calib.session.common import (
 from ceilvo.calib.session.session import Session, reading
 from ceilvo.calib.session.views import Collection, collect, moved
 from ceilvo.calib.session.wheels import LiveWheels, Wheels, live_base, no_wheels, recorded
-from ceilvo.calib.solve.mount.experiment import Mount, calibrate, problems
+from ceilvo.calib.solve.mount.experiment import Mount, calibrate, problems, wheel_problems
 from ceilvo.calib.solve.mount.tracks import RUN, SPIN, MountPicture
 from ceilvo.calib.targets.ceiling_view import GridView
 from ceilvo.camera import CameraModel
@@ -77,14 +78,32 @@ def run(args: argparse.Namespace) -> int:
             session.set_aside(f"{STEP}-{part}")
     with reading(session.folder / "projection.json"):
         level = np.array([float(projection[k]) for k in ("roll_rad", "pitch_rad", "height_m")])
-        tile_m = float(tile_m)
+        tile_m, taped = float(tile_m), scale.read(projection)
     taken = _pictures(args, session, camera, level)
     found = calibrate(camera, taken, tile_m, level, cov)
-    bad = problems(found)
-    session.save(STEP, _result(found) | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
+    wheels = _by_wheels(found)
+    bad = problems(found) + _wheel_problems(found, wheels, taped, tile_m)
+    kept = {"tile_m": tile_m, "scale": scale.kept(wheels)}
+    session.save(STEP, _result(found) | kept | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
     plots.save(session, "mount/paths.svg", plots.paths(found.spin_xy_m.tolist(), found.run_xy_m.tolist()))
     print(update_file(session))
-    return conclude(STEP, _rows(found), bad, args)
+    state, texts = scale.summary([*taped, *wheels])
+    if state == "unconfirmed":
+        texts = [*texts, scale.tile_alone(tile_m)]
+    return conclude(STEP, _rows(found) + [("scale", text) for text in texts], bad, args)
+
+
+def _by_wheels(m: Mount) -> list[scale.Scale]:
+    if m.wheel_scale is None or m.wheel_scale_sigma is None:
+        return []
+    return [scale.by_wheels(m.run_m, m.wheel_scale, m.wheel_scale_sigma)]
+
+
+def _wheel_problems(m: Mount, wheels: list[scale.Scale], taped: list[scale.Scale], tile_m: float) -> list[str]:
+    """Where a tape confirmed the tile it is the wheels that err, and they may by more."""
+    if scale.summary(taped)[0] == "confirmed":
+        return wheel_problems(m)
+    return [p for p in (scale.problem(s, tile_m) for s in wheels) if p]
 
 
 def _pictures(args: argparse.Namespace, session: Session, camera: CameraModel, level: Array) -> list[MountPicture]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.calib.evaluate import scale
 from ceilvo.calib.session.assemble import camera_from, update_file
 from ceilvo.calib.session.common import (
     Subcommands,
@@ -30,13 +32,15 @@ from ceilvo.calib.solve.joint import Joint
 from ceilvo.calib.solve.projection import Mounting, from_points, plausible
 from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.targets.click_page import ClickPage
-from ceilvo.calib.targets.marks import clicked, detected, read_marks
+from ceilvo.calib.targets.marks import clicked, detected, read_marks, together
 from ceilvo.calib.targets.points_file import ask_on_terminal, read_points
-from ceilvo.calibration_check import TILES_M
+from ceilvo.calibration_check import HEIGHTS_M, TILES_M
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
+
+Spans: TypeAlias = tuple[list[tuple[Array, Array]], float]
 
 STEP = "projection"
 _LOOKS = 10
@@ -65,12 +69,15 @@ def add(commands: Subcommands) -> None:
     )
     p.add_argument("--tile-m", type=float, help=f"side of the ceiling's tiles; simulated: {USUAL_TILE_M:g}")
     p.add_argument(
-        "--height-m", type=float, help="ceiling above the camera by tape, to a tenth; decides where two grids fit"
+        "--height-m",
+        type=float,
+        help="ceiling above the lens by tape, to a centimetre: confirms the scale, and decides where two grids fit",
     )
     p.add_argument("--points", type=Path, metavar="CSV", help="measured points instead of the grid")
     p.add_argument(
         "--marks", type=Path, metavar="CSV", help="measured marks on the ceiling, x_m,y_m[,z_m] in base, to be clicked "
-        "in a browser; with a column id they are ArUco markers and are found"
+        "in a browser; with a column id they are ArUco markers and are found. With --tile-m two are enough: the way "
+        "between them confirms the scale"
     )  # fmt: skip
     p.add_argument("--dictionary", default="5X5_100", help="of the markers (%(default)s)")
     p.add_argument("--listen", default="127.0.0.1:0", metavar="HOST:PORT", help="of the page to click in (%(default)s)")
@@ -81,34 +88,92 @@ def add(commands: Subcommands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
+    _checked_height(args.height_m)
     session = session_of(args)
     session.begin(STEP)
     if args.size is not None:
         found, camera, extra = _without_lens(args, session)
     else:
         camera, cov = camera_from(session.need("intrinsics", "the projection"))
-        measured = args.points or args.marks
+        measured = args.points or (args.marks and args.tile_m is None)
         found, extra = _points(args, session, camera, cov) if measured else _grid(args, session, camera, cov)
-    bad = plausible(found) + extra.pop("problems", [])
+    scales = _scales(args, found, camera, extra.pop("spans", None))
+    wrong = [p for p in (scale.problem(s, found.tile_m) for s in scales) if p]
+    bad = plausible(found) + extra.pop("problems", []) + wrong
+    extra["scale"] = scale.kept(scales)
     session.save(STEP, _result(found) | extra | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
     print(update_file(session))
-    return conclude(STEP, _rows(found, extra), bad, args)
+    return conclude(STEP, _rows(found, extra) + _scale_rows(scales, found.tile_m), bad, args)
+
+
+def _scales(args: argparse.Namespace, found: Mounting, camera: CameraModel, spans: Spans | None) -> list[scale.Scale]:
+    """What second sources say of the scale."""
+    out = []
+    if args.height_m is not None:
+        out.append(scale.by_height(found.height_m, float(found.sigma[2]), args.height_m))
+    if spans is not None:
+        level = np.array([found.roll_rad, found.pitch_rad, found.height_m])
+        lens = camera if found.joint is None or not found.joint.agrees else found.joint.camera
+        marked = scale.by_marks(lens, level, *spans)
+        if marked is None:
+            raise CalibrationError(f"{args.marks}: found no two marks in different places, expected two or more")
+        out.append(marked)
+    return out
+
+
+def _scale_rows(scales: list[scale.Scale], tile_m: float | None) -> list[tuple[str, str]]:
+    state, texts = scale.summary(scales)
+    if tile_m is not None and state == "unconfirmed":
+        texts = [*texts, scale.tile_alone(tile_m)]
+    return [("scale", text) for text in texts]
 
 
 def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: Any) -> tuple[Mounting, dict[str, Any]]:
     tile_m = tile_of(args)
-    if args.height_m is not None and args.height_m > _MILLIMETRES[0]:
-        raise CalibrationError(
-            f"--height-m: found {args.height_m:g}, which looks like millimetres; expected {args.height_m / 1e3:g}"
-        )
+    spans = None if args.marks is None else _spans(args, (camera.width_px, camera.height_px))
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
     got = collect(args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES)
     found, _ = from_grid(camera, got.views, tile_m, got.tilt_rad, cov, args.height_m)
     few = [f"{len(got.seen)} pictures, at least {_FEW} needed: other places, other headings"]
-    extra: dict[str, Any] = {"pictures": len(got.seen), "method": "grid"}
+    extra: dict[str, Any] = {"pictures": len(got.seen), "method": "grid", "spans": spans}
     if found.joint is not None and found.joint.agrees:
         extra["lens"] = _lens(found.joint, session.need("intrinsics", "the projection"))
     return found, extra | {"problems": few if len(got.seen) < _FEW else []}
+
+
+def _spans(args: argparse.Namespace, size: tuple[int, int]) -> Spans:
+    """Pictures of two marks or more on the ceiling, and sigma of a mark's place in them, px."""
+    if args.simulate:
+        xyz, clicks = _practised(args)
+        return [(xyz, clicks)], scale.CLICK_PX
+    marks = read_marks(args.marks, args.units, ask_on_terminal)
+    with pictures(args, None) as source:
+        usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))
+        if marks.ids is not None:
+            some = itertools.islice(usable, _LOOKS) if source.info.live else usable
+            return together(marks, some, args.dictionary), scale.MARKER_PX
+        some = itertools.islice(usable, _LOOKS if source.info.live else 1)  # a robot that stands, or the first picture
+        xyz, uv, _ = clicked(marks, some, ClickPage(args.listen))
+    return [(xyz, uv)], scale.CLICK_PX
+
+
+def _practised(args: argparse.Namespace) -> tuple[Array, Array]:
+    """xyz_m (N, 3) and clicks (N, 2) of the virtual bench's own marks; the page shows how far off each click was."""
+    gray, xyz, true_px = bench_of(args).marks()
+    print(f"{STEP}: practice: the virtual bench's own marks, not those of {args.marks}", file=sys.stderr)
+    names = [f"the disc at {x:+.2f}, {y:+.2f} m" for x, y, _ in xyz]
+    return xyz, ClickPage(args.listen)(gray, names, true_px)
+
+
+def _checked_height(height_m: float | None) -> None:
+    low, high = HEIGHTS_M
+    if height_m is None or low <= height_m <= high:
+        return
+    if height_m > _MILLIMETRES[0]:
+        raise CalibrationError(
+            f"--height-m: found {height_m:g}, which looks like millimetres; expected {height_m / 1e3:g}"
+        )
+    raise CalibrationError(f"--height-m: found {height_m:g}, expected {low:g} to {high:g}, above the camera's lens")
 
 
 def _lens(joint: Joint, board: dict[str, Any]) -> dict[str, Any]:
@@ -150,10 +215,7 @@ def _measured(args: argparse.Namespace, session: Session, size: tuple[int, int])
     if args.points is not None:
         return *read_points(args.points, args.units), f"points of {args.points}"
     if args.simulate:
-        raise CalibrationError(
-            "--marks: found --simulate, but the virtual bench has no marks; practise with its tiles: "
-            "calib projection --simulate"
-        )
+        return *_practised(args), "marks clicked for practice"
     marks = read_marks(args.marks, args.units, ask_on_terminal)
     with pictures(args, None) as source:
         usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))

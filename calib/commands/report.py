@@ -7,12 +7,14 @@ import base64
 import html
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from ceilvo.calib.commands.calibration_file import describe
 from ceilvo.calib.session.common import Subcommands, add_step
 from ceilvo.calib.session.session import STEPS, Session, reading
+from ceilvo.calibration_check import scale_of
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
 
@@ -51,6 +53,9 @@ def run(args: argparse.Namespace) -> int:
         session.write("report.html.bak", path.read_bytes())
     session.write("report.html", text)
     print(f"{path}: written")
+    if session.calibration_file.exists():
+        with suppress(CalibrationError):
+            print(f"  {scale_of(read_calibration(session.calibration_file))[1]}")
     done = {s: (session.result(s) or {}).get("verdict", "not done") for s in STEPS}
     for step, verdict in done.items():
         print(f"  {step:<12}{verdict}")
@@ -103,10 +108,15 @@ def _file(session: Session) -> str:
     if not session.calibration_file.exists():
         return "<p>No calibration.yaml yet.</p>"
     try:
-        text = describe(read_calibration(session.calibration_file))
+        calibration = read_calibration(session.calibration_file)
     except CalibrationError as e:
-        text = str(e)
-    return f"<h2>calibration.yaml</h2><pre>{_e(text)}</pre>"
+        return f"<h2>calibration.yaml</h2><pre>{_e(e)}</pre>"
+    state, said = scale_of(calibration)
+    look = {"confirmed": "PASS", "contradicted": "FAIL"}.get(state, "none")
+    return (
+        f"<p><span class='{look}'>scale {state}</span> {_e(said)}</p>"
+        f"<h2>calibration.yaml</h2><pre>{_e(describe(calibration))}</pre>"
+    )
 
 
 def _section(session: Session, step: str, result: Mapping[str, Any] | None) -> str:

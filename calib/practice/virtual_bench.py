@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +40,12 @@ _PAN_POSES = 17
 """While a picture is read, evenly."""
 _TAPE_M, _PROTRACTOR_RAD = 0.001, 0.002
 """Sigma of poses measured by hand; chosen."""
+
+
+_MARKS_M = np.array([[0.5, 0.3], [-0.5, 0.35], [-0.45, -0.4], [0.55, -0.3], [0.05, 0.6], [0.0, -0.05]])
+"""Of discs to click for practice, from the point below the camera; chosen: all over the picture."""
+_MARK_PX, _SHIFT = 6, 6
+"""Radius of such a disc, and binary places of a pixel that it is drawn to."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,19 @@ class VirtualBench:
         room = self._world.spec.lap.room_m
         poses = [np.array([*rng.uniform(*_middle(room), 2), rng.uniform(-np.pi, np.pi)]) for _ in range(count)]
         return self._pictures([Place(p, f"place {i}") for i, p in enumerate(poses)], 1)
+
+    def marks(self) -> tuple[NDArray[np.uint8], Array, Array]:
+        """A picture (H, W) of discs on the ceiling, where they are in base (N, 3) and in the picture (N, 2), px."""
+        rng = self._rng(9)
+        middle = 0.5 * self._world.spec.lap.room_m
+        gray = self._world.renderer.render(np.array([middle, middle, rng.uniform(-np.pi, np.pi)]), rng).copy()
+        xyz = np.column_stack([self.rig.mount_xy_m + _MARKS_M + rng.uniform(-0.1, 0.1, _MARKS_M.shape), np.zeros(6)])
+        eye = np.array([*self.rig.mount_xy_m, -self.rig.ceiling_height_m])
+        uv = self.rig.camera.pixels((xyz - eye) @ self.rig.camera_from_base.T)
+        for u, v in uv * 2**_SHIFT:
+            for radius, level in ((_MARK_PX, 20), (_MARK_PX // 2, 240)):
+                cv2.circle(gray, (round(u), round(v)), radius << _SHIFT, level, -1, cv2.LINE_AA, _SHIFT)
+        return np.asarray(gray, np.uint8), np.round(xyz, 4), uv
 
     def spin_and_run(self, spin_frames: int = 150, run_frames: int = 60, turns: float = 4.0) -> Iterator[Picture]:
         """Round and round on the spot, wandering, then straight on with a hand's wobble."""

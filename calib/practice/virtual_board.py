@@ -17,6 +17,8 @@ Gray = NDArray[np.uint8]
 
 _SQUARE_TEXELS = 64
 """Of the board's picture."""
+_FINE = 4
+"""Texels drawn for one, along each axis: cells of markers end anywhere."""
 _SUPER = 2
 """Rays a pixel along each axis, averaged."""
 
@@ -52,25 +54,42 @@ def _texture(board: Board) -> tuple[NDArray[np.float32], Array]:
     """Picture of the board with a white margin of a square, and texel_from_board for homogeneous board metres."""
     n = _SQUARE_TEXELS
     k = n / board.square_m
-    if board.kind == "charuco":
-        size = (board.columns * n, board.rows * n)
-        inner = board.charuco.generateImage(size)
-        first = 0
-    else:
-        c, r = board.columns + 1, board.rows + 1
-        inner = np.kron(np.indices((r, c)).sum(axis=0) % 2, np.ones((n, n))).astype(np.uint8) * 255
-        first = n  # corner (0, 0) is one square in
+    x0, y0, x1, y1 = board.extent_m
+    fine = drawn(board, _FINE * k)
+    size = (round((x1 - x0) * k), round((y1 - y0) * k))
+    inner = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
     whole = cv2.copyMakeBorder(np.asarray(inner, np.uint8), n, n, n, n, cv2.BORDER_CONSTANT, value=255)
     picture = 25.0 + whole.astype(np.float32) * (185.0 / 255.0)
-    o = n + first - 0.5
-    return np.asarray(picture, np.float32), np.array([[k, 0, o], [0, k, o], [0, 0, 1.0]])
+    kx, ky = size[0] / (x1 - x0), size[1] / (y1 - y0)
+    texel_from_board = np.array([[kx, 0, n - 0.5 - kx * x0], [0, ky, n - 0.5 - ky * y0], [0, 0, 1.0]])
+    return np.asarray(picture, np.float32), texel_from_board
+
+
+def drawn(board: Board, texels_per_m: float) -> Gray:
+    """All that is black on the board, from its upper left to its lower right, to a whole texel."""
+    x0, y0, x1, y1 = board.extent_m
+    k = texels_per_m
+    out = np.full((round((y1 - y0) * k), round((x1 - x0) * k)), 255, np.uint8)
+    rects, discs = board.shapes
+    for r in rects:
+        a, b = round((r.x - x0) * k), round((r.y - y0) * k)
+        out[b : round((r.y + r.height - y0) * k), a : round((r.x + r.width - x0) * k)] = 0
+    shift = 4  # of fixed point; a texel's middle is at half a texel
+    for d in discs:
+        at = tuple(round(((v - o) * k - 0.5) * 2**shift) for v, o in ((d.x, x0), (d.y, y0)))
+        cv2.circle(out, at, round(d.radius * k * 2**shift), 0, -1, cv2.LINE_8, shift)
+    return out
 
 
 def board_poses(camera: CameraModel, board: Board, count: int, rng: np.random.Generator) -> Iterator[Array]:
     """Poses that a careful person would hold the board in: everywhere, leaning every way, near and far."""
-    xyz = board.corners_m
-    centre = xyz.mean(axis=0)
-    width = float(np.ptp(xyz[:, 0])) + 2 * board.square_m
+    xyz = whole = board.corners_m
+    if board.kind in ("circles", "acircles"):  # a disc must be in the picture as a whole, its middle is not enough
+        x0, y0, x1, y1 = board.extent_m
+        whole = np.vstack([xyz, [[x0, y0, 0.0], [x1, y0, 0.0], [x0, y1, 0.0], [x1, y1, 0.0]]])
+    centre = np.append(np.mean(np.reshape(board.extent_m, (2, 2)), axis=0), 0.0)
+    tall = float(np.ptp(xyz[:, 1])) * camera.width_px / camera.height_px
+    width = max(float(np.ptp(xyz[:, 0])), tall) + 2 * board.square_m
     spots = np.array([[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1], [0, -1], [0, 1], [-1, 0], [1, 0]])
     made = 0
     for _ in range(200 * count):
@@ -87,7 +106,7 @@ def board_poses(camera: CameraModel, board: Board, count: int, rng: np.random.Ge
         distance = width * camera.fx_px / (filled * camera.width_px)
         where = ray / max(ray[2], 0.2) * distance
         t = where - rot @ centre
-        uv = camera.pixels(xyz @ rot.T + t)
+        uv = camera.pixels(whole @ rot.T + t)
         room = 6.0
         if (
             np.isfinite(uv).all()

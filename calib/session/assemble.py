@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.calib.evaluate import scale
 from ceilvo.calib.session.session import CALIBRATION, STEPS, Session, reading
 from ceilvo.calib.solve.intrinsics import Intrinsics
 from ceilvo.calib.solve.lens import camera_of
@@ -142,6 +143,8 @@ def _assembled(
         notes.append("NIS of a drive not measured, a stale calibration is noticed late: 'calib survey' is to be done")
     if check is not None:
         meta["check"] = {k: check[k] for k in ("nis", "verdict")}
+    meta["scale"], to_do = scale.of_session(projection, mount)
+    notes += [to_do] if to_do else []
     if notes:
         meta["to_do"] = notes
     return Calibration(

@@ -82,7 +82,7 @@ def collect(
         subject = {"source": source.info.name, "size": [camera.width_px, camera.height_px]}
         out.seen += kept(session, step, subject)
         out.camera_id, out.live = source.info.camera_id, source.info.live
-        done = {s.name for s in out.seen}
+        done, alike = {s.name for s in out.seen}, 0
         if out.seen:
             progress.note(f"going on with {len(out.seen)} pictures of the run before")
         for k, picture in enumerate(source):
@@ -99,7 +99,9 @@ def collect(
                 out.rejected.append((picture.name, reason))
                 (progress.tell if out.live else progress.note)(f"{picture.name}: rejected, {reason}")
                 continue
-            if out.live and not wanted(out, view, picture):
+            choosy = out.live or (source.info.filmed and wanted is moved)
+            if choosy and not wanted(out, view, picture):
+                alike += 1
                 progress.tell(f"{len(out.seen)} pictures; go on moving")
                 continue
             seen = Seen(picture.name, label(picture), view, odometry, picture.stamp_ns)
@@ -114,7 +116,8 @@ def collect(
             f"{step}: found no usable picture among {len(out.rejected)} ("
             f"{'; '.join(sorted(reasons)[:3]) or 'none came'}); see the reasons above"
         )
-    progress.note(f"{len(out.seen)} pictures used, {len(out.rejected)} rejected")
+    left_out = f", {alike} left out that are like others" if alike and not out.live else ""
+    progress.note(f"{len(out.seen)} pictures used, {len(out.rejected)} rejected{left_out}")
     return out
 
 

@@ -108,13 +108,24 @@ def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tu
     """Tile over height, and what speaks for it.
 
     Raises:
-        CalibrationError: nothing does, or it speaks for another as well.
+        CalibrationError: nothing does, it speaks for another as well, or what the tape says is not what it speaks for.
     """
-    low, high = HEIGHTS_M if height_m is None else (height_m / _ROUGHLY, height_m * _ROUGHLY)
-    found = tile_spacings(views, (tile_m / high, tile_m / low))
+    any_height = tile_spacings(views, (tile_m / HEIGHTS_M[1], tile_m / HEIGHTS_M[0]))
+    found = any_height
+    if height_m is not None:
+        low, high = height_m / _ROUGHLY, height_m * _ROUGHLY
+        found = tile_spacings(views, (tile_m / high, tile_m / low))
     best = found[0] if found else Spacing(tile_m, 0.0, 0.0)
+    most = any_height[0] if any_height else best
+    if height_m is not None and _stands(most) and best.support < _RIVAL * most.support:
+        there_m = tile_m / most.tile_over_height
+        raise CalibrationError(
+            f"projection: the tile of {tile_m:g} m and the height by tape disagree: tiles of that side put the ceiling "
+            f"at {there_m:.2f} m above the camera, the tape says {height_m:.2f} m, at which a tile has "
+            f"{tile_m * height_m / there_m:.3f} m; measure ten tiles in a row, joint to joint, and the height once more"
+        )
     said = "" if height_m is None else f" for a ceiling {height_m:g} m above the camera, give or take a tenth"
-    if best.on_grid < _ON_GRID or best.support < _SUPPORT:
+    if not _stands(best):
         raise CalibrationError(
             f"projection: found no grid of square tiles of {tile_m:g} m{said}: {100 * best.on_grid:.0f} % of the "
             f"crossings are on the best one, {100 * _ON_GRID:.0f} needed, {100 * best.filled:.0f} % of its nodes seen; "
@@ -135,6 +146,10 @@ def _decided(views: list[GridView], tile_m: float, height_m: float | None) -> tu
         f"; the next best, of a ceiling at {height_of_rival_m:.2f} m, has "
         f"{rival.support / best.support:.2f} of the support"
     )
+
+
+def _stands(s: Spacing) -> bool:
+    return s.on_grid >= _ON_GRID and s.support >= _SUPPORT
 
 
 def _shared_errors(samples: list[GridSample]) -> float:

@@ -3,6 +3,7 @@
     python -m ceilvo.calib.study sigma --count 100   generating curves against the confidence band
     python -m ceilvo.calib.study drive --count 8     drift with the found calibration, false alarms
     python -m ceilvo.calib.study rigs --count 50     truth against the reported sigma
+    python -m ceilvo.calib.study scale --count 40    wrong tiles: what second sources notice, false refusals
 
 Figures of each rig are kept in build/bench/calib-*.samples.jsonl: an interrupted study goes on, unless the code has
 changed. Summaries are in build/bench/calib-*.json. Exit code 1 when a bar is missed.
@@ -37,8 +38,10 @@ from ceilvo.calib.solve.mount.tracks import MountPicture
 from ceilvo.calib.solve.station import Station, errors_against_grid
 from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.study import drive as drive_study
-from ceilvo.calib.targets.board import Board, BoardFinder
+from ceilvo.calib.study import scale as scale_study
+from ceilvo.calib.targets.board import Board
 from ceilvo.calib.targets.ceiling_view import CeilingReader
+from ceilvo.calib.targets.finder import BoardFinder
 from ceilvo.calibration import Calibration, mount_angles, mount_rotation, projection_matrix
 from ceilvo.errors import CalibrationError
 
@@ -49,6 +52,8 @@ GENERATING = ((0.004,), (0.003, 0.004), (0.003, 0.0, 0.002), (0.002, 0.001, 0.00
 """Coefficients of true sigma(r), m against m: constant, linear and two curved."""
 _RATIO, _INSIDE, _IN_BAND = (0.75, 1.25), 0.95, 0.9
 """Bars of docs/calibration.md: observed over reported sigma, truth inside three sigma, curves inside the band."""
+_FALSE, _CAUGHT = 0.01, 0.95
+"""Bars of second sources of the scale: right tiles refused, and wrong ones caught, each of 4 % or more."""
 FOLDER = Path("build/bench")
 _DECIDE = (
     *("calib/targets", "calib/solve", "calib/practice", "sim", "daemon/pipeline.py"),
@@ -234,18 +239,30 @@ def experiment(coefficients: tuple[float, ...], seed: int, circles: int, each: i
     return sigma.Errors(r, s * rng.standard_normal(n), s * rng.standard_normal(n), 0.002 * rng.standard_normal(n))
 
 
+def scales(count: int, first: int) -> int:
+    """Print what second sources refuse; the number of bars missed."""
+    records = each_rig("calib-scale", count, first, lambda seed: scale_study.figures(random_rig(seed), seed))
+    good = [r for r in records if "refused" not in r]
+    lines, shares = scale_study.summary(good)
+    print("\n".join(lines))
+    _report("calib-scale", {"refused": shares, "rigs": len(good), "of": count})
+    right = shares.pop(f"{scale_study.TRUE_TILE_M:g}")
+    missed = sum(v > _FALSE for v in right.values())
+    return missed + sum(v < _CAUGHT for row in shares.values() for v in row.values()) + int(len(good) < count)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     p = argparse.ArgumentParser(
         prog="python -m ceilvo.calib.study",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    p.add_argument("what", choices=("rigs", "sigma", "drive"))
+    p.add_argument("what", choices=("rigs", "sigma", "drive", "scale"))
     p.add_argument("--count", type=int, default=0)
     p.add_argument("--first", type=int, default=0, help="first seed (%(default)s)")
     args = p.parse_args(argv)
     cv2.setNumThreads(1)
-    what = {"rigs": (rigs, 50), "sigma": (curves, 100), "drive": (drive, 8)}
+    what = {"rigs": (rigs, 50), "sigma": (curves, 100), "drive": (drive, 8), "scale": (scales, 40)}
     study, usual = what[args.what]
     return int(study(args.count or usual, args.first) > 0)
 

@@ -1,4 +1,4 @@
-"""Calibration boards: what they look like, where their corners are in a picture, and why a picture is no use."""
+"""Calibration boards: what is printed on them and where their corners are."""
 
 from __future__ import annotations
 
@@ -13,209 +13,189 @@ from numpy.typing import NDArray
 from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
-Gray = NDArray[np.uint8]
+Kind = Literal["chessboard", "charuco", "aprilgrid", "circles", "acircles"]
 
-_SATURATED, _SATURATED_FRACTION = 253, 0.25
-"""Grey level of white, and how much of a picture may have it; chosen: a lamp may be in the picture."""
-_DARK = 18.0
-"""Grey level of the brightest hundredth; chosen."""
-_SOFT_EDGE_PX = 5.0
-"""Width of the sharpest edges, 1.5 px in focus; beyond it corners move with the blur."""
-_CHARUCO_CORNERS = 8
-"""For a pose and something left to judge it by."""
-_BORDER_PX = 2.0
-"""A corner nearer to the picture's edge cannot be refined."""
-_ROOM, _ROOM_TO_MARKER = 0.35, 0.4
-"""Of a square, and of the gap between marker and square, that a corner's window may reach: the next edge is outside."""
-_WINDOWS_PX = (2, 11)
-"""Half side of the window, least and most; OpenCV's own pictures were made with 11 (docs/calibration.md)."""
-_REFINE_STEPS, _REFINE_PX = 40, 1e-3
-"""cornerSubPix ends after so many steps, or when a step is smaller."""
-_AROUND_PX = 5
-"""Of the board, that its sharpness is judged on as well."""
-_SOBEL = 0.125
-"""Scale under which a Sobel filter gives grey levels a pixel."""
-_STEEP_PERCENTILE, _BRIGHT_PERCENTILE, _DARK_PERCENTILE = 99.8, 98, 2
-"""Of gradients and of grey levels, instead of the extremes, which are noise."""
-_FLAT_PICTURE = 0.5
-"""Steepest gradient, grey levels a pixel, of a picture with nothing in it."""
-_SIDES = 40
-"""Corners along a side at the most; chosen, larger ones are typing mistakes."""
+KINDS: tuple[Kind, ...] = ("chessboard", "charuco", "aprilgrid", "circles", "acircles")
+_SIDES = (3, 40)
+"""Corners along a side, least and most; chosen, larger ones are typing mistakes."""
+MARKER = {"chessboard": 0.72, "charuco": 0.72, "aprilgrid": 1.0 / 1.3, "circles": 0.5, "acircles": 0.8}
+"""Of the square: a ChArUco marker, a tag (Kalibr's gap of 0.3 tags), and the circles' diameter; chosen."""
+DICTIONARY, TAGS = "5X5_100", "APRILTAG_36h11"
+"""Usual dictionaries of ChArUco boards and of AprilGrids."""
+TAG_BORDERS = (2, 1)
+"""Cells of a tag's black border: Kalibr prints two, OpenCV one."""
+
+
+@dataclass(frozen=True)
+class Rect:
+    """A black rectangle: its corner with the smallest coordinates, and its size, m."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A black disc: middle and radius, m."""
+
+    x: float
+    y: float
+    radius: float
 
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board.
+    """A flat board; its axes are x to the right and y down as one looks at it.
 
     Attributes:
-        kind: chessboard, or charuco (a chessboard with markers, which may be seen in part).
-        columns, rows: inner corners of a chessboard; squares of a ChArUco board.
-        square_m: side of a square.
-        marker_m: side of a ChArUco marker.
-        dictionary: of its markers, cv2.aruco's name without DICT_.
+        kind: chessboard; charuco (a chessboard with markers, which may be seen in part); aprilgrid (as Kalibr prints
+            it: tags in rows from the bottom left, small squares where four of them meet; may be seen in part);
+            circles and acircles, circle grids in rows above one another and in rows shifted by half.
+        columns, rows: inner corners of a chessboard; squares of a ChArUco board; tags; circles.
+        square_m: side of a square; from tag to tag; from circle to circle; of acircles from row to row.
+        marker_m: side of a marker or a tag, diameter of a circle.
+        dictionary: of the markers, cv2.aruco's name without DICT_.
+        legacy: ChArUco as OpenCV drew it before 4.6: a marker, not a black square, in the corner where rows are even.
     """
 
-    kind: Literal["chessboard", "charuco"] = "chessboard"
+    kind: Kind = "chessboard"
     columns: int = 9
     rows: int = 6
     square_m: float = 0.025
     marker_m: float = 0.018
-    dictionary: str = "5X5_100"
+    dictionary: str = DICTIONARY
+    legacy: bool = False
 
     def __post_init__(self) -> None:
-        low = 3
-        if not (low <= self.columns <= _SIDES and low <= self.rows <= _SIDES):
-            raise CalibrationError(f"board: found {self.columns} x {self.rows}, expected {low} to {_SIDES} each way")
+        low, high = (2 if self.kind == "aprilgrid" else _SIDES[0]), _SIDES[1]
+        if not (low <= self.columns <= high and low <= self.rows <= high):
+            raise CalibrationError(f"board: found {self.columns} x {self.rows}, expected {low} to {high} each way")
         if not 0.001 <= self.square_m <= 1.0:
             raise CalibrationError(
                 f"board: found squares of {self.square_m:g} m, expected 0.001 to 1; is it in millimetres?"
             )
-        if self.kind == "charuco" and not 0.2 * self.square_m < self.marker_m < self.square_m:
+        if self.kind != "chessboard" and not 0.2 * self.square_m < self.marker_m < self.square_m:
             raise CalibrationError(
                 f"board: found markers of {self.marker_m:g} m, expected less than the square's {self.square_m:g} m"
             )
-        if self.kind == "charuco" and not hasattr(cv2.aruco, f"DICT_{self.dictionary}"):
+        if self.marked and not hasattr(cv2.aruco, f"DICT_{self.dictionary}"):
             raise CalibrationError(f"board: found dictionary {self.dictionary!r}, expected for example 5X5_100")
+        if self.marked and self._markers > len(self.words.bytesList):
+            raise CalibrationError(
+                f"board: found {self._markers} markers, expected at most the {len(self.words.bytesList)} of "
+                f"{self.dictionary}; fewer columns and rows, or a larger dictionary"
+            )
+
+    @property
+    def marked(self) -> bool:
+        """Whether it has markers, so that a part of it is enough."""
+        return self.kind in ("charuco", "aprilgrid")
+
+    @property
+    def _markers(self) -> int:
+        cells = self.columns * self.rows
+        return cells if self.kind == "aprilgrid" else (cells + 1) // 2
 
     @property
     def text(self) -> str:
-        squares = "corners" if self.kind == "chessboard" else "squares"
-        return f"{self.kind} of {self.columns} x {self.rows} {squares}, {1e3 * self.square_m:g} mm"
+        cells = {"chessboard": "corners", "charuco": "squares", "aprilgrid": "tags"}.get(self.kind, "circles")
+        old = ", legacy" if self.legacy else ""
+        return f"{self.kind} of {self.columns} x {self.rows} {cells}, {1e3 * self.square_m:g} mm{old}"
+
+    @property
+    def options(self) -> str:
+        """For the command line of calib intrinsics."""
+        out = f"--board {self.kind} --columns {self.columns} --rows {self.rows} --square-mm {1e3 * self.square_m:g}"
+        if self.marked:
+            out += f" --marker-mm {1e3 * self.marker_m:g} --dictionary {self.dictionary}"
+        return out + (" --legacy" if self.legacy else "")
 
     @property
     def subject(self) -> dict[str, Any]:
         """What samples of it are samples of."""
-        return {"board": asdict(self)}
+        what = asdict(self)
+        if not self.legacy:
+            del what["legacy"]  # as before there was such a thing
+        return {"board": what}
 
     @cached_property
     def corners_m(self) -> Array:
-        """(N, 3) inner corners on the board, row by row."""
-        c, r = (self.columns, self.rows) if self.kind == "chessboard" else (self.columns - 1, self.rows - 1)
-        grid = np.mgrid[:c, :r].T.reshape(-1, 2) * self.square_m
-        first = 0.0 if self.kind == "chessboard" else self.square_m
-        return np.column_stack([grid + first, np.zeros(len(grid))])
+        """(N, 3) inner corners, or middles of circles, row by row; of an AprilGrid each tag's four, clockwise."""
+        s = self.square_m
+        if self.kind == "aprilgrid":
+            xy = np.concatenate([self._tag_at(i) + self._tag_corners for i in range(self._markers)])
+        else:
+            c, r = (self.columns - 1, self.rows - 1) if self.kind == "charuco" else (self.columns, self.rows)
+            xy = np.mgrid[:c, :r].T.reshape(-1, 2) * s
+            if self.kind == "charuco":
+                xy = xy + s
+            if self.kind == "acircles":
+                row = np.repeat(np.arange(r), c)
+                xy = xy * [2.0, 1.0] + np.column_stack([(row % 2) * s, np.zeros(len(row))])
+        return np.column_stack([xy, np.zeros(len(xy))])
+
+    @property
+    def _tag_corners(self) -> Array:
+        return self.marker_m * np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+
+    def _tag_at(self, tag: int) -> Array:
+        """Upper left corner of a tag; the first is at the bottom left."""
+        row, column = divmod(tag, self.columns)
+        return self.square_m * np.array([column, self.rows - 1 - row], np.float64)
+
+    @cached_property
+    def words(self) -> cv2.aruco.Dictionary:
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
 
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, words)
+        board = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, self.words)
+        board.setLegacyPattern(self.legacy)
+        return board
 
+    @cached_property
+    def shapes(self) -> tuple[list[Rect], list[Disc]]:
+        """All that is black on it, in its axes."""
+        s = self.square_m
+        if self.kind in ("circles", "acircles"):
+            return [], [Disc(float(x), float(y), 0.5 * self.marker_m) for x, y, _ in self.corners_m]
+        if self.kind == "chessboard":
+            cells = [(i, j) for j in range(self.rows + 1) for i in range(self.columns + 1) if (i + j) % 2 == 0]
+            return [Rect((i - 1) * s, (j - 1) * s, s, s) for i, j in cells], []
+        if self.kind == "aprilgrid":
+            gap = s - self.marker_m
+            squares = [
+                Rect(i * s - gap, j * s - gap, gap, gap) for j in range(self.rows + 1) for i in range(self.columns + 1)
+            ]
+            tags = [r for i in range(self._markers) for r in self._cells(i, self._tag_at(i), TAG_BORDERS[0])]
+            return squares + tags, []
+        corners = [np.asarray(c, np.float64)[0, :2] for c in self.charuco.getObjPoints()]
+        taken = {(int(x // s), int(y // s)) for x, y in corners}
+        squares = [
+            Rect(i * s, j * s, s, s) for j in range(self.rows) for i in range(self.columns) if (i, j) not in taken
+        ]
+        ids = np.ravel(self.charuco.getIds())
+        return squares + [r for i, at in zip(ids, corners, strict=True) for r in self._cells(int(i), at, 1)], []
 
-@dataclass(frozen=True)
-class Sighting:
-    """Corners in a picture: ids (N,) into Board.corners_m and uv_px (N, 2), or none with the reason."""
+    def _cells(self, number: int, at: Array, border: int) -> list[Rect]:
+        """The black cells of a marker, those of a row that touch as one."""
+        n = self.words.markerSize + 2 * border
+        side = self.marker_m / n
+        black = self.words.generateImageMarker(number, n, borderBits=border) == 0
+        out = []
+        for j, row in enumerate(black):
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
+            for a, b in zip(edges[::2], edges[1::2], strict=True):
+                out.append(Rect(float(at[0] + a * side), float(at[1] + j * side), float((b - a) * side), side))
+        return out
 
-    ids: NDArray[np.int64]
-    uv_px: Array
-    reason: str = ""
-
-    @property
-    def ok(self) -> bool:
-        return not self.reason
-
-
-def _nothing(reason: str) -> Sighting:
-    return Sighting(np.zeros(0, np.int64), np.zeros((0, 2)), reason)
-
-
-class BoardFinder:
-    """Finds one board in pictures.
-
-    Args:
-        window_px: half side of the window that a corner is refined in; None takes what the squares' size allows, at
-            most 11. A window that reaches the next corner biases both.
-    """
-
-    def __init__(self, board: Board, window_px: int | None = None) -> None:
-        self.board = board
-        self._window = window_px
-        self._detector = cv2.aruco.CharucoDetector(board.charuco) if board.kind == "charuco" else None
-
-    def __call__(self, gray: Gray) -> Sighting:
-        reason = light_problem(gray)
-        if reason:
-            return _nothing(reason)
-        ids, uv = self._chessboard(gray) if self._detector is None else self._charuco(gray)
-        if len(ids) == 0:
-            width = edge_width_px(gray)
-            if width > _SOFT_EDGE_PX:
-                return _nothing(f"blurred: edges are {width:.1f} px wide; hold still, focus, more light")
-            return _nothing("board not seen as a whole" if self._detector is None else "board not seen")
-        if len(ids) < _CHARUCO_CORNERS:
-            return _nothing(f"only {len(ids)} corners seen, {_CHARUCO_CORNERS} needed")
-        h, w = gray.shape
-        low, high = uv.min(axis=0), uv.max(axis=0)
-        if (low < _BORDER_PX).any() or (high > np.array([w, h]) - 1 - _BORDER_PX).any():
-            return _nothing("a corner lies on the picture's edge")
-        x0, y0 = np.maximum(low.astype(int) - _AROUND_PX, 0)
-        width = edge_width_px(gray[y0 : int(high[1]) + _AROUND_PX + 1, x0 : int(high[0]) + _AROUND_PX + 1])
-        if width > _SOFT_EDGE_PX:
-            return _nothing(f"blurred: the board's edges are {width:.1f} px wide; hold still, focus, more light")
-        return Sighting(ids, self._refine(gray, ids, uv))
-
-    def _chessboard(self, gray: Gray) -> tuple[NDArray[np.int64], Array]:
-        size = (self.board.columns, self.board.rows)
-        if not cv2.checkChessboard(gray, size):  # quick; without it a picture without a board takes seconds
-            return np.zeros(0, np.int64), np.zeros((0, 2))
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCorners(gray, size, flags=flags)
-        if not found:
-            found, corners = cv2.findChessboardCornersSB(gray, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if not found:
-            return np.zeros(0, np.int64), np.zeros((0, 2))
-        uv = np.asarray(corners, np.float64).reshape(-1, 2)
-        return np.arange(len(uv)), uv
-
-    def _charuco(self, gray: Gray) -> tuple[NDArray[np.int64], Array]:
-        if self._detector is None:
-            return np.zeros(0, np.int64), np.zeros((0, 2))
-        corners, ids, _, _ = self._detector.detectBoard(gray)
-        if np.size(ids) == 0 or np.ndim(corners) == 0:  # None in some versions
-            return np.zeros(0, np.int64), np.zeros((0, 2))
-        return np.asarray(ids, np.int64).reshape(-1), np.asarray(corners, np.float64).reshape(-1, 2)
-
-    def _refine(self, gray: Gray, ids: NDArray[np.int64], uv: Array) -> Array:
-        room = _ROOM
-        if self.board.kind == "charuco":
-            room = _ROOM_TO_MARKER * (self.board.square_m - self.board.marker_m) / self.board.square_m
-        window = self._window or int(np.clip(room * self._spacing_px(ids, uv), *_WINDOWS_PX))
-        until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _REFINE_STEPS, _REFINE_PX)
-        corners = uv.astype(np.float32).reshape(-1, 1, 2)
-        return np.asarray(cv2.cornerSubPix(gray, corners, (window, window), (-1, -1), until), np.float64).reshape(-1, 2)
-
-    def _spacing_px(self, ids: NDArray[np.int64], uv: Array) -> float:
-        """Distance to the nearest other corner, the smallest in the picture."""
-        d = np.hypot(*(uv[:, None] - uv[None]).transpose(2, 0, 1))
-        d[np.diag_indices(len(d))] = np.inf
-        return float(d.min())
-
-
-def light_problem(gray: Gray) -> str:
-    """Why a picture's light makes it useless, "" when it does not."""
-    saturated = float(np.mean(gray >= _SATURATED))
-    if saturated > _SATURATED_FRACTION:
-        return f"saturated: {100 * saturated:.0f} % of the picture is white; shorten the exposure"
-    level = float(np.percentile(gray, 99))
-    if level < _DARK:
-        return f"too dark: the brightest part has grey level {level:.0f}; lengthen the exposure"
-    return ""
-
-
-def edge_width_px(gray: Gray) -> float:
-    """Width of the sharpest edges: contrast over the steepest gradient, about 1.5 when in focus."""
-    soft = cv2.GaussianBlur(gray, (3, 3), 0)
-    dx = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=_SOBEL))
-    dy = np.asarray(cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=_SOBEL))
-    steepest = float(np.percentile(np.hypot(dx, dy), _STEEP_PERCENTILE))
-    contrast = float(np.percentile(soft, _BRIGHT_PERCENTILE)) - float(np.percentile(soft, _DARK_PERCENTILE))
-    return contrast / steepest if steepest > _FLAT_PICTURE else np.inf
-
-
-def other_board(gray: Gray) -> str:
-    """The size of a chessboard that is in the picture, as "7 x 5", "" when there is none."""
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-    sizes = ((c, r) for c in range(12, 2, -1) for r in range(c, 2, -1))
-    for c, r in sizes:  # the largest first: a part of a board is a board as well
-        if cv2.findChessboardCorners(gray, (c, r), flags=flags)[0]:
-            return f"{c} x {r}"
-    return ""
+    @cached_property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """Least x and y, largest x and y of all that is black."""
+        rects, discs = self.shapes
+        boxes = [(r.x, r.y, r.x + r.width, r.y + r.height) for r in rects]
+        boxes += [(d.x - d.radius, d.y - d.radius, d.x + d.radius, d.y + d.radius) for d in discs]
+        a = np.array(boxes)
+        return float(a[:, 0].min()), float(a[:, 1].min()), float(a[:, 2].max()), float(a[:, 3].max())

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.calib.targets.board import edge_width_px, light_problem
+from ceilvo.calib.targets.quality import edge_width_px, light_problem
 from ceilvo.calibration import Calibration, NoiseCurves, mount_angles, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.config import Features

@@ -19,6 +19,8 @@ Gray = NDArray[np.uint8]
 Click = Callable[[Gray, list[str]], Array]
 """A picture and the marks' names in order to (N, 2) pixels."""
 
+_TWO = 2
+"""Marks in one picture, between which there is a way."""
 _STILL_PX = 1.0
 """That a marker may move between pictures of a robot that stands."""
 
@@ -56,32 +58,66 @@ def detected(marks: Marks, pictures: Iterable[Picture], dictionary: str, least: 
     Raises:
         CalibrationError: the dictionary is not known, the camera moved, or fewer than `least` markers were seen.
     """
-    number = getattr(cv2.aruco, f"DICT_{dictionary}", None)
-    if number is None or marks.ids is None:
-        raise CalibrationError(f"--dictionary: found {dictionary!r}, expected for example 5X5_100")
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(number))
-    detector.setDetectorParameters(_fine())
-    seen: dict[int, list[Array]] = {i: [] for i in marks.ids}
+    detector = _detector(dictionary)
+    wanted = marks.ids or []
+    seen: dict[int, list[Array]] = {i: [] for i in wanted}
     count = 0
     for picture in pictures:
         count += 1
-        corners, ids, _ = detector.detectMarkers(picture.gray)
-        for quad, i in zip(corners, [] if ids is None else np.ravel(ids), strict=True):
-            if int(i) in seen:
-                seen[int(i)].append(_middle(np.asarray(quad, np.float64).reshape(4, 2)))
-    found = [k for k, i in enumerate(marks.ids) if seen[i]]
+        for i, uv in _markers(detector, picture.gray).items():
+            if i in seen:
+                seen[i].append(uv)
+    found = [k for k, i in enumerate(wanted) if seen[i]]
     if len(found) < least:
         raise CalibrationError(
-            f"marks: found {len(found)} of {len(marks.ids)} markers in {count} pictures, at least {least} needed; "
+            f"marks: found {len(found)} of {len(wanted)} markers in {count} pictures, at least {least} needed; "
             "are they flat, in focus, of the right --dictionary, with a white margin?"
         )
-    spread = max(float(np.ptp(seen[marks.ids[k]], axis=0).max()) for k in found)
+    spread = max(float(np.ptp(seen[wanted[k]], axis=0).max()) for k in found)
     if spread > _STILL_PX:
         raise CalibrationError(
             f"marks: a marker moved by {spread:.1f} px from picture to picture, {_STILL_PX:g} allowed; let it stand"
         )
-    uv = np.array([np.mean(seen[marks.ids[k]], axis=0) for k in found])
+    uv = np.array([np.mean(seen[wanted[k]], axis=0) for k in found])
     return marks.xyz_m[found], uv, count
+
+
+def together(marks: Marks, pictures: Iterable[Picture], dictionary: str) -> list[tuple[Array, Array]]:
+    """xyz_m (K, 3) and uv_px (K, 2) of each picture that shows two of the markers or more; the robot may move.
+
+    Raises:
+        CalibrationError: the dictionary is not known, or no picture shows two.
+    """
+    detector, out, most, count = _detector(dictionary), [], 0, 0
+    for picture in pictures:
+        count += 1
+        seen = _markers(detector, picture.gray)
+        rows = [k for k, i in enumerate(marks.ids or []) if i in seen]
+        most = max(most, len(rows))
+        if len(rows) >= _TWO and marks.ids is not None:
+            out.append((marks.xyz_m[rows], np.array([seen[marks.ids[k]] for k in rows])))
+    if not out:
+        raise CalibrationError(
+            f"marks: found at most {most} of the markers in one of {count} pictures, expected {_TWO}; "
+            "are they flat, in focus, of the right --dictionary, with a white margin?"
+        )
+    return out
+
+
+def _detector(dictionary: str) -> cv2.aruco.ArucoDetector:
+    number = getattr(cv2.aruco, f"DICT_{dictionary}", None)
+    if number is None:
+        raise CalibrationError(f"--dictionary: found {dictionary!r}, expected for example 5X5_100")
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(number))
+    detector.setDetectorParameters(_fine())
+    return detector
+
+
+def _markers(detector: cv2.aruco.ArucoDetector, gray: Gray) -> dict[int, Array]:
+    """Middle of each marker in a picture, raw pixels, by its id."""
+    corners, ids, _ = detector.detectMarkers(gray)
+    middles = [_middle(np.asarray(quad, np.float64).reshape(4, 2)) for quad in corners]
+    return {int(i): uv for i, uv in zip([] if ids is None else np.ravel(ids), middles, strict=True)}
 
 
 def _fine() -> cv2.aruco.DetectorParameters:

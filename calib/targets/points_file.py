@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import reprlib
 import sys
 from collections.abc import Callable
@@ -65,13 +66,20 @@ def _columns(
     names = [n.strip() for n in reader.fieldnames or ()]
     missing = [c for c in columns if c not in names]
     if missing:
+        semicolons = any(";" in n or "\t" in n for n in names)
+        hint = ", with commas between (found semicolons or tabs) and points in numbers" if semicolons else ""
         raise CalibrationError(
             f"{path}: column {missing[0]!r} is missing, found {one_line(', '.join(names)) or 'nothing'}; "
-            f"the first line must be {','.join((*columns, *optional))}"
+            f"the first line must be {','.join((*columns, *optional))}{hint}"
         )
     reader.fieldnames = names
     values: dict[str, list[float]] = {c: [] for c in (*columns, *(c for c in optional if c in names))}
     for row in reader:
+        if None in row:  # more fields than names
+            raise CalibrationError(
+                f"{path} line {reader.line_num}: found {len(names) + len(row[None])} fields, expected {len(names)}; "
+                "are there decimal commas? write 0.5, not 0,5"
+            )
         for c, column in values.items():
             column.append(_number(path, reader.line_num, c, row.get(c)))
         if len(values[columns[0]]) > _MOST_ROWS:
@@ -85,7 +93,8 @@ def _number(path: Path, line: int, column: str, text: str | None) -> float:
     except ValueError:
         value = float("nan")
     if not abs(value) <= _MOST:
-        raise CalibrationError(f"{path} line {line}: {column}: found {reprlib.repr(text)}, expected a number")
+        comma = "; write 0.5, not 0,5" if text is not None and re.fullmatch(r"\s*[-+]?\d+,\d+\s*", text) else ""
+        raise CalibrationError(f"{path} line {line}: {column}: found {reprlib.repr(text)}, expected a number{comma}")
     return value
 
 

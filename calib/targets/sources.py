@@ -50,12 +50,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """What is known about a source before its first picture is used; width and height may be 0 for a folder."""
+    """What is known about a source before its first picture is used; filmed: its pictures follow one another in time,
+    so that neighbours are alike."""
 
     name: str
     camera_id: str
     live: bool
     notes: tuple[str, ...] = field(default=())
+    filmed: bool = False
 
 
 class Source(Protocol):
@@ -97,7 +99,7 @@ class CameraSource:
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
         info = camera.open()
-        self.info = SourceInfo(info.name, info.camera_id, info.live, info.notes)
+        self.info = SourceInfo(info.name, info.camera_id, info.live, info.notes, filmed=True)
 
     def __iter__(self) -> Iterator[Picture]:
         while (frame := self._read()) is not None:

@@ -28,10 +28,12 @@ PLAIN_PERIOD_S = 5.0
 """Between lines where there is no terminal; chosen: for logs."""
 WIDTH, HEIGHT = 80, 23
 """Characters: the smallest usual terminal, 80x24, without its last line."""
-_LEFT, _LABEL, _RIGHT = 44, 11, 34
-"""Characters of the figures, of their labels, and of the plot: WIDTH - 1 with a space between."""
-_PLOT_ROWS = 17
-"""Lines of the plot: HEIGHT without headline, rule, events and the last line."""
+_LEFT, _LABEL = 44, 11
+"""Characters of the figures and of their labels; a space, and the map has the rest of the line."""
+_LEAST_MAP, _LEAST_ROWS = 12, 6
+"""Characters of a map across that still shows where the robot is, and lines beside it; chosen."""
+_AROUND_PLOT = 6
+"""Lines of headline, rule, events and the last line."""
 _EVENTS = 3
 """Latest events shown."""
 _CELL_ASPECT = 2.0
@@ -94,7 +96,8 @@ class Screen:
             line = status_line(shown)
             self._console.print(Text(line if _is_utf8(self._console) else _ascii(line)), soft_wrap=True)
         else:
-            self._live.update(render(shown, _is_utf8(self._console)), refresh=True)
+            width, height = self._console.size
+            self._live.update(render(shown, _is_utf8(self._console), width, height - 1), refresh=True)
         return True
 
 
@@ -116,22 +119,30 @@ def status_line(s: Snapshot) -> str:
     return ", ".join(parts)
 
 
-def render(s: Snapshot, unicode: bool = True) -> Text:
-    """The whole screen, HEIGHT lines of at most WIDTH - 1 characters."""
+def render(s: Snapshot, unicode: bool = True, width: int = WIDTH, height: int = HEIGHT) -> Text:
+    """The whole screen, `height` lines of at most `width` - 1 characters, or as many as the figures need.
+
+    The map takes all the room that there is beside the figures; where that is too little for one it is left out.
+    """
+    line, rows = max(width - 1, _LEFT), max(height - _AROUND_PLOT, _LEAST_ROWS)
+    map_width = line - _LEFT - 1
     signs, arrows = (_UNICODE, _ARROWS) if unicode else (_ASCII, _ASCII_ARROWS)
-    left = _figures(s, unicode)
-    right = [Text(line, style="dim") for line in plot(s, _RIGHT, _PLOT_ROWS, signs, arrows)]
-    for line in right:
-        line.highlight_regex(f"[{arrows}{signs['truth']}]", "not dim bold")
+    left = _figures(s, unicode, rows)
+    right = []
+    if map_width >= _LEAST_MAP:
+        right = [Text(row, style="dim") for row in plot(s, map_width, rows, signs, arrows)]
+    for row in right:
+        row.highlight_regex(f"[{arrows}{signs['truth']}]", "not dim bold")
     out = Text(no_wrap=True, overflow="crop", end="")
-    out.append_text(_headline(s))
-    for k in range(_PLOT_ROWS):
+    out.append_text(_headline(s, line))
+    for k in range(rows):
         out.append("\n")
         out.append_text(left[k] if k < len(left) else Text(" " * _LEFT))
-        out.append(" ")
-        out.append_text(right[k])
-    out.append("\n" + signs["box"][4] * (WIDTH - 1), style="dim")
-    events = [_clip(e, WIDTH - 1) for e in s.events[-_EVENTS:]]
+        if right:
+            out.append(" ")
+            out.append_text(right[k])
+    out.append("\n" + signs["box"][4] * line, style="dim")
+    events = [_clip(e, line) for e in s.events[-_EVENTS:]]
     for event in [*events, *[""] * (_EVENTS - len(events))]:
         out.append(f"\n{event}", style="dim")
     out.append("\n")
@@ -145,13 +156,15 @@ def _ascii(text: str) -> str:
     return text.encode("ascii", "replace").decode("ascii")
 
 
-def _headline(s: Snapshot) -> Text:
+def _headline(s: Snapshot, width: int) -> Text:
     minutes, seconds = divmod(int(s.uptime_s), 60)
     clock = f"{minutes // 60:d}:{minutes % 60:02d}:{seconds:02d}"
     line = Text(f"{_clip(s.title, _TITLE)}  ")
     line.append(f"{s.state.name:<14}", style=_STYLE[s.state])
-    room = WIDTH - 1 - line.cell_len - len(clock) - 1
-    return line.append(f"{_clip(s.reason, room):<{room}} {clock}")
+    room = max(width - line.cell_len - len(clock) - 1, 0)
+    line.append(f"{_clip(s.reason, room):<{room}} {clock}")
+    line.truncate(width)
+    return line
 
 
 def _belief(s: Snapshot) -> str:
@@ -161,7 +174,7 @@ def _belief(s: Snapshot) -> str:
     return f"{100 * s.mode_weight:.0f} % in one place"
 
 
-def _figures(s: Snapshot, unicode: bool) -> list[Text]:
+def _figures(s: Snapshot, unicode: bool, lines: int) -> list[Text]:
     (x, y, theta), (sx, sy, st) = _pose(s.pose), _pose(s.sigma)
     plus_minus = "±" if unicode else "+-"
     rows = [
@@ -179,7 +192,9 @@ def _figures(s: Snapshot, unicode: bool) -> list[Text]:
         _row("latency", "median and p99, ms"),
     ]
     cells = [f"{_clip(name, 10):<10}{_ms(median)}{_ms(p99)}" for name, (median, p99) in s.latency_ms.items()]
-    room = 2 * (_PLOT_ROWS - len(rows))
+    room = 2 * max(lines - len(rows), 0)
+    if not room:
+        return rows[:lines]
     cells = cells if len(cells) <= room else [*cells[: room - 1], cells[-1]]
     for k in range(0, len(cells), 2):
         rows.append(Text(f"{'  '.join(cells[k : k + 2]):<{_LEFT}}"))
@@ -192,7 +207,10 @@ def _row(name: str, value: str) -> Text:
 
 
 def _ms(value: float) -> str:
-    return f"{value:5.1f}" if value < 1000 else "  >1s"
+    """Five characters of which the first is a blank: the figure before it ends where this begins."""
+    if value < 99.95:
+        return f"{value:5.1f}"
+    return f"{value:5.0f}" if value < 999.5 else "  >1s"
 
 
 def _error(error: tuple[float, float]) -> str:

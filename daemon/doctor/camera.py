@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from ceilvo.calibration import Calibration
-from ceilvo.calibration_check import check_fits
+from ceilvo.calibration_check import check_fits, scale_of
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.config.checks import cross_check
@@ -141,6 +141,8 @@ def calibration(p: Patient) -> Iterator[Finding]:
         yield from (wrong("calibration", problem) for problem in e.problems)
         return
     yield _age(file, found)
+    state, said = scale_of(found)
+    yield {"confirmed": fine, "contradicted": wrong}.get(state, note)("scale", said)
 
 
 def _camera_id(p: Patient) -> str:

@@ -51,6 +51,23 @@ def replay_recording(
     return 0
 
 
+def check_source(source: Path) -> None:
+    """Whether there are pictures in it at all, before anybody is asked for their calibration.
+
+    Raises:
+        FileFormatError: there are none.
+    """
+    if source.is_dir() and any(source.glob("*.raw.gz")):
+        return  # their size is the calibration's to say
+    camera = source_camera(source)
+    try:
+        camera.open()
+    except FileFormatError as e:
+        raise FileFormatError(f"{e}; replay takes an MCAP file, a folder of pictures or a video") from None
+    finally:
+        camera.close()
+
+
 def report(estimates: list[Estimate], seed: int, source: Path, reference: Path | None, align: Alignment) -> str:
     """Lines about what came out, and its distance from a reference if there is one."""
     statistics = RunStatistics(seed)

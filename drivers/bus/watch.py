@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import queue
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -28,6 +29,10 @@ _POLL_S = 0.1
 """How soon Ctrl-C is noticed."""
 _HEALTH_PERIOD_S = 10.0
 """Between two lines of a robot's health: it is long and changes slowly."""
+_LINE = 120
+"""Characters of a line for people; a longer one goes on, indented, on the next. JSON stays one line."""
+_SILENCE_S = 3.0
+"""Without any message after which it is said that nobody is there; chosen: poses come many times a second."""
 _BACKLOG = 10_000
 """Messages kept for a slow terminal; more are dropped."""
 
@@ -83,12 +88,19 @@ def watch(
         with contextlib.suppress(queue.Full):
             inbox.put_nowait((f"{sample.key_expr}/{word}", None))
 
+    others: set[str] = set()
+
+    def other(sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).rpartition("/")[2]
+        (others.add if sample.kind == zenoh.SampleKind.PUT else others.discard)(name)
+
     held: list[object] = []
 
     def declare(session: zenoh.Session) -> None:
         for topic in (Topic.POSE, Topic.HEALTH, Topic.EVENT):
             held.append(session.declare_subscriber(f"{stem}/{topic.value}", receive))
         held.append(session.liveliness().declare_subscriber(stem, alive, history=True))
+        held.append(session.liveliness().declare_subscriber(f"{config.prefix}/*", other, history=True))
         if on_ready is not None:
             on_ready()
 
@@ -96,7 +108,7 @@ def watch(
     connection = Connection(watcher_config(config), key, declare)
     try:
         connection.open()
-        _print_all(inbox, printer, stop)
+        _print_all(inbox, printer, stop, lambda: _nobody(config, robot, others))
     except BrokenPipeError:
         log.debug("the reader has gone")
     finally:
@@ -104,12 +116,31 @@ def watch(
     return printer.poses
 
 
-def _print_all(inbox: queue.Queue[tuple[str, bytes | None]], printer: _Printer, stop: threading.Event) -> None:
+def _nobody(config: Zenoh, robot: str, others: set[str]) -> str:
+    """Why nothing is printed, as far as can be told."""
+    who = f"no robot under {config.prefix}/" if robot == "*" else f"robot {robot!r}"
+    there = ", ".join(sorted(others))
+    hint = f"there are {there}" if there else "does ceilvod run, on this computer or reached by --config's zenoh keys?"
+    return f"nothing heard from {who} for {_SILENCE_S:g} s; {hint}; waiting"
+
+
+def _print_all(
+    inbox: queue.Queue[tuple[str, bytes | None]],
+    printer: _Printer,
+    stop: threading.Event,
+    nobody: Callable[[], str],
+) -> None:
+    silent = 0
     while not stop.is_set() and not printer.done:
         try:
             key, payload = inbox.get(timeout=_POLL_S)
         except queue.Empty:
+            silent += silent >= 0
+            if silent * _POLL_S >= _SILENCE_S:
+                log.warning("%s", nobody())
+                silent = -1  # once
             continue
+        silent = -1
         printer.message(key, payload)
 
 
@@ -137,7 +168,10 @@ class _Printer:
         except BusError as e:
             line, is_pose = f"{robot} {e}", False
         if line is not None:
-            self._out.write(printable(line) + "\n")
+            text = printable(line)
+            if not self._options.raw and len(text) > _LINE:
+                text = textwrap.fill(text, _LINE, subsequent_indent="    ", drop_whitespace=True)
+            self._out.write(text + "\n")
             self._out.flush()
             self.poses += is_pose
 
@@ -185,8 +219,8 @@ def pose_line(p: messages.Pose) -> str:
     sigma_mm = 1e3 * math.sqrt(max(p.cov[0] + p.cov[4], 0.0)) if math.isfinite(p.cov[0] + p.cov[4]) else math.nan
     sigma_deg = math.degrees(math.sqrt(max(p.cov[8], 0.0))) if math.isfinite(p.cov[8]) else math.nan
     text = (
-        f"{p.robot} {p.seq:7d} {p.state.name:<14} x {p.x_m:+8.3f} m  y {p.y_m:+8.3f} m  "
-        f"theta {math.degrees(p.theta_rad):+7.2f} deg  sigma {sigma_mm:6.1f} mm {sigma_deg:5.2f} deg  "
-        f"quality {p.quality:.2f}  age {p.age_ms:5.1f} ms"
+        f"{p.robot} {p.seq:7d} {p.state.name:<14} x {p.x_m:+8.3f} y {p.y_m:+8.3f} m  "
+        f"{math.degrees(p.theta_rad):+7.2f} deg  sigma {sigma_mm:6.1f} mm {sigma_deg:5.2f} deg  "
+        f"q {p.quality:.2f}  {p.age_ms:5.1f} ms"
     )
     return f"{text}  {p.reason}" if p.reason else text

@@ -146,3 +146,38 @@ def test_a_number_that_cannot_be_is_wrong_use(option: tuple[str, str], capsys: C
         main(["run", "--simulate", *option])
     assert end.value.code == 2
     assert f"argument {option[0]}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("rnu", "no command 'rnu'; did you mean 'run'?"),
+        ("docter", "no command 'docter'; did you mean 'doctor'?"),
+        ("wathc", "no command 'wathc'; did you mean 'watch'?"),
+        ("xyzzy", "no command 'xyzzy'; expected run, record, replay"),
+    ],
+)
+def test_a_mistyped_command_is_answered_with_the_right_one(word: str, said: str, capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([word, "--config", "x"])
+    assert end.value.code == 2 and said in capsys.readouterr().err
+
+
+def test_run_without_a_configuration_suggests_the_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("ceilvo.daemon.cli.DEFAULT_CONFIG", tmp_path / "config.yaml")
+    assert main(["run"]) == 78
+    said = capsys.readouterr().err
+    assert "config.yaml: no such file" in said and "ceilvod run --simulate" in said
+    assert main(["run", "--config", str(tmp_path / "mine.yaml")]) == 78
+    assert "--simulate" not in capsys.readouterr().err
+
+
+def test_replay_of_what_is_no_recording_does_not_ask_for_a_calibration(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "README.md").write_text("# ceilvo\n")
+    (tmp_path / "empty").mkdir()
+    for name in ("README.md", "empty"):
+        assert main(["replay", str(tmp_path / name)]) != 0
+        said = capsys.readouterr().err
+        assert name in said and "an MCAP file, a folder of pictures or a video" in said and "calibration" not in said

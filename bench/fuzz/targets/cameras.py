@@ -15,8 +15,9 @@ import numpy as np
 
 from ceilvo.bench.fuzz.engine.mutations import mutated
 from ceilvo.bench.fuzz.engine.target import HEIGHT_PX, WIDTH_PX, Target, file, folder, frame
-from ceilvo.calib.targets.board import Board, BoardFinder
+from ceilvo.calib.targets.board import Board
 from ceilvo.calib.targets.ceiling_view import CeilingReader
+from ceilvo.calib.targets.finder import BoardFinder
 from ceilvo.calib.targets.sources import FolderSource
 from ceilvo.config import Camera as CameraConfig
 from ceilvo.drivers.camera import v4l2_query

@@ -17,7 +17,8 @@ from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.practice.virtual_board import BoardRenderer, board_poses
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.intrinsics import Shot, calibrate
-from ceilvo.calib.targets.board import Board, BoardFinder
+from ceilvo.calib.targets.board import Board
+from ceilvo.calib.targets.finder import BoardFinder
 from ceilvo.calibration_file import read_calibration
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError

@@ -52,6 +52,32 @@ def test_the_model_is_chosen_by_what_it_predicts() -> None:
     assert chosen == "fisheye" and scores["fisheye"] < 0.1 < scores["pinhole"]
 
 
+@pytest.mark.parametrize("count", [6, 7])
+def test_few_pictures_of_a_pinhole_are_a_pinhole(count: int) -> None:
+    chosen = [choose_model(shots(simulated_camera(), seed, count), SIZE)[0] for seed in (1, 2, 3)]
+    assert chosen == ["pinhole"] * 3
+
+
+def test_a_fisheye_is_no_pinhole_of_eight_coefficients() -> None:
+    """Eight follow it as well to within three percent."""
+    assert [choose_model(shots(LAMPS, seed, 14), SIZE)[0] for seed in (1, 2)] == ["fisheye"] * 2
+
+
+def test_sigma_counts_pictures_whose_corners_err_together() -> None:
+    """A board that bends: each picture's corners are off by a smooth field of its own, 0.2 px."""
+    camera, z = simulated_camera(), []
+    for seed in range(8):
+        rng = np.random.default_rng([seed, 9])
+        bent = []
+        for s in shots(camera, seed, 16, 0.03):
+            x, y = s.xyz_m[:, :2].T / 0.2
+            waves = np.column_stack([x * y, x * x, y * y, x, y]) @ rng.normal(0, 0.4, (5, 2))
+            bent.append(Shot(s.name, s.xyz_m, s.uv_px + 0.2 * (waves - waves.mean(axis=0))))
+        fit = calibrate(bent, SIZE, "pinhole", keep_all=True)
+        z.append((parameters_of(fit.camera) - parameters_of(camera))[:4] / fit.sigma[:4])
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6, z
+
+
 def test_sigma_is_the_scatter_of_repetitions() -> None:
     camera = simulated_camera()
     z = []

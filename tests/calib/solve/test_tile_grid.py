@@ -96,8 +96,11 @@ def test_no_grid_is_refused() -> None:
 
 
 def test_a_height_that_no_grid_has_is_refused() -> None:
-    with pytest.raises(CalibrationError, match=r"for a ceiling 3\.1 m above the camera, give or take a tenth"):
+    with pytest.raises(CalibrationError, match=r"put the ceiling at 2\.20 m .* the tape says 3\.10 m, .* 0\.845 m"):
         found_height(views(grid()), 3.1)
+    loose = views(np.random.default_rng(4).uniform(-3, 3, (300, 2)))
+    with pytest.raises(CalibrationError, match=r"for a ceiling 3\.1 m above the camera, give or take a tenth"):
+        found_height(loose, 3.1)
 
 
 @pytest.mark.parametrize("seed", [16, 77])

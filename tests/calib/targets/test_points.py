@@ -172,6 +172,9 @@ def test_metres_that_were_said_are_believed(tmp_path: Path) -> None:
         ("\x1b[2J,y_m\n1,2\n", r"column 'x_m' is missing, found \?\[2J, y_m"),
         ("x_m,y_m,z_m,u_px,v_px\n", "no row under the header"),
         ("", "column 'x_m' is missing, found nothing"),
+        ("x_m;y_m;z_m;u_px;v_px\n1;2;0;3;4\n", "with commas between .found semicolons or tabs. and points in numbers"),
+        ("x_m,y_m,z_m,u_px,v_px\n0,5,0,4,0,3,4\n", "line 2: found 7 fields, expected 5; are there decimal commas"),
+        ('x_m,y_m,z_m,u_px,v_px\n"0,5",2,0,3,4\n', "x_m: found '0,5', expected a number; write 0.5, not 0,5"),
     ],
     ids=[
         "columns swapped",
@@ -187,6 +190,9 @@ def test_metres_that_were_said_are_believed(tmp_path: Path) -> None:
         "escape",
         "bare",
         "nothing",
+        "semicolons",
+        "decimal commas",
+        "quoted decimal commas",
     ],
 )
 def test_a_bad_list_is_refused_with_its_reason(tmp_path: Path, text: str, reason: str) -> None:

@@ -245,3 +245,31 @@ def test_status_line() -> None:
         "base 813 sent, 4 failed"
     )
     assert status_line(Snapshot(state=State.LOST, reason="position sigma 0.8 m")).endswith("position sigma 0.8 m")
+
+
+@pytest.mark.parametrize(
+    ("ms", "text"), [(9.94, "  9.9"), (99.9, " 99.9"), (100.0, "  100"), (999.4, "  999"), (999.6, "  >1s")]
+)
+def test_figures_of_three_digits_do_not_merge(ms: float, text: str) -> None:
+    s = replace(RUNNING, latency_ms={"photon_to_published": (ms, ms), "step": (ms, ms)})
+    assert f"photon_...{text}{text}  step      {text}{text}" in render(s).plain
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 23), (70, 23), (60, 15), (50, 23), (46, 12), (132, 42), (200, 59)])
+def test_the_map_is_whole_in_every_terminal_and_grows_with_it(width: int, height: int) -> None:
+    lines = render(RUNNING, True, width, height).plain.split("\n")
+    assert len(lines) == height and all(len(line) <= max(width - 1, 44) for line in lines)
+    frames = [line for line in lines if "┌" in line or "└" in line]
+    if width - 1 - 45 < 12:
+        assert not frames
+        return
+    assert len(frames) == 2 and all(line.rstrip()[-1] in "┐┘" and len(line.rstrip()) == width - 1 for line in frames)
+    assert sum("│" in line for line in lines) == height - 8
+
+
+def test_the_screen_asks_the_terminal_for_its_size() -> None:
+    console = Console(file=io.StringIO(), width=132, height=40, force_terminal=True)
+    with Screen(console, Clock()) as screen:
+        screen.update(RUNNING)
+    written = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "─" * 131 in written and written.count("│") == 2 * (39 - 8)

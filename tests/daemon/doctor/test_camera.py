@@ -110,6 +110,25 @@ def test_a_calibration_that_is_absent_damaged_or_old(tmp_path: Path, node: str) 
     file = p.config_path.parent / "calibration.yaml"
     file.write_text(file.read_text().replace("2100-11-01", "2100-11-02"))
     assert "checksum" in wrongs(calibration(p))[0]
-    (old,) = calibration(calibrated(p, created="2001-01-01"))
+    old, _ = calibration(calibrated(p, created="2001-01-01"))
     assert old.level == "note" and "days old; 'calib check'" in old.text
-    assert levels(calibration(calibrated(p, created=""))) == ["fine"]
+    assert levels(calibration(calibrated(p, created=""))) == ["fine", "note"]
+
+
+@pytest.mark.parametrize(
+    ("scale", "level", "text"),
+    [
+        ({}, "note", "scale unconfirmed: nothing but its tile of 0.6 m"),
+        ({"state": "unconfirmed", "sources": []}, "note", "scale unconfirmed"),
+        ({"state": "confirmed", "sources": ["wheels: +0.1 %"]}, "fine", "scale confirmed: wheels: +0.1 %"),
+        ({"state": "contradicted", "sources": ["wheels: +4 %"]}, "wrong", "scale contradicted: wheels: +4 %"),
+    ],
+)
+def test_whether_a_second_source_confirmed_the_scale(
+    tmp_path: Path, node: str, scale: dict[str, object], level: str, text: str
+) -> None:
+    p = patient(tmp_path, node)
+    found = replace(simulated_calibration(), camera_id="", meta={"scale": scale} if scale else {})
+    write_calibration(p.config_path.parent / "calibration.yaml", found)
+    _, finding = calibration(p)
+    assert (finding.check, finding.level) == ("scale", level) and text in finding.text

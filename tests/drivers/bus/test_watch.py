@@ -19,6 +19,7 @@ from patience import PATIENCE_S, until
 from ceilvo import config
 from ceilvo.calibration import Calibration
 from ceilvo.drivers.bus import messages
+from ceilvo.drivers.bus import watch as watch_module
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.drivers.bus.watch import WatchOptions, pose_line, watch
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
@@ -120,8 +121,8 @@ def scene() -> Iterator[Scene]:
 def test_a_pose_line_by_hand() -> None:
     line = pose_line(messages.decode_pose(pose(7, reason="few lamps")))
     assert line == (
-        "robot1       7 TRACKING       x   +1.250 m  y   -0.500 m  theta  +90.00 deg  "
-        "sigma   50.0 mm  0.50 deg  quality 0.90  age  12.5 ms  few lamps"
+        "robot1       7 TRACKING       x   +1.250 y   -0.500 m   +90.00 deg  "
+        "sigma   50.0 mm  0.50 deg  q 0.90   12.5 ms  few lamps"
     )
 
 
@@ -225,3 +226,44 @@ def test_a_watcher_may_come_before_the_robot() -> None:
 def test_a_robot_that_cannot_be() -> None:
     with pytest.raises(BusError, match=r"robot\.name: found 'a/b'"):
         watch(config.Zenoh(), "a/b", io.StringIO(), threading.Event())
+
+
+def test_lines_for_people_have_120_characters_at_most(scene: Scene) -> None:
+    join = scene.start("robot1", WatchOptions(count=1), clock=iter(np.arange(1e3)).__next__)
+    assert scene.out.next() == "robot1 appeared"
+    scene.bus.put(Topic.POSE, pose(7, reason="a reason that goes on " * 12))
+    assert join() == 1
+    lines = scene.out.next().split("\n")
+    assert len(lines) >= 3 and all(len(line) <= 120 for line in lines)
+    assert all(line.startswith("    ") for line in lines[1:]) and " ".join(lines).count("goes on") == 12
+
+
+def test_a_robot_that_is_not_there_is_said_so_once(
+    scene: Scene, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch_module, "_SILENCE_S", 0.4)
+
+    def said() -> list[str]:
+        return [r.getMessage() for r in caplog.records if "nothing heard" in r.getMessage()]
+
+    thread = threading.Thread(target=watch, args=(scene.config, "robot9", scene.out, scene.stop, WatchOptions()))
+    thread.start()
+    until(lambda: bool(said()), "it is said")
+    scene.stop.set()
+    thread.join(PATIENCE_S)
+    assert said() == ["nothing heard from robot 'robot9' for 0.4 s; there are robot1; waiting"]
+
+
+def test_a_robot_that_is_there_is_not_called_silent(
+    scene: Scene, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says nothing but that it is there, for many times as long."""
+    monkeypatch.setattr(watch_module, "_SILENCE_S", 0.1)
+    monkeypatch.setattr(watch_module, "_POLL_S", 0.1)
+    join = scene.start("robot1", WatchOptions(count=1), clock=iter(np.arange(1e3)).__next__)
+    assert scene.out.next() == "robot1 appeared"
+    caplog.clear()
+    threading.Event().wait(0.5)
+    scene.bus.put(Topic.POSE, pose(1))
+    assert join() == 1
+    assert not [r for r in caplog.records if "nothing heard" in r.getMessage()]
