@@ -243,6 +243,7 @@ def _vda5050(config: Config) -> Iterator[Conflict]:
 def _web(web: Web) -> Iterator[Conflict]:
     if not web.host.strip():
         yield Conflict(("web.host",), "found nothing, expected an address, such as 127.0.0.1")
+        return
     for name, other in (("certificate_file", "key_file"), ("key_file", "certificate_file")):
         if getattr(web, other) and not getattr(web, name):
             keys = (f"web.{name}", f"web.{other}")
