@@ -10,8 +10,10 @@ import threading
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from aiohttp import WSMsgType, web
+from aiohttp import ClientConnectionResetError, WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from ceilvo.config import Config
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES, parse_command
@@ -50,7 +52,23 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
+_OF_THE_CLIENT = (HttpProcessingError, ClientConnectionResetError, web.RequestPayloadError)
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class BadRequests(logging.Filter):
+    """aiohttp shows a traceback for what is no HTTP and for who left early: a line is enough, and few of them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._quiet = QuietLog(log, 0.2, 10)
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        if not isinstance(error, _OF_THE_CLIENT):
+            return True
+        self._quiet.info(f"{record.getMessage()}: {one_line(error)}")
+        return False
 
 
 class Server:
@@ -265,7 +283,11 @@ async def _serve(
     server: Server, config: Config, stop: threading.Event, on_ready: Callable[[str], None], alive: Callable[[], None]
 ) -> None:
     host, port = config.web.host, config.web.port
-    runner = web.AppRunner(server.app(), access_log=None, handle_signals=False, shutdown_timeout=_END_S)
+    said = logging.Logger(f"{__name__}.http")
+    said.parent = log
+    said.addFilter(BadRequests())
+    options: dict[str, Any] = {"access_log": None, "logger": said}
+    runner = web.AppRunner(server.app(), handle_signals=False, shutdown_timeout=_END_S, **options)
     await runner.setup()
     try:
         site = web.TCPSite(runner, host, port, ssl_context=server.guard.tls)

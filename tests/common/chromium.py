@@ -9,6 +9,7 @@ import subprocess
 import threading
 import urllib.request
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,8 @@ class Page:
     """One tab. What it asked the network for and what it complained of is kept."""
 
     def __init__(self, address: str) -> None:
-        self._ws = connect(address, max_size=_MOST_BYTES, compression=None)
+        self._held = ExitStack()
+        self._ws = self._held.enter_context(connect(address, max_size=_MOST_BYTES, compression=None))
         self._answers: dict[int, Mapping[str, Any]] = {}
         self._number = 0
         self.asked: list[str] = []
@@ -112,7 +114,7 @@ class Page:
         file.write_bytes(base64.b64decode(shot["data"]))
 
     def close(self) -> None:
-        self._ws.close()
+        self._held.close()
         self._reader.join(PATIENCE_S)
 
 

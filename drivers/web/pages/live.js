@@ -10,6 +10,7 @@ const TURN_RAD = Math.PI / 180;
 
 const map = new MapView(byId("map"), showNewPose);
 const nis = new NisChart(byId("nis"));
+window.ceilvo = { map }; // for whoever looks at it from the browser's console
 let pose = null;
 let socket = null;
 let waitMs = 500;
