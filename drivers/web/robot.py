@@ -29,8 +29,10 @@ _SILENT_S = 2.0
 _PATH_POINTS, _PATH_STEP_M = 1000, 0.05
 _STATES, _EVENTS = 50, 50
 """Latest ones that a page gets."""
-_LANDMARKS_S, _LARGE_LANDMARKS_S, _LARGE = 5.0, 60.0, 20_000
-"""Between two looks at the map, and at one of more landmarks: the daemon makes the message from all of them."""
+_LANDMARKS_S = {500: 1.0, 20_000: 5.0}
+"""Between two looks at a map of fewer landmarks than that: the daemon makes the message from all of them."""
+_LARGE_S = 60.0
+"""At a larger one."""
 _MOST_LANDMARKS = 20_000
 """That a page draws; of more every second, third, ..."""
 _MOST_BYTES = 1 << 25
@@ -163,7 +165,7 @@ class Robot:
         rows = list(zip(f["x_m"], f["y_m"], f["kind"], strict=True))
         shown = rows[:: max(1, -(-len(rows) // _MOST_LANDMARKS))]
         drawn = [[round(float(x), 3), round(float(y), 3), int(kind)] for x, y, kind in shown]
-        self._landmarks_due_s = self._clock() + (_LARGE_LANDMARKS_S if len(rows) > _LARGE else _LANDMARKS_S)
+        self._landmarks_due_s = self._clock() + next((s for n, s in _LANDMARKS_S.items() if len(rows) < n), _LARGE_S)
         self._landmarks_asked = False
         self._tell("landmarks", _line("landmarks", {"count": len(rows), "rows": drawn}))
 

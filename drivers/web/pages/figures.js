@@ -118,8 +118,8 @@ function showBase(c) {
     ["telegrams sent", count(c.telegrams_sent)],
     ["failed", count(c.telegrams_failed)],
     ["reopened", count(c.base_reconnects)],
-    ...(c.base_error ? [["last error", String(c.base_error)]] : []),
   ]);
+  byId("base-error").textContent = c.base_error ? `last error: ${c.base_error}` : "";
 }
 
 function showLatency(stages) {

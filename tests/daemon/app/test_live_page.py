@@ -83,6 +83,7 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
             assert "state" in page.text("#state-title").lower() and "INIT -> TRACKING" in page.text("#events")
             page.value("window.scrollTo(0, 0)")
             whole(page)
+            page.until("window.ceilvo.map.landmarks.length > 5")
             page.picture(PICTURES / f"{size}-light.png")
             page.size(*SIZES[size], dark=True, touch=size == "phone")
             page.picture(PICTURES / f"{size}-dark.png")
@@ -116,13 +117,14 @@ def set_and_send(page: Page, daemon: SimulatedDaemon, state: Path, size: str) ->
     assert turned["x"] == pytest.approx(moved["x"] - 0.1, abs=0.0015)
     assert turned["theta"] < 94.0
     whole(page)
+    page.value("window.scrollTo(0, 0)")
     page.picture(PICTURES / f"{size}-set-pose.png")
     page.key("Enter")
     page.until("document.querySelector('#reply').dataset.ok === 'true'")
     log = state / "commands.jsonl"
     daemon.until(lambda: log.exists() and "initial_pose" in log.read_text(), "the command is in the daemon's log")
     told = next(e for e in map(json.loads, log.read_text().splitlines()) if e["command"] == "initial_pose")
-    sent = told["arguments"]
+    sent = json.loads(told["arguments"])
     assert sent["x_m"] == pytest.approx(turned["x"]) and sent["y_m"] == pytest.approx(turned["y"])
     assert math.degrees(sent["theta_rad"]) == pytest.approx(turned["theta"], abs=1e-6)
     until(lambda: page.value("document.querySelector('#pose-form').hidden"), "the form is closed")
