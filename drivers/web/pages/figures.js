@@ -8,7 +8,9 @@ const DASH = "–";
 
 export function number(value, digits = 2, unit = "") {
   if (typeof value !== "number" || !Number.isFinite(value)) return DASH;
-  return unit ? `${value.toFixed(digits)} ${unit}` : value.toFixed(digits);
+  const text = value.toFixed(digits);
+  const plain = Number(text) === 0 ? text.replace("-", "") : text;
+  return unit ? `${plain} ${unit}` : plain;
 }
 
 const count = (value) => (Number.isFinite(value) ? String(value) : DASH);

@@ -31,7 +31,7 @@ const handlers = {
   },
   link(d) {
     const ok = d.alive && !d.silent;
-    link(ok, ok ? "running" : d.alive ? "the daemon sends no poses" : "the daemon is not running");
+    link(ok, ok ? "running" : d.alive ? "daemon sends no poses" : "daemon not running");
     document.querySelector("main").classList.toggle("stale", !ok);
     byId("state").classList.toggle("old", !ok);
   },
@@ -84,7 +84,7 @@ function connect() {
     handlers[topic]?.(data);
   };
   socket.onclose = async () => {
-    link(false, "no connection to the pages' server");
+    link(false, "no connection");
     byId("state").classList.add("old");
     if (!opened && (await signedOut())) {
       location.replace("/login");

@@ -227,7 +227,7 @@ export class MapView {
       const [, v] = this.toScreen([0, y]);
       c.moveTo(0, v);
       c.lineTo(w, v);
-      if (v > 24 && v < h - 22) c.fillText(`${plain(y, digits)}`, 4, v - 3);
+      if (v > 34 && v < h - 22) c.fillText(`${plain(y, digits)}`, 4, v - 3);
     }
     c.stroke();
     c.fillText("y m", 4, TEXT_PX + 2);

@@ -69,7 +69,7 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
         page = browser.page()
         page.size(*SIZES[size], touch=size == "phone")
         page.go(f"{address}/")
-        page.until("document.querySelector('#link').innerText === 'the daemon is not running'")
+        page.until("document.querySelector('#link').innerText === 'daemon not running'")
         page.picture(PICTURES / f"{size}-waiting.png")
         with SimulatedDaemon(state, tmp_path, port=port) as daemon:
             daemon.until(lambda: page.value("document.querySelector('#state').dataset.state") == "TRACKING", "TRACKING")
@@ -91,7 +91,7 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
             page.click("#save-map")
             page.until("/^map saved: [0-9]+ landmarks/.test(document.querySelector('#reply').innerText)")
             assert (state / "map.db").exists()
-        page.until("document.querySelector('#link').innerText === 'the daemon is not running'")
+        page.until("document.querySelector('#link').innerText === 'daemon not running'")
         kept_to_itself(page, address)
 
 
