@@ -8,6 +8,7 @@ install.sh [options]               install or upgrade, enable the service (it is
 install.sh uninstall [options]     remove everything but configuration, calibration and state
   --purge          with uninstall: remove those too
   --fleet          also what robots of a fleet need, and the unit of its map service (neither enabled nor started)
+  --web            also the pages for a browser, with their unit (neither enabled nor started)
 
   --wheel FILE     install this wheel instead of the source tree that this script is in
   --wheels DIR     take dependencies from this folder of wheels only (no network)
@@ -28,6 +29,8 @@ SYSUSERS=/etc/sysusers.d/ceilvo.conf
 MAPD_UNIT=/etc/systemd/system/ceilvo-mapd.service
 MAPD_STATE=/var/lib/ceilvo-mapd
 MAPD_SYSUSERS=/etc/sysusers.d/ceilvo-mapd.conf
+WEB_UNIT=/etc/systemd/system/ceilvo-web.service
+WEB_SYSUSERS=/etc/sysusers.d/ceilvo-web.conf
 COMMANDS="ceilvod calib"
 
 say() { printf 'ceilvo: %s\n' "$*"; }
@@ -36,12 +39,13 @@ die() { printf 'install.sh: %s\n' "$*" >&2; exit 1; }
 value() { [ $# -ge 2 ] || die "$1: expected a value"; }
 
 parse() {
-  action=install root='' wheel='' wheels='' python=/usr/bin/python3 deps=yes purge=no fleet=no
+  action=install root='' wheel='' wheels='' python=/usr/bin/python3 deps=yes purge=no fleet=no web=no
   while [ $# -gt 0 ]; do
     case $1 in
       install | uninstall) action=$1 ;;
       --purge) purge=yes ;;
       --fleet) fleet=yes ;;
+      --web) web=yes ;;
       --no-deps) deps=no ;;
       --wheel) value "$@"; wheel=$2; shift ;;
       --wheels) value "$@"; wheels=$2; shift ;;
@@ -54,6 +58,7 @@ parse() {
   done
   if [ "$purge" = yes ] && [ "$action" = install ]; then die "--purge goes with uninstall"; fi
   if [ "$fleet" = yes ] && [ "$action" = uninstall ]; then die "--fleet goes with install"; fi
+  if [ "$web" = yes ] && [ "$action" = uninstall ]; then die "--web goes with install"; fi
   if [ -n "$root" ]; then
     [ -d "$root" ] || die "--root $root: no such directory"
     root=$(realpath "$root")
@@ -81,6 +86,7 @@ check() {
   fi
   if [ -n "$wheels" ] && [ ! -d "$wheels" ]; then die "--wheels $wheels: no such directory"; fi
   if [ -e "$root$MAPD_UNIT" ]; then fleet=yes; fi # an upgrade keeps what is there
+  if [ -e "$root$WEB_UNIT" ]; then web=yes; fi
 }
 
 pip_options() {
@@ -104,7 +110,11 @@ install_app() {
   "$python" -I -m venv "${venv_opts[@]}" "$new"
   pip_options
   say "packages from $package"
-  if [ "$fleet" = yes ]; then package="$package[fleet]"; fi
+  case $fleet$web in
+    yesyes) package="$package[fleet,web]" ;;
+    yesno) package="$package[fleet]" ;;
+    noyes) package="$package[web]" ;;
+  esac
   "$new/bin/python" -I -m pip install "${opts[@]}" "$package"
   for cmd in $COMMANDS; do
     [ -x "$new/bin/$cmd" ] || die "$package does not bring the command '$cmd'"
@@ -127,10 +137,10 @@ install_share() {
   local f
   install -d "$1"
   install -m755 "$here/install.sh" "$1/install.sh"
-  for f in ceilvod.service ceilvo-mapd.service 60-ceilvo.rules sysusers.conf sysusers-mapd.conf; do
+  for f in ceilvod.service ceilvo-mapd.service ceilvo-web.service 60-ceilvo.rules sysusers.conf sysusers-mapd.conf sysusers-web.conf; do
     install -m644 "$here/$f" "$1/$f"
   done
-  for f in "$here/service.md" "$here/../docs/service.md" "$here/fleet.md" "$here/../docs/fleet.md"; do
+  for f in "$here/service.md" "$here/../docs/service.md" "$here/fleet.md" "$here/../docs/fleet.md" "$here/web.md" "$here/../docs/web.md"; do
     if [ -f "$f" ]; then install -m644 "$f" "$1/${f##*/}"; fi
   done
   for f in "$here/constraints.txt" "$here/../constraints.txt"; do
@@ -143,6 +153,10 @@ install_user() {
   command -v systemd-sysusers >/dev/null || die "systemd-sysusers not found: systemd is too old"
   install -D -m644 "$here/sysusers.conf" "$root$SYSUSERS"
   systemd-sysusers ${root:+--root="$root"} "$root$SYSUSERS" >/dev/null
+  if [ "$web" = yes ]; then
+    install -D -m644 "$here/sysusers-web.conf" "$root$WEB_SYSUSERS"
+    systemd-sysusers ${root:+--root="$root"} "$root$WEB_SYSUSERS" >/dev/null
+  fi
   [ "$fleet" = yes ] || return 0
   install -D -m644 "$here/sysusers-mapd.conf" "$root$MAPD_SYSUSERS"
   systemd-sysusers ${root:+--root="$root"} "$root$MAPD_SYSUSERS" >/dev/null
@@ -176,6 +190,7 @@ install_service() {
   install -d "$root${WANTED%/*}"
   ln -sfn "$UNIT" "$root$WANTED"
   install -d -m750 "$root$STATE"
+  if [ "$web" = yes ]; then install -D -m644 "$here/ceilvo-web.service" "$root$WEB_UNIT"; fi
   [ "$fleet" = yes ] || return 0
   install -D -m644 "$here/ceilvo-mapd.service" "$root$MAPD_UNIT"
   install -d -m750 "$root$MAPD_STATE"
@@ -184,7 +199,7 @@ install_service() {
 # A unit speaks to this computer only, unless its configuration wants more.
 install_network() {
   local unit=$1 config=$2 drop_in=$root$1.d/10-network.conf
-  if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$config"; then
+  if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$config" "${@:3}"; then
     install -d "${drop_in%/*}"
     printf '%s\n' "# Written by install.sh: ${config##*/} needs the network." '[Service]' 'IPAddressDeny=' 'IPAddressAllow=' \
       '# Zenoh lists the network interfaces.' 'RestrictAddressFamilies=AF_NETLINK' \
@@ -213,6 +228,7 @@ do_install() {
   install_service
   install_network "$UNIT" "$CONF/config.yaml"
   if [ "$fleet" = yes ]; then install_network "$MAPD_UNIT" "$CONF/mapd.yaml"; fi
+  if [ "$web" = yes ]; then install_network "$WEB_UNIT" "$CONF/config.yaml" web; fi
   tell_system
   if [ -z "$root" ]; then
     chown ceilvo:ceilvo "$STATE"
@@ -221,6 +237,7 @@ do_install() {
       chown ceilvo-mapd:ceilvo-mapd "$MAPD_STATE"
       systemctl try-restart ceilvo-mapd.service
     fi
+    if [ "$web" = yes ]; then systemctl try-restart ceilvo-web.service; fi
     say "installed; start with: systemctl start ceilvod"
   fi
 }
@@ -230,6 +247,9 @@ do_uninstall() {
   local cmd
   if [ -z "$root" ] && [ -e "$UNIT" ]; then systemctl disable --now --quiet ceilvod.service || true; fi
   if [ -z "$root" ] && [ -e "$MAPD_UNIT" ]; then systemctl disable --now --quiet ceilvo-mapd.service || true; fi
+  if [ -z "$root" ] && [ -e "$WEB_UNIT" ]; then systemctl disable --now --quiet ceilvo-web.service || true; fi
+  rm -f "$root$WEB_UNIT" "$root$WEB_SYSUSERS"
+  rm -rf "$root$WEB_UNIT.d"
   rm -f "$root$WANTED" "$root$UNIT" "$root$RULES" "$root$SYSUSERS" "$root$MAPD_UNIT" "$root$MAPD_SYSUSERS"
   rm -rf "$root$UNIT.d" "$root$MAPD_UNIT.d"
   for cmd in $COMMANDS; do
@@ -249,6 +269,7 @@ do_uninstall() {
 # Kept state goes to root, so that the next user with this number does not own it; systemd hands it back at a start.
 remove_user() {
   local state user
+  if grep -qs "^ceilvo-web:" "$root/etc/passwd"; then userdel ${root:+--prefix "$root"} ceilvo-web; fi
   for state in "$STATE" "$MAPD_STATE"; do
     user=${state##*/}
     [ ! -d "$root$state" ] || chown -R root:root "$root$state"

@@ -1,7 +1,7 @@
 """Configuration: the schema's sections, by their names; reading and checking are in the modules beside it."""
 
 from ceilvo.config.fleet_schema import Fleet, Mapd
-from ceilvo.config.interop import Ros2, Vda5050
+from ceilvo.config.interop import Ros2, Vda5050, Web
 from ceilvo.config.schema import (
     Base,
     CalibrationFile,
@@ -33,5 +33,6 @@ __all__ = [
     "Service",
     "States",
     "Vda5050",
+    "Web",
     "Zenoh",
 ]

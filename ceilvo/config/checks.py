@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from ceilvo.calibration import Calibration
-from ceilvo.config import Base, Camera, Config, Recorder, Ros2, Zenoh
+from ceilvo.config import Base, Camera, Config, Recorder, Ros2, Web, Zenoh
 from ceilvo.config.serial_budget import wire_budget
-from ceilvo.config.zenoh_names import endpoint_problems, on_this_computer, segment_problem
+from ceilvo.config.zenoh_names import endpoint_problems, on_loopback, on_this_computer, segment_problem
 from ceilvo.errors import ConfigError
 
 _ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -57,6 +57,7 @@ def conflicts(config: Config, calibration: Calibration | None = None) -> list[Co
         *_zenoh(config.zenoh),
         *_ros2(config.ros2),
         *_vda5050(config),
+        *_web(config.web),
         *_recorder(config.recorder),
     ]
 
@@ -89,7 +90,7 @@ def notes(config: Config) -> tuple[str, ...]:
             "peer to peer, and zenoh.listen is on loopback; zenoh.mode: client lets the router carry it"
         )
     vda = config.vda5050
-    if vda.user and not vda.ca_file and not on_this_computer(f"tcp/{vda.host}:"):
+    if vda.user and not vda.ca_file and not on_loopback(vda.host):
         out.append(
             f"vda5050.ca_file: nothing, so the password goes unencrypted to {vda.host}; name the broker's certificates"
         )
@@ -237,6 +238,28 @@ def _vda5050(config: Config) -> Iterator[Conflict]:
     for source in c.map_sources:
         if problem := _source_problem(source):
             yield Conflict(("vda5050.map_sources",), f"found {source!r}, expected {problem}")
+
+
+def _web(web: Web) -> Iterator[Conflict]:
+    if not web.host.strip():
+        yield Conflict(("web.host",), "found nothing, expected an address, such as 127.0.0.1")
+        return
+    for name, other in (("certificate_file", "key_file"), ("key_file", "certificate_file")):
+        if getattr(web, other) and not getattr(web, name):
+            keys = (f"web.{name}", f"web.{other}")
+            yield Conflict(keys, f"found nothing, expected a file, which web.{other} {getattr(web, other)} goes with")
+    beyond = f"web.host {web.host}" if not on_loopback(web.host) else "web.behind_proxy"
+    if (not on_loopback(web.host) or web.behind_proxy) and not web.token_file:
+        yield Conflict(
+            ("web.token_file", "web.host", "web.behind_proxy"),
+            f"found nothing, expected a file with a token, for {beyond} lets other computers in; name it",
+        )
+    if not (on_loopback(web.host) or web.certificate_file or web.behind_proxy):
+        yield Conflict(
+            ("web.certificate_file", "web.host", "web.behind_proxy"),
+            f"found nothing, expected a certificate, for {beyond} sends the token over the network; name it and its "
+            "web.key_file, or set web.behind_proxy: true where a proxy brings TLS",
+        )
 
 
 def _source_problem(source: str) -> str:

@@ -1,4 +1,4 @@
-"""Keys of config.yaml for other people's systems: ROS 2, VDA 5050."""
+"""Keys of config.yaml for other people's systems: ROS 2, VDA 5050, browsers."""
 
 from __future__ import annotations
 
@@ -54,3 +54,17 @@ class Vda5050:
     )
     state_period_s: float = key(1.0, "period of the state, which is also sent when it changes", low=0.1, high=30.0)
     visualization_period_s: float = key(0.2, "shortest period of the position alone", low=0.05, high=30.0)
+
+
+@dataclass(frozen=True)
+class Web:
+    host: str = key(
+        "127.0.0.1", "address to listen on; beyond loopback only with a token, and with TLS or behind a proxy"
+    )
+    port: int = key(8480, "its port; 0 = a free one", low=0, high=65535)
+    token_file: str = key("", "a file with the token that every reader and every command must bring; empty for none")
+    certificate_file: str = key("", "TLS: the certificate, with those between it and the authority (PEM)")
+    key_file: str = key("", "TLS: its private key (PEM)")
+    behind_proxy: bool = key(False, "a proxy in front brings TLS and leaves the Host header as it was")
+    read_only: bool = key(False, "pages may look and command nothing")
+    rate_hz: float = key(10.0, "poses a second that a page gets", low=1.0, high=30.0)

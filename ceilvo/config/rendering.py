@@ -39,6 +39,7 @@ _ABOUT = {
     "zenoh": "the bus",
     "ros2": "ROS 2 without ROS, docs/ros2.md; on by zenoh.wire, or by dds or fleet_tf here",
     "vda5050": "what `ceilvod vda5050` tells a fleet manager, docs/fleets.md",
+    "web": "pages for a browser: `ceilvod web`, docs/web.md",
     "service": "the process",
     "recorder": "what is kept to find out later what happened",
     "fleet": "Maps that robots of a building share (docs/fleet.md)",

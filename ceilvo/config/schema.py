@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 from ceilvo.config.fleet_schema import Fleet, Mapd
-from ceilvo.config.interop import Ros2, Vda5050
+from ceilvo.config.interop import Ros2, Vda5050, Web
 from ceilvo.config.keys import key
 
 
@@ -326,6 +326,7 @@ class Config:
     zenoh: Zenoh = field(default_factory=Zenoh)
     ros2: Ros2 = field(default_factory=Ros2)
     vda5050: Vda5050 = field(default_factory=Vda5050)
+    web: Web = field(default_factory=Web)
     service: Service = field(default_factory=Service)
     recorder: Recorder = field(default_factory=Recorder)
     fleet: Fleet = field(default_factory=Fleet)

@@ -76,3 +76,8 @@ def needs_network(config: Zenoh) -> bool:
 def on_this_computer(end: str) -> bool:
     """Whether an endpoint cannot be reached from the network."""
     return bool(_LOOPBACK.match(end)) or end.partition("/")[0] in _LOCAL_PROTOCOLS
+
+
+def on_loopback(host: str) -> bool:
+    """Whether a host's address is this computer's own."""
+    return on_this_computer(f"tcp/[{host}]:" if ":" in host else f"tcp/{host}:")

@@ -38,7 +38,7 @@ class CommandGuard:
             ConfigError: the token's file cannot be used.
         """
         if config.command_token_file:
-            return CommandGuard(_read(Path(config.command_token_file)))
+            return CommandGuard(read_token(Path(config.command_token_file), "zenoh.command_token_file"))
         if config.config_file:
             return CommandGuard(others="who zenoh.config_file lets in")
         if needs_network(config):
@@ -64,8 +64,12 @@ class CommandGuard:
         return "owner, by token"
 
 
-def _read(path: Path) -> bytes:
-    key = "zenoh.command_token_file"
+def read_token(path: Path, key: str) -> bytes:
+    """What the file holds that `key` of the configuration names.
+
+    Raises:
+        ConfigError: it cannot be used.
+    """
 
     def check(token: bytes) -> None:
         if not FEWEST_CHARS <= len(token) <= MOST_BYTES:

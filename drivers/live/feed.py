@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from typing import Any
 
 import zenoh
 
@@ -25,7 +26,7 @@ _ASK_S = 5.0
 
 
 class Feed:
-    """Use as a context manager; take() and ask() are for one thread."""
+    """Use as a context manager; each() and want() are for one thread, ask() for any."""
 
     def __init__(self, config: Zenoh, robot: str, topics: Sequence[Topic]) -> None:
         """
@@ -35,6 +36,7 @@ class Feed:
         self._stem, self._topics = robot_key(config.prefix, robot), tuple(topics)
         self._inbox: queue.Queue[tuple[str, bytes]] = queue.Queue(_BACKLOG)
         self._held: list[object] = []
+        self._wanted: dict[Topic, zenoh.Subscriber[Any]] = {}
         key = "zenoh.config_file" if config.config_file else "zenoh.listen"
         self._connection = Connection(watcher_config(config), key, self._declare)
 
@@ -51,6 +53,16 @@ class Feed:
             with contextlib.suppress(queue.Empty):
                 take(*self._inbox.get(timeout=_POLL_S))
             idle()
+
+    def want(self, topics: Collection[Topic]) -> None:
+        """Besides those of the beginning these and no others: what the daemon makes on demand costs it work."""
+        session = self._connection.session
+        if session is None:
+            return
+        for topic in [t for t in self._wanted if t not in topics]:
+            self._wanted.pop(topic).undeclare()  # type: ignore[no-untyped-call]
+        for topic in [t for t in topics if t not in self._wanted]:
+            self._wanted[topic] = session.declare_subscriber(f"{self._stem}/{topic.value}", self._put_in(topic.value))
 
     def ask(self, name: str, payload: bytes = b"", token: bytes = b"") -> tuple[bool, bytes] | None:
         """The reply to a query or command ("calibration", "cmd/initial_pose") and whether it is good; None for none."""

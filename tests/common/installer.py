@@ -14,6 +14,7 @@ REPO = Path(__file__).resolve().parents[2]
 Done = subprocess.CompletedProcess[str]
 UNIT = REPO / "systemd" / "ceilvod.service"
 MAPD_UNIT = UNIT.with_name("ceilvo-mapd.service")
+WEB_UNIT = UNIT.with_name("ceilvo-web.service")
 INSTALL = REPO / "systemd" / "install.sh"
 
 as_root = pytest.mark.skipif(

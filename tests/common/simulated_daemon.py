@@ -27,9 +27,10 @@ class SimulatedDaemon:
         *settings: str,
         environment: Mapping[str, str] | None = None,
         enter: Sequence[str] = (),
+        port: int | None = None,
     ) -> None:
-        """enter: what to put before the command; the process that it starts must become the daemon."""
-        port = free_port()
+        """enter: what to put before the command; the process that it starts must become the daemon. port: of Zenoh."""
+        port = port or free_port()
         self.log = folder / "ceilvod.log"
         words = ["run", "--simulate", "--summary", str(folder / "summary.json")]
         for setting in (

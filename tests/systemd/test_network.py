@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from installer import MAPD_UNIT, as_root, run_installer, unit_settings
+from installer import MAPD_UNIT, WEB_UNIT, as_root, run_installer, unit_settings
 
 
 @as_root
@@ -50,6 +50,35 @@ def test_a_fleets_map_service_comes_when_asked_for_stays_with_an_upgrade_and_goe
     assert "ceilvo-mapd:" not in (root / "etc/passwd").read_text()
     assert run_installer(kit, root, "uninstall", "--purge").returncode == 0
     assert not state.exists()
+
+
+@as_root
+def test_pages_come_when_asked_for_stay_with_an_upgrade_and_go(kit: Path, tmp_path: Path, python: Path) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    options = ("--wheel", str(kit / "ceilvo-9.9.9-py3-none-any.whl"), "--no-deps")
+    unit, users = root / "etc/systemd/system/ceilvo-web.service", root / "etc/passwd"
+    drop_in = unit.with_name("ceilvo-web.service.d") / "10-network.conf"
+    first = run_installer(kit, root, *options, "--web", python=python)
+    assert first.returncode == 0, first.stderr
+    assert unit.read_bytes() == WEB_UNIT.read_bytes() and "ceilvo-web:" in users.read_text() and not drop_in.exists()
+    (root / "etc/ceilvo/config.yaml").write_text("host: 0.0.0.0")
+    again = run_installer(kit, root, *options, python=python)
+    assert again.returncode == 0, again.stderr
+    assert unit.exists() and drop_in.exists()
+    assert run_installer(root / "opt/ceilvo/share/ceilvo", root, "uninstall").returncode == 0
+    assert not unit.exists() and not drop_in.parent.exists() and "ceilvo-web:" not in users.read_text()
+    assert run_installer(kit, root, *options, python=python).returncode == 0
+    assert not unit.exists()
+
+
+def test_the_pages_are_closed_in_as_the_map_service_is() -> None:
+    mapd, pages = unit_settings(MAPD_UNIT), unit_settings(WEB_UNIT)
+    assert mapd.keys() - pages.keys() == {"StateDirectory", "StateDirectoryMode"}
+    assert pages.keys() - mapd.keys() == {"SupplementaryGroups", "Nice", "CPUWeight"}
+    own = {"Description", "Documentation", "After", "ExecStart", "User", "Group", "WorkingDirectory", "MemoryMax"}
+    own |= {"WatchdogSec", "TimeoutStartSec", "TimeoutStopSec"}
+    assert {name for name in mapd.keys() & pages.keys() if mapd[name] != pages[name]} == own
 
 
 def test_the_map_service_is_closed_in_as_the_daemon_is() -> None:

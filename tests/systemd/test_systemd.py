@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from installer import INSTALL, MAPD_UNIT, REPO, UNIT, as_root, run_installer, unit_settings
+from installer import INSTALL, MAPD_UNIT, REPO, UNIT, WEB_UNIT, as_root, run_installer, unit_settings
 
 from ceilvo.drivers.host.systemd_notify import STATUS_MAX_CHARS, Notifier
 
@@ -159,7 +159,7 @@ analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="sy
 
 
 @analyze
-@pytest.mark.parametrize("which", [UNIT, MAPD_UNIT], ids=lambda p: p.name)
+@pytest.mark.parametrize("which", [UNIT, MAPD_UNIT, WEB_UNIT], ids=lambda p: p.name)
 def test_unit_verifies_silently(which: Path, tmp_path: Path) -> None:
     unit = tmp_path / which.name
     unit.write_text(which.read_text().replace("/opt/ceilvo/bin/ceilvod", "/bin/true"))
@@ -168,7 +168,7 @@ def test_unit_verifies_silently(which: Path, tmp_path: Path) -> None:
 
 
 @analyze
-@pytest.mark.parametrize("which", [UNIT, MAPD_UNIT], ids=lambda p: p.name)
+@pytest.mark.parametrize("which", [UNIT, MAPD_UNIT, WEB_UNIT], ids=lambda p: p.name)
 def test_unit_exposure_is_low(which: Path) -> None:
     command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=11", str(which)]
     r = subprocess.run(command, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""`ceilvod watch`, `view`, `vda5050` and `export`: programs that read the daemon on Zenoh, or its recordings."""
+"""`ceilvod watch`, `view`, `web`, `vda5050` and `export`: programs that read the daemon on Zenoh, or its recordings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from ceilvo.config import Config
 from ceilvo.config.arguments import command, from_up
+from ceilvo.errors import ConfigError
 
 if TYPE_CHECKING:
     from ceilvo.config.arguments import Commands
@@ -33,6 +34,10 @@ def add(commands: Commands, config_options: Options, config_of: ConfigOf) -> Non
     p.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: loopback only)")
     p.add_argument("--port", type=from_up(0), default=8765, metavar="N", help="0 = a free one (default: 8765)")
     p.set_defaults(do=lambda options: _view(options, config_of(options)))
+
+    p = command(commands, "web", "show a running robot in a browser", "ceilvod web --config /etc/ceilvo/config.yaml")
+    config_options(p)
+    p.set_defaults(do=lambda options: _web(config_of(options)))
 
     example = "ceilvod export drive.mcap drive_ros2.mcap --ros2"
     p = command(commands, "export", "write a recording for other tools", example)
@@ -71,3 +76,16 @@ def _vda5050(config: Config) -> int:
     from ceilvo.daemon.app.readers.vda5050 import tell_fleet
 
     return tell_fleet(config)
+
+
+def _web(config: Config) -> int:
+    from ceilvo.config.checks import cross_check
+
+    try:
+        from ceilvo.daemon.app.readers.web import serve_pages
+    except ModuleNotFoundError as e:
+        if not str(e.name).startswith("aiohttp"):
+            raise
+        raise ConfigError("web: found no aiohttp, expected it; pip install 'ceilvo[web]'") from e
+    cross_check(config)
+    return serve_pages(config)

@@ -88,6 +88,28 @@ CONFLICTS = [
     (["vda5050.map_sources=['https://u:p@h/']"], "c.yaml: vda5050.map_sources: found 'https://u:p@h/', expected https"),
     (["vda5050.map_sources=['file://h/srv']"], "c.yaml: vda5050.map_sources: found 'file://h/srv', expected https://"),
     (["vda5050.map_sources=['https://h/?a=b']"], "c.yaml: vda5050.map_sources: found 'https://h/?a=b', expected no ?"),
+    (["web.host="], "c.yaml: web.host: found nothing, expected an address"),
+    (
+        ["web.certificate_file=/etc/c.pem"],
+        "c.yaml: web.key_file: found nothing, expected a file, which web.cert",
+    ),
+    (
+        ["web.key_file=/etc/c.key"],
+        "c.yaml: web.certificate_file: found nothing, expected a file, which web.key_fil",
+    ),
+    (
+        ["web.behind_proxy=true"],
+        "c.yaml: web.token_file: found nothing, expected a file with a token, for web.beh",
+    ),
+    (
+        ["web.host=10.0.0.2", "web.behind_proxy=true"],
+        "c.yaml: web.token_file: found nothing, expected a file with",
+    ),
+    (["web.host=0.0.0.0", "web.token_file=/t"], "c.yaml: web.certificate_file: found nothing, expected a certificate"),
+    (
+        ["web.host='::'", "web.certificate_file=/c", "web.key_file=/k"],
+        "c.yaml: web.token_file: found nothing, expected a file with a token, for web.host :: lets other computers in",
+    ),
     (["zenoh.mode=client", "zenoh.multicast=false"], "c.yaml: zenoh.connect: found nothing, expected a router"),
 ]
 
@@ -112,6 +134,16 @@ def test_the_names_that_pass_are_one_segment_for_zenoh_itself() -> None:
         assert conflicts(f"robot.name={name}") == ()
         key = zenoh.KeyExpr(f"ceilvo/{name}/pose")
         assert zenoh.KeyExpr("ceilvo/*/pose").includes(key)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "0.0.0.0", "robot1.local", "fd00::2"])
+def test_pages_for_other_computers_pass_with_a_token_and_tls_or_a_proxy(host: str) -> None:
+    token, tls = "web.token_file=/t", ["web.certificate_file=/c", "web.key_file=/k"]
+    assert conflicts(f"web.host='{host}'", token, *tls) == conflicts(
+        f"web.host='{host}'", token, "web.behind_proxy=true"
+    )
+    assert conflicts(f"web.host='{host}'", token, *tls) == ()
+    assert bool(conflicts(f"web.host='{host}'")) == (host not in ("127.0.0.1", "localhost", "::1"))
 
 
 def test_a_fleet_managers_values_that_pass() -> None:

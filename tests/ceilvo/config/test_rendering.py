@@ -103,6 +103,7 @@ CONFLICT_KEYS = (
     ": zenoh.wire: ",
     ": ros2.",
     ": vda5050.",
+    ": web.",
     ": zenoh.listen: ",
     ": zenoh.connect: ",
     ": camera.path: ",
