@@ -7,13 +7,14 @@ import contextlib
 import json
 import logging
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from aiohttp import ClientConnectionResetError, WSMsgType, web
 from aiohttp.http_exceptions import HttpProcessingError
+from aiohttp.typedefs import Handler, Middleware
 
 from ceilvo.config import Config
 from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES, parse_command
@@ -53,7 +54,6 @@ _HEADERS = {
     "X-Frame-Options": "DENY",
 }
 _OF_THE_CLIENT = (HttpProcessingError, ClientConnectionResetError, web.RequestPayloadError)
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class BadRequests(logging.Filter):
@@ -102,7 +102,7 @@ class Server:
         app.on_shutdown.append(self._close_pages)
         return app
 
-    def _checked(self) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+    def _checked(self) -> Middleware:
         @web.middleware
         async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:
             self.guard.admit(request)
