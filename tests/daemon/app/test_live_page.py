@@ -16,6 +16,8 @@ from zenoh_world import free_port
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="chromium is not installed: apt-get install chromium")
 PICTURES = Path(__file__).resolve().parents[3] / "build" / "web"
+LONG_INIT = "states.tracking_frames=40"
+"""4 s of frames: a session that tries every second to connect is there in time."""
 SIZES = {"laptop": (1280, 900), "phone": (390, 844)}
 OVERFLOWING = """
 [...document.querySelectorAll('main *, header *')].filter(e => {
@@ -71,7 +73,8 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
         page.go(f"{address}/")
         page.until("document.querySelector('#link').innerText === 'daemon not running'")
         page.picture(PICTURES / f"{size}-waiting.png")
-        with SimulatedDaemon(state, tmp_path, port=port) as daemon:
+        with SimulatedDaemon(state, tmp_path, LONG_INIT, port=port) as daemon:
+            daemon.until(lambda: page.value("document.querySelector('#state').dataset.state") == "INIT", "INIT")
             daemon.until(lambda: page.value("document.querySelector('#state').dataset.state") == "TRACKING", "TRACKING")
             history = page.text("#states")
             assert history.index("TRACKING") < history.index("INIT"), "latest first"
