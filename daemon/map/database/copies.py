@@ -13,7 +13,7 @@ from typing import Any
 
 from ceilvo.daemon.map.database import schema
 from ceilvo.daemon.map.database.database import MapDatabase
-from ceilvo.daemon.map.database.faults import LOG, SHARED, DamagedError, HeldError, reading
+from ceilvo.daemon.map.database.faults import DamagedError, HeldError, reading
 from ceilvo.daemon.map.database.held import floors, read_sides
 from ceilvo.daemon.map.transitions import Side
 from ceilvo.errors import FileFormatError
@@ -23,6 +23,8 @@ _log = logging.getLogger("ceilvo.store")
 
 COPY = ".good"
 """What is added to the name of a database."""
+LOG, SHARED = "-wal", "-shm"
+"""What SQLite adds for the log, and for what programs share of it."""
 
 
 def copy_of(path: Path) -> Path:

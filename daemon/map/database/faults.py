@@ -7,6 +7,8 @@ import errno
 import os
 import sqlite3
 import stat
+import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +18,6 @@ from ceilvo.errors import FileFormatError, one_line
 
 MAGIC = b"SQLite format 3\0"
 """What every such file begins with."""
-LOG, SHARED = "-wal", "-shm"
-"""What SQLite adds for the log, and for what programs share of it."""
 BUSY_S = 5.0
 """Another program may hold the file for so long; chosen: an edit of 100,000 landmarks takes about 2 s."""
 _NOT_WRITTEN = {
@@ -138,12 +138,40 @@ def damaged(path: Path, what: str) -> DamagedError:
     return DamagedError(f"{path}: {what}; restore a backup, or begin with an earlier map or a new one")
 
 
+class Connection(sqlite3.Connection):
+    """A file of which this process knows that it is open."""
+
+    file: tuple[int, int] | None = None
+
+    def close(self) -> None:
+        self.file = None
+        super().close()
+
+
+_open: weakref.WeakSet[Connection] = weakref.WeakSet()
+_open_lock = threading.Lock()
+
+
+def note_open(path: Path, db: Connection) -> None:
+    """To be called for each connection that is to last."""
+    found = path.stat()
+    with _open_lock:
+        db.file = found.st_dev, found.st_ino
+        _open.add(db)
+
+
+def is_open_here(found: os.stat_result) -> bool:
+    """Whether SQLite has a file open in this process."""
+    with _open_lock:
+        return any(db.file == (found.st_dev, found.st_ino) for db in _open)
+
+
 def look_at(path: Path) -> None:
     """See what lies under the name before SQLite does, which waits for a pipe and writes into an empty file.
 
-    A file that has a log beside it is SQLite's, and may be open in this process: whoever opens and closes it by other
-    means lets go of all locks that SQLite holds on it here (POSIX), and the next program that closes the database takes
-    itself for the last one and removes the log, with all that is written to it since.
+    One that SQLite has open in this process is left to it: whoever opens and closes it by other means lets go of all
+    locks that SQLite holds on it here (POSIX), and the next program that closes the database takes itself for the last
+    one and removes the log, with all that is written to it since.
 
     Raises:
         FileFormatError: DamagedError where it is no database.
@@ -152,7 +180,7 @@ def look_at(path: Path) -> None:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
             raise damaged(path, "a folder, a pipe or a device, expected a file")
-        if found.st_size and path.with_name(path.name + LOG).exists():
+        if is_open_here(found):
             return
         with path.open("rb") as f:
             head = f.read(len(MAGIC))

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ceilvo.daemon.map.checks import Damage
-from ceilvo.daemon.map.database.faults import BUSY_S, look_at, make_file, reading
+from ceilvo.daemon.map.database.faults import BUSY_S, Connection, look_at, make_file, note_open, reading
 from ceilvo.daemon.map.database.rows import digest_of
 from ceilvo.errors import FileFormatError
 
@@ -121,8 +121,9 @@ def connect(path: Path) -> sqlite3.Connection:
 
 def _connected(path: Path, shared: bool) -> sqlite3.Connection:
     name, journal = (_unchanging(path), "OFF") if _is_read_only(path) else (path, "WAL")
-    db = sqlite3.connect(name, timeout=BUSY_S, isolation_level=None, check_same_thread=False, uri=name != path)
+    db = Connection(name, timeout=BUSY_S, isolation_level=None, check_same_thread=False, uri=name != path)
     try:
+        note_open(path, db)
         if not shared:
             db.execute("PRAGMA locking_mode = EXCLUSIVE")
         _look_at_version(path, db)
