@@ -24,7 +24,7 @@ from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
-from ceilvo.daemon.relocalisation.floor_changes import FloorChanges, FloorChangesState
+from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState
 from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
@@ -51,8 +51,7 @@ class PipelineState:
     states: StateMachineState
     checks: CrossChecksState = field(default_factory=CrossChecksState)
     heights: HeightsState = field(default_factory=HeightsState)
-    floors: Floors = field(default_factory=Floors)
-    floor_changes: FloorChangesState = field(default_factory=FloorChangesState)
+    floors: FloorTrackerState = field(default_factory=FloorTrackerState)
 
 
 class Pipeline:
@@ -60,8 +59,6 @@ class Pipeline:
 
     Attributes:
         seen: crossings of the last step, as odometry and filter took them.
-        floors: of the map, where it has several; the filter and landmarks() are in their common frame, estimates are on
-            the floor that they name.
     """
 
     def __init__(self, calibration: Calibration, config: Config, rng: np.random.Generator) -> None:
@@ -74,7 +71,6 @@ class Pipeline:
         self.relocaliser = Relocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
-        self.floors, self.floor_changes = Floors(), FloorChanges()
         self.seq = 0
         self.seen: Crossings | None = None
         self.reset()
@@ -112,20 +108,16 @@ class Pipeline:
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)
-        self._watch_floors(track)
+        came_back = track.final is not None and self.relocaliser.state.pending is not None
+        tracker = self.relocaliser.floor_tracker
+        ride = tracker.step(self.filter.estimate()[0], came_back) if tracker.floors else None
+        if ride is not None:
+            self.relocaliser.raise_doubt(ride)
         view = None
         if crossings is not None and len(crossings) and track.gap is None:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
         return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view, suspicions)
-
-    def _watch_floors(self, track: Track) -> None:
-        if not self.floors:
-            return
-        came_back = track.final is not None and self.relocaliser.state.pending is not None
-        doubt = self.floor_changes.step(self.floors, self.filter.estimate()[0], came_back)
-        if doubt is not None:
-            self.relocaliser.raise_doubt(doubt)
 
     def _estimate(
         self,
@@ -139,9 +131,9 @@ class Pipeline:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
         pose, cov = self.checks.corrected(*track.carry(Pose(pose), cov))
-        floor, pose, cov = self.floors.on_floor(pose, cov)
         path = self.dead_reckoning.state
         degraded = suspicions.gravest(Severity.DEGRADED)
+        floor, pose, cov = self.relocaliser.floor_tracker.floors.on_floor(pose, cov)
         evidence = Evidence(
             stamp_ns=stamp_ns,
             motion_ok=motion.ok,
@@ -191,12 +183,6 @@ class Pipeline:
         s = self.relocaliser.state
         return max(s.belief.doubt(), s.began, 0.0 if s.pending is None else s.pending.elsewhere)
 
-    @property
-    def floor(self) -> str:
-        """That the tracked pose is on; "" where the map has only one."""
-        here = self.floors.at(self.filter.estimate()[0])
-        return "" if here is None else here.name
-
     def landmarks(self) -> Landmarks:
         """All floors of the map, without what was learnt in doubt of the place: that lies right to the robot only."""
         return rest_of(self.filter.landmarks(), self.relocaliser.state.submap_from)
@@ -214,8 +200,7 @@ class Pipeline:
             self.states.state,
             self.checks.state,
             self.odometry.heights.state,
-            self.floors,
-            self.floor_changes.state,
+            self.relocaliser.floor_tracker.state,
         )
 
     @state.setter
@@ -224,7 +209,7 @@ class Pipeline:
         self.dead_reckoning.state = state.dead_reckoning
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
         self.checks.state, self.odometry.heights.state = state.checks, state.heights
-        self.floors, self.floor_changes.state = state.floors, state.floor_changes
+        self.relocaliser.floor_tracker.state = state.floors
 
     def reset(self, keep_map: bool = False) -> None:
         """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without.
@@ -239,7 +224,8 @@ class Pipeline:
         self.vision.state = LineFinderState()
         self.dead_reckoning.restart()
         self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known, doubt)
-        self.floors, self.floor_changes.state = self.floors if keep_map else Floors(), FloorChangesState()
+        tracker = self.relocaliser.floor_tracker
+        tracker.state = FloorTrackerState(tracker.floors if keep_map else Floors())
         self.states.reset("started")
         self.checks.restart()
         self.odometry.heights.state = HeightsState()
@@ -253,9 +239,10 @@ class Pipeline:
         Raises:
             KeyError: there is no such floor.
         """
-        if self.floors:
-            pose, cov = self.floors.in_frame(floor or self.floor, pose, cov)
-        self.floor_changes.state = FloorChangesState()
+        tracker = self.relocaliser.floor_tracker
+        if tracker.floors:
+            pose, cov = tracker.floors.in_frame(floor or tracker.name_at(self.filter.estimate()[0]), pose, cov)
+        tracker.state = FloorTrackerState(tracker.floors)
         doubt = Doubt(reason, cov, doubts.GIVEN_WRONG, np.inf)
         self.relocaliser.start_at(pose, cov, self.landmarks(), doubt)
         self._begin(reason)
@@ -276,7 +263,7 @@ class Pipeline:
             elsewhere: that run's own.
             floors: of the map, in whose common frame all else is; None for one.
         """
-        self.floors, self.floor_changes.state = floors or Floors(), FloorChangesState()
+        self.relocaliser.floor_tracker.state = FloorTrackerState(floors or Floors())
         doubt = doubts.of_stored(cov, recent, elsewhere)
         self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, doubt)
         self._begin("stored map and pose, to be confirmed")

@@ -117,7 +117,9 @@ def calibrate(shots: list[Shot], size: tuple[int, int], model: str, *, keep_all:
         dropped.append((kept[worst].name, f"residual {rms[worst]:.2f} px, the others have {np.median(rms):.2f} px"))
         del kept[worst]
     residuals = np.concatenate(fit.residuals).reshape(-1, 2)
-    cov = bundle.widest(fit)  # corners of a picture err together: the board bends, the focus is off, light bleeds
+    # Corners of a picture err together: the board bends, the focus is off, light bleeds. Too few pictures tell how the
+    # parameters err together, so that is as if corners erred alone.
+    cov = bundle.at_least(fit.cov, fit.cluster_cov)
     return Intrinsics(
         camera=camera_of(model, fit.shared, size),
         model=model,

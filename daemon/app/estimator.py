@@ -176,7 +176,7 @@ class Estimator:
         """
         with self._lock:
             last, axis_rad = self._last, self._pipeline.relocaliser.state.map_axis_rad
-            if last is None or axis_rad is None or self._pipeline.floors.floors:
+            if last is None or axis_rad is None or self._floors.floors:
                 return None
             before = StoredMap(self._pipeline.landmarks(), axis_rad)
             after, pose = moved(before, last.pose)
@@ -194,7 +194,7 @@ class Estimator:
             CeilvoError: there is no such floor.
         """
         with self._lock:
-            known = [f.name for f in self._pipeline.floors.floors]
+            known = [f.name for f in self._floors.floors]
             if floor and known and floor not in known:
                 names = ", ".join(map(repr, known))
                 raise CeilvoError(f"map_id: found {floor!r}, expected a floor of the map that is loaded: {names}")
@@ -227,7 +227,7 @@ class Estimator:
     def display(self) -> Display:
         with self._lock:
             particles, weights = self._pipeline.filter.particles()
-            floors, floor, view = self._pipeline.floors, self._pipeline.floor, self._pipeline.vision.view
+            floors, floor, view = self._floors, self._floor, self._pipeline.vision.view
             landmarks = floors.landmarks_on(floor, self._pipeline.filter.landmarks())
             return Display(view, floors.poses_on(floor, particles), weights, landmarks)
 
@@ -254,20 +254,28 @@ class Estimator:
     def map_on(self, floor: str) -> tuple[Landmarks, float | None]:
         """The map of one floor, in its own frame; where there is only one, that one."""
         with self._lock:
-            floors, axis_rad = self._pipeline.floors, self._pipeline.relocaliser.state.map_axis_rad
+            floors, axis_rad = self._floors, self._pipeline.relocaliser.state.map_axis_rad
             here = floors.landmarks_on(floor, self._pipeline.landmarks())
             return here, None if axis_rad is None else floors.axis_on(floor, axis_rad)
 
     def floors(self) -> tuple[str, ...]:
         """Of the map; none where it has only one."""
         with self._lock:
-            return tuple(f.name for f in self._pipeline.floors.floors)
+            return tuple(f.name for f in self._floors.floors)
 
     @property
     def floor(self) -> str:
         """That the robot is on; "" where there is only one."""
         with self._lock:
-            return self._pipeline.floor
+            return self._floor
+
+    @property
+    def _floors(self) -> Floors:
+        return self._pipeline.relocaliser.floor_tracker.floors
+
+    @property
+    def _floor(self) -> str:
+        return self._pipeline.relocaliser.floor_tracker.name_at(self._pipeline.filter.estimate()[0])
 
     def key_poses(self, floor: str = "") -> KeyPoses | None:
         """Those of a floor that were taken since they were last kept; None where none are."""

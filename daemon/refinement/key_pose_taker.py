@@ -121,7 +121,8 @@ def _names(pipeline: Pipeline, view: Observations) -> Ints:
         transform(Pose(pipeline.filter.estimate()[0]), view.xy_base_m), FARTHEST_M
     )
     ids[named] = landmarks.ids[np.searchsorted(labels, view.label[named])]
-    return pipeline.floors.ids_on(pipeline.floor, ids) if pipeline.floors else ids
+    tracker = pipeline.relocaliser.floor_tracker
+    return tracker.floors.ids_on(tracker.name_at(pipeline.filter.estimate()[0]), ids) if tracker.floors else ids
 
 
 def _squares(var_m2: Array) -> Array:

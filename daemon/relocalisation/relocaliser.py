@@ -14,6 +14,7 @@ from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_pl
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
+from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.prior import log_odds_of_found
@@ -102,6 +103,7 @@ class Relocaliser:
         self._rate = config.states.false_place_rate
         self._visible_m = visible_polygon(calibration, MARGIN_PX, config.features.max_view_deg)
         self._schedule = UpdateSchedule(config.filter)
+        self.floor_tracker = FloorTracker()
         self.state = RelocaliserState()
 
     @property

@@ -22,6 +22,8 @@ MOST_BYTES = 2**28
 _SILENT_S, _MOST_S = 10.0, 600.0
 """Of a server, and of the whole: a robot does not wait for ever. Chosen."""
 _BLOCK = 2**16
+_SHOWN_CHARS = 72
+"""Of a link in a message, which is one line of at most 160; chosen."""
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
@@ -114,5 +116,7 @@ def _copied(stream: IO[bytes], out: IO[bytes], link: str) -> str:
     return digest.hexdigest()
 
 
-def _shown(text: str) -> str:
-    return one_line(text, 200)
+def _shown(link: str) -> str:
+    """Its begin and its end, which names the file: a longer one would leave no room for what went wrong."""
+    line = one_line(link, 4 * _SHOWN_CHARS)
+    return line if len(line) <= _SHOWN_CHARS else f"{line[: _SHOWN_CHARS // 3]}...{line[-_SHOWN_CHARS // 2 :]}"

@@ -15,7 +15,7 @@ from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.kept.change import unmoved
 from ceilvo.daemon.map.map_file import StoredMap
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.relocalisation.floor_changes import AT_M, LEFT_M, FloorChanges
+from ceilvo.daemon.relocalisation.floor_tracker import AT_M, LEFT_M, FloorTracker, FloorTrackerState
 from ceilvo.daemon.relocalisation.floors import APART_M, FloorMap, Floors, Transition, side_by_side
 from ceilvo.daemon.replay.inputs import LoadMap, SetPose, input_json, read_input
 from ceilvo.errors import CeilvoError
@@ -129,11 +129,12 @@ def test_a_transition_leads_to_the_same_place_of_the_building(
 
 def test_a_doubt_comes_when_a_robot_leaves_a_transition_and_where_vision_came_back_in_it() -> None:
     _, _, floors = building(np.zeros(3), np.array([5.0, -3.0, 1.0]))
-    changes = FloorChanges()
+    tracker = FloorTracker()
+    tracker.state = FloorTrackerState(floors)
     way = [(3.0, False, False), (3.0, True, False), (0.5 * AT_M, False, False), (0.5 * AT_M, True, True)]
     way += [(0.5 * (AT_M + LEFT_M), False, False), (1.1 * LEFT_M, False, True), (2.0 * LEFT_M, True, False)]
     for off_m, gap, wanted in way:
-        doubt = changes.step(floors, np.array([10.0 + off_m, 5.0, 0.0]), gap)
+        doubt = tracker.step(np.array([10.0 + off_m, 5.0, 0.0]), gap)
         assert (doubt is not None) == wanted, (off_m, gap)
         if doubt is not None:
             assert "lift north" in doubt.reason and len(doubt.leads) == 1
@@ -143,9 +144,10 @@ def test_a_transition_that_leads_nowhere_raises_no_doubt() -> None:
     first, second = (FloorMap(n, landmarks(k, 9, np.zeros(3)), 0.0, (Transition(f"to {n}", "lift", 1.0, 1.0, 0.0),))
                      for k, n in enumerate(("a", "b")))  # fmt: skip
     _, floors = side_by_side([first, second])
-    changes = FloorChanges()
-    assert changes.step(floors, np.array([1.0, 1.0, 0.0]), True) is None
-    assert changes.step(floors, np.array([9.0, 1.0, 0.0]), False) is None
+    tracker = FloorTracker()
+    tracker.state = FloorTrackerState(floors)
+    assert tracker.step(np.array([1.0, 1.0, 0.0]), True) is None
+    assert tracker.step(np.array([9.0, 1.0, 0.0]), False) is None
 
 
 def test_one_map_is_left_as_it_is() -> None:

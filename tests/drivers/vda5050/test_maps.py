@@ -146,7 +146,10 @@ def test_what_cannot_be_done_says_why_and_changes_nothing(site: Site) -> None:
         ({"mapId": "hall", "mapVersion": "7"}, "mapDownloadLink: found nothing, expected a text"),
         ({"mapId": "hall", "mapVersion": "7", "mapDownloadLink": "file:///etc/passwd"}, "expected a link below"),
         ({"mapId": "hall", "mapVersion": "7", "mapDownloadLink": link, "mapHash": "00"}, "mapHash: found"),
-        ({"mapId": "hall", "mapVersion": "7", "mapDownloadLink": f"{site.link}/none.json"}, "No such file"),
+        (
+            {"mapId": "hall", "mapVersion": "7", "mapDownloadLink": f"{site.link}/none.json"},
+            "none.json: did not come: No such",
+        ),
         (
             {"mapId": "hall", "mapVersion": "7", "mapDownloadLink": f"{site.link}/bad.json"},
             "bad.json: not a ",

@@ -1,8 +1,8 @@
-"""When a robot may have got to another floor: it was at a lift or a ramp, and is not there any more."""
+"""Which floor a robot is on; it may have got to another where it was at a lift or a ramp, and is not there any more."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,26 +16,41 @@ AT_M, LEFT_M = 1.0, 1.5
 
 
 @dataclass(slots=True)
-class FloorChangesState:
-    """inside: the transition that the robot was last at, None since it has left it."""
+class FloorTrackerState:
+    """What a FloorTracker remembers.
 
+    Attributes:
+        floors: of the map, where it has several; poses and landmarks of the filter are in their common frame.
+        inside: the transition that the robot was last at, None since it has left it.
+    """
+
+    floors: Floors = field(default_factory=Floors)
     inside: Transition | None = None
 
 
-class FloorChanges:
+class FloorTracker:
     """Follows the tracked pose, which goes on over the old floor after a ride: the cabin's ceiling rides along."""
 
     def __init__(self) -> None:
-        self.state = FloorChangesState()
+        self.state = FloorTrackerState()
 
-    def step(self, floors: Floors, pose: Array, gap: bool) -> Doubt | None:
+    @property
+    def floors(self) -> Floors:
+        return self.state.floors
+
+    def name_at(self, pose: Array) -> str:
+        """The floor that a pose (3,) of their frame is on; "" where the map has only one."""
+        here = self.floors.at(pose)
+        return "" if here is None else here.name
+
+    def step(self, pose: Array, gap: bool) -> Doubt | None:
         """After a frame.
 
         Args:
-            pose: (3,) in the frame of the floors.
+            pose: (3,) tracked, in the frame of the floors.
             gap: vision came back after it saw nothing, or nothing that fits.
         """
-        s = self.state
+        s, floors = self.state, self.floors
         here = floors.transition_at(pose, AT_M)
         if here is not None:
             s.inside = here
