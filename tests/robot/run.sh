@@ -1,6 +1,6 @@
 #!/bin/bash
 # make test-robot: the installed service on a virtual robot, from /dev/video0 to Zenoh and Modbus, against the truth.
-# run.sh prepare: only the image and the kernel that it boots, with what processor time others leave.
+# run.sh prepare: only the image and the kernel that it boots, behind what others compute.
 # Results: build/robot/summary.json and, in build/robot/out, everything that was sent, logged and measured.
 set -euo pipefail
 here=$(dirname "$(realpath "$0")")
@@ -20,7 +20,7 @@ command -v apt-get >/dev/null || skip "the virtual robot needs apt to make its i
 grep -q '^ID=debian' /etc/os-release || skip "the virtual robot is built from Debian's packages, this is another system"
 command -v gcc >/dev/null || skip "the virtual robot needs a C compiler for its kernel: apt install gcc"
 
-if [ "${1:-}" = prepare ]; then exec nice -n 19 bash "$here/vm.sh" build; fi
+if [ "${1:-}" = prepare ]; then exec bash "$here/vm.sh" build; fi
 
 cd "$repo"
 python=$repo/.venv/bin/python
