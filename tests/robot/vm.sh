@@ -196,6 +196,8 @@ run_nspawn() {
 case ${1:-} in
   build)
     mkdir -p "$CACHE"
+    exec 9>"$CACHE/lock"
+    flock 9 # one at a time: the second finds what the first has made
     apt-cache show linux-source >/dev/null 2>&1 || apt-get update -qq
     build_image
     build_kernel ;;
