@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
-.PHONY: soak bench-wires bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
+.PHONY: bench-fusion soak bench-wires bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
@@ -28,6 +28,7 @@ help:
 	@echo "make bench-refine      maps of buildings before and after refinement"
 	@echo "make bench-fleet       50 robots, 15 of them lie, one map service killed 10 times: what is lost, bytes; ROBOTS=50"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
+	@echo "make bench-fusion      what wheels, gyro and other senses give, and whether any hurts: SEEDS=4 JOBS=1; resumable"
 	@echo "make bench-arm         installs ceilvo on an emulated 64-bit ARM and compares every pose (root)"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
 	@echo "make bench-wires       what ROS 2 programs get, what all wires cost, routers killed: SECONDS=30"
@@ -98,6 +99,9 @@ bench-place: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.place restart --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place renovated --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place start --seed $(or $(SEED),1000) --resume
+
+bench-fusion: $(VENV)/.installed-bench
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.fusion --seeds $(or $(SEEDS),4) --jobs $(or $(JOBS),1)
 
 bench-arm: $(VENV)/.installed
 	bash bench/arm/emulated.sh

@@ -31,6 +31,7 @@ from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.finder.line_finder import LineFinderState
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, Motion, Observations, Pose, WheelMotion
 
 START_SIGMA = np.array([1e-3, 1e-3, 1e-3])
@@ -75,14 +76,20 @@ class Pipeline:
         self.seen: Crossings | None = None
         self.reset()
 
-    def step(self, frame: Frame, wheels: WheelMotion | None = None, on_stage_done: OnStageDone = ignore) -> Estimate:
+    def step(
+        self,
+        frame: Frame,
+        wheels: WheelMotion | None = None,
+        on_stage_done: OnStageDone = ignore,
+        heard: Heard = NOTHING,
+    ) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
         elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
         usable = self.checks.usable_wheels(wheels, elapsed_s)
         expected, twist = self.odometry.expected(elapsed_s, usable), self.odometry.expected_twist(elapsed_s, usable)
         hint = None if self.odometry.heights.wants_whole_look else expected
         crossings = self.vision(frame, hint, on_stage_done, twist)
-        return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done)
+        return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done, heard=heard)
 
     def step_crossings(
         self,
@@ -91,6 +98,7 @@ class Pipeline:
         wheels: WheelMotion | None = None,
         on_stage_done: OnStageDone = ignore,
         missing: str = NO_LINES,
+        heard: Heard = NOTHING,
     ) -> Estimate:
         """step() from what was seen in a frame; without crossings, why they are missing."""
         elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from ceilvo.types import State
 
 PROTOCOL_VERSION = 1
-"""Of docs/base-protocol.md; a field that changes its meaning makes a new one."""
+"""Of docs/base-protocol.md, what every base speaks; a field that changes its meaning makes a new one."""
+WITH_MOTION = 2
+"""Version with gyro, accelerations and poses that are moved on to the moment of sending; base.protocol."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +22,7 @@ class PoseTelegram:
         age_s: from the frame's stamp to the sending of this telegram.
         heartbeat: changes with every telegram, modulo 2^16.
         version: protocol version.
+        predicted_s: part of the age over which the pose was moved on; version 2.
     """
 
     state: State
@@ -37,6 +40,7 @@ class PoseTelegram:
     omega_radps: float
     heartbeat: int
     version: int = PROTOCOL_VERSION
+    predicted_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +54,9 @@ class BaseStatus:
         wheel_theta_count: cumulative heading, int32 in 10 urad, wraps around (modulo 2 pi is accepted too).
         clock_ms: time since the base started, uint32, wraps around.
         version: protocol version.
+        gyro_count: integral of the yaw rate, int32 in 1 urad, wraps around; None without a gyro. Version 2, as below.
+        gained_x_count, gained_y_count: integrals of the accelerations along base x and y, int32 in 0.1 mm/s, wrap
+            around; None without accelerometers.
     """
 
     motors_on: bool
@@ -61,3 +68,6 @@ class BaseStatus:
     wheel_theta_count: int
     clock_ms: int
     version: int = PROTOCOL_VERSION
+    gyro_count: int | None = None
+    gained_x_count: int | None = None
+    gained_y_count: int | None = None

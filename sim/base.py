@@ -17,17 +17,19 @@ import threading
 import time
 import tty
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO
 
 import serial
 
-from ceilvo.config.serial_budget import POSE_REGISTERS, STATUS_REGISTERS, bits_per_char, frame_gap_s, stop_bits
+from ceilvo.config.serial_budget import bits_per_char, frame_gap_s, pose_registers, status_registers, stop_bits
 from ceilvo.drivers.base.mock_base import BaseFaults, BaseModel, Odometry, ReceivedTelegram, standing_still
 from ceilvo.drivers.base.modbus import port_parity
 from ceilvo.drivers.base.protocol import POSE_ADDRESS, STATUS_ADDRESS
 from ceilvo.drivers.ports import Clock
+from ceilvo.drivers.telegrams import PROTOCOL_VERSION
 from ceilvo.errors import BaseLinkError
 from ceilvo.sim import rtu
 
@@ -60,12 +62,16 @@ class SimBase:
         port: str | int | None = None,
         port_link: Path | None = None,
         log: Path | None = None,
+        version: int = PROTOCOL_VERSION,
+        gyro: Callable[[float], float] | None = None,
     ) -> None:
         """port: None makes a pty, a path is opened as a serial port, a number is an open file descriptor.
 
         port_link: a symbolic link that always leads to the pty of the moment. log: a JSON line for each telegram.
         """
-        self.model = BaseModel(clock, odometry, heartbeat_timeout_s, on_telegram=self._write_log)
+        self.model = BaseModel(
+            clock, odometry, heartbeat_timeout_s, on_telegram=self._write_log, version=version, gyro=gyro
+        )
         self.refused: frozenset[int] = frozenset()
         self.crc_errors = 0
         self.wire: deque[tuple[str, bytes]] = deque(maxlen=64)
@@ -75,7 +81,7 @@ class SimBase:
         self._gap_s = frame_gap_s(baud, parity)
         self._turnaround_s = turnaround_s
         self._given_port, self._port_link, self._log_path = port, port_link, log
-        self._pose = [0] * POSE_REGISTERS
+        self._pose = [0] * pose_registers(version)
         self._random = random.Random(1)
         self._port = ""
         self._fd = -1
@@ -140,14 +146,15 @@ class SimBase:
         if function == rtu.READ_HOLDING:
             blocks[POSE_ADDRESS] = self._pose.copy
         for start, values in blocks.items():
-            size = POSE_REGISTERS if start == POSE_ADDRESS else STATUS_REGISTERS
+            registers = pose_registers if start == POSE_ADDRESS else status_registers
+            size = registers(self.model.version)
             if start <= address and address + count <= start + size:
                 return values()[address - start : address - start + count]
         raise rtu.ModbusFault(rtu.ILLEGAL_ADDRESS)
 
     def write(self, address: int, values: list[int]) -> None:
         """rtu.Registers: the pose block, whole or not at all."""
-        if address != POSE_ADDRESS or len(values) != POSE_REGISTERS:
+        if address != POSE_ADDRESS or len(values) != pose_registers(self.model.version):
             raise rtu.ModbusFault(rtu.ILLEGAL_ADDRESS)
         try:
             self.model.write_pose(values)
@@ -276,6 +283,7 @@ def main(argv: list[str] | None = None) -> int:
     p.add_argument("--port", help="serve on this serial device instead of a new pty")
     p.add_argument("--fd", type=int, help="serve on this open file descriptor instead of a new pty")
     p.add_argument("--port-link", type=Path, help="symbolic link to make to the pty")
+    p.add_argument("--protocol", type=int, choices=(1, 2), default=PROTOCOL_VERSION)
     p.add_argument("--log", type=Path, help="append every pose telegram as a JSON line")
     a = p.parse_args(argv)
     stop = threading.Event()
@@ -290,6 +298,7 @@ def main(argv: list[str] | None = None) -> int:
         port=a.port if a.fd is None else a.fd,
         port_link=a.port_link,
         log=a.log,
+        version=a.protocol,
     )
     try:
         base.start()

@@ -1,7 +1,5 @@
 """Configuration: the schema's sections, by their names; reading and checking are in the modules beside it."""
 
-from ceilvo.config.fleet_schema import Fleet, Mapd
-from ceilvo.config.interop import Ros2, Vda5050, Web
 from ceilvo.config.schema import (
     Base,
     CalibrationFile,
@@ -16,6 +14,9 @@ from ceilvo.config.schema import (
     States,
     Zenoh,
 )
+from ceilvo.config.sections.fleet import Fleet, Mapd
+from ceilvo.config.sections.interop import Ros2, Vda5050, Web
+from ceilvo.config.sections.senses import Senses
 
 __all__ = [
     "Base",
@@ -30,6 +31,7 @@ __all__ = [
     "Recorder",
     "Robot",
     "Ros2",
+    "Senses",
     "Service",
     "States",
     "Vda5050",

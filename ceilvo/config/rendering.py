@@ -24,6 +24,7 @@ _UNITS = {
     "_mps2": "m/s^2",
     "_radps": "rad/s",
     "_radps2": "rad/s^2",
+    "_dps": "deg/s",
     "_bytes": "bytes",
     "baud": "bit/s",
 }
@@ -34,6 +35,7 @@ _ABOUT = {
     "features": "from pixels to lines and crossings",
     "odometry": "from crossings to motion",
     "filter": "from motion and landmarks to pose (PFCF)",
+    "senses": "motion beside the camera: time, wheels, gyro (docs/fusion.md); all off by default",
     "states": "when a pose is called good, degraded or lost",
     "base": "the base controller, Modbus RTU",
     "zenoh": "the bus",

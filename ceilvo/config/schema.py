@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from ceilvo.config.fleet_schema import Fleet, Mapd
-from ceilvo.config.interop import Ros2, Vda5050, Web
-from ceilvo.config.keys import key
+from ceilvo.config.sections.fleet import Fleet, Mapd
+from ceilvo.config.sections.interop import Ros2, Vda5050, Web
+from ceilvo.config.sections.keys import key
+from ceilvo.config.sections.senses import Senses
 
 
 @dataclass(frozen=True)
@@ -245,6 +246,10 @@ class Base:
     function: str = key(
         "fc23", "fc23 = one transaction; fc16_fc04 = for bases without FC23", choices=("fc23", "fc16_fc04")
     )
+    protocol: int = key(1, "protocol version that the base speaks; 2 brings gyro and accelerations", low=1, high=2)
+    predict: bool = key(
+        False, "protocol 2: send the pose moved on to the moment of sending, which a base that steers at 50 Hz needs"
+    )
     use_wheels: bool = key(True, "use the base's wheel odometry to predict and to bridge")
     stale_s: float = key(
         0.5, "an older estimate is told to the base as DEAD_RECKONING at best, whatever it was", low=0.05, high=60.0
@@ -321,6 +326,7 @@ class Config:
     features: Features = field(default_factory=Features)
     odometry: Odometry = field(default_factory=Odometry)
     filter: Filter = field(default_factory=Filter)
+    senses: Senses = field(default_factory=Senses)
     states: States = field(default_factory=States)
     base: Base = field(default_factory=Base)
     zenoh: Zenoh = field(default_factory=Zenoh)

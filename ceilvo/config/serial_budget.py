@@ -6,15 +6,8 @@ from dataclasses import dataclass
 
 from ceilvo.config import Base
 
-POSE_REGISTERS = 19
-"""Of the pose block (docs/base-protocol.md)."""
-STATUS_REGISTERS = 10
-"""Of the status block (docs/base-protocol.md)."""
-
-_FC23 = ((13 + 2 * POSE_REGISTERS, 5 + 2 * STATUS_REGISTERS),)
-_FC16_FC04 = ((9 + 2 * POSE_REGISTERS, 8), (8, 5 + 2 * STATUS_REGISTERS))
-_TRANSACTIONS = {"fc23": _FC23, "fc16_fc04": _FC16_FC04}
-"""(request bytes, response bytes) of each transaction of one telegram, address and CRC included."""
+_POSE_REGISTERS, _STATUS_REGISTERS = {1: 19, 2: 20}, {1: 10, 2: 16}
+"""Of the blocks by protocol version (docs/base-protocol.md)."""
 
 _GAP_CHARS, _GAP_FAST_S, _GAP_FAST_BAUD = 3.5, 0.00175, 19200
 """MODBUS over serial line 1.02, 2.5.1.1."""
@@ -22,6 +15,22 @@ _GAP_CHARS, _GAP_FAST_S, _GAP_FAST_BAUD = 3.5, 0.00175, 19200
 _HOST_POLL_CHARS = 8
 _HOST_POLL_MIN_S = 0.002
 """pymodbus takes an answer as complete when two polls, 4 characters or 1 ms apart, agree."""
+
+
+def pose_registers(version: int) -> int:
+    """Of the pose block; those of version 1 for one that is not known."""
+    return _POSE_REGISTERS.get(version, _POSE_REGISTERS[1])
+
+
+def status_registers(version: int) -> int:
+    """Of the status block, likewise."""
+    return _STATUS_REGISTERS.get(version, _STATUS_REGISTERS[1])
+
+
+def _transactions(function: str, version: int) -> tuple[tuple[int, int], ...]:
+    """(request bytes, response bytes) of each transaction of one telegram, address and CRC included."""
+    pose, status = 2 * pose_registers(version), 2 * status_registers(version)
+    return ((13 + pose, 5 + status),) if function == "fc23" else ((9 + pose, 8), (8, 5 + status))
 
 
 def bits_per_char(parity: str) -> int:
@@ -105,7 +114,7 @@ def wire_budget(base: Base) -> WireBudget:
     gap_s = frame_gap_s(base.baud, base.parity)
     turnaround_s = 1e-3 * base.turnaround_ms
     host_s = max(_HOST_POLL_CHARS * char_s, _HOST_POLL_MIN_S)
-    frames = _TRANSACTIONS[base.function]
+    frames = _transactions(base.function, base.protocol)
     request_bytes, response_bytes = sum(f[0] for f in frames), sum(f[1] for f in frames)
     overhead_s = 2 * gap_s + turnaround_s + host_s
     return WireBudget(

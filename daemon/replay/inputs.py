@@ -21,6 +21,7 @@ from ceilvo.daemon.replay.plausible import belief_problem, crossings_problem, la
 from ceilvo.daemon.replay.snapshot import read_value, restore, value_json
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import (
     MAX_ANGLE_RAD,
     MAX_ID,
@@ -37,10 +38,11 @@ from ceilvo.types import (
 
 @dataclass(frozen=True, slots=True)
 class FrameInput:
-    """A frame, with what the wheels did since the step before."""
+    """A frame, with what the wheels did since the step before, and what other senses heard."""
 
     frame: Frame
     wheels: WheelMotion | None = None
+    heard: Heard = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,7 @@ class Silence:
     stamp_ns: int
     reason: str
     wheels: WheelMotion | None = None
+    heard: Heard = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,7 @@ class Sighting:
     stamp_ns: int
     crossings: Crossings | None
     wheels: WheelMotion | None = None
+    heard: Heard = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,11 +112,11 @@ Input = FrameInput | Sighting | Silence | LoadMap | SetPose | Reset | Continuati
 def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore) -> Estimate | None:
     """Do what an input says; an estimate from frames, sightings and silences, None from the others."""
     if isinstance(given, FrameInput):
-        return pipeline.step(given.frame, given.wheels, on_stage_done)
+        return pipeline.step(given.frame, given.wheels, on_stage_done, given.heard)
     if isinstance(given, Sighting):
-        return pipeline.step_crossings(given.stamp_ns, given.crossings, given.wheels)
+        return pipeline.step_crossings(given.stamp_ns, given.crossings, given.wheels, heard=given.heard)
     if isinstance(given, Silence):
-        return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason)
+        return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason, heard=given.heard)
     if isinstance(given, LoadMap):
         g = given
         pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.recent, g.elsewhere, g.floors)
@@ -134,6 +138,7 @@ def input_json(given: Input, number: int) -> bytes:
     if isinstance(given, FrameInput):
         frame = given.frame
         body = {"input": "frame", "seq": frame.seq, "stamp_ns": frame.stamp_ns, "wheels": _wheels(given.wheels)}
+        body |= _heard(given.heard)
     elif isinstance(given, Silence):
         body = {
             "input": "silence",
@@ -141,6 +146,7 @@ def input_json(given: Input, number: int) -> bytes:
             "reason": given.reason,
             "wheels": _wheels(given.wheels),
         }
+        body |= _heard(given.heard)
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
         body |= {"recent": given.recent, "elsewhere": given.elsewhere}
@@ -214,11 +220,13 @@ FrameOf = Callable[[int, int], Frame]
 
 
 def _read_frame(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
-    return FrameInput(frame_of(_whole(body["seq"]), _whole(body["stamp_ns"])), _read_wheels(body["wheels"]))
+    return FrameInput(
+        frame_of(_whole(body["seq"]), _whole(body["stamp_ns"])), _read_wheels(body["wheels"]), _read_heard(body)
+    )
 
 
 def _read_silence(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
-    return Silence(_whole(body["stamp_ns"]), str(body["reason"]), _read_wheels(body["wheels"]))
+    return Silence(_whole(body["stamp_ns"]), str(body["reason"]), _read_wheels(body["wheels"]), _read_heard(body))
 
 
 def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
@@ -267,6 +275,15 @@ def _read_wheels(body: Mapping[str, Any] | None) -> WheelMotion | None:
     if body is None:
         return None
     return WheelMotion(Displacement(_array(body["prev_from_curr"], (3,))), _array(body["cov"], (3, 3)))
+
+
+def _heard(heard: Heard) -> dict[str, Any]:
+    """Nothing of a robot without such senses, so that its recordings stay as they were."""
+    return {} if heard is NOTHING else {"heard": json.loads(value_json(heard))}
+
+
+def _read_heard(body: Mapping[str, Any]) -> Heard:
+    return read_value(json.dumps(body["heard"]).encode("ascii"), Heard) or NOTHING if "heard" in body else NOTHING
 
 
 def _belief(pose: Array, cov: Array) -> dict[str, Any]:

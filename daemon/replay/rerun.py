@@ -233,9 +233,9 @@ class _Kept:
 def _whole(given: FrameInput, pixels: bytes | None, features: bytes | None) -> FrameInput | Sighting | None:
     frame = given.frame
     if pixels is not None:
-        return FrameInput(Frame(frame.seq, frame.stamp_ns, foxglove.read_raw_image(pixels)), given.wheels)
+        return FrameInput(Frame(frame.seq, frame.stamp_ns, foxglove.read_raw_image(pixels)), given.wheels, given.heard)
     if features is not None:
-        return Sighting(frame.stamp_ns, read_value(features, Crossings), given.wheels)
+        return Sighting(frame.stamp_ns, read_value(features, Crossings), given.wheels, given.heard)
     return None
 
 

@@ -164,6 +164,7 @@ class BaseLink:
         estimate = self._latest
         now_ns = self._clock()
         telegram = no_estimate(self._heartbeat) if estimate is None else telegram_of(estimate, now_ns, self._heartbeat)
+        telegram = replace(telegram, version=self._settings.protocol)
         if telegram.state in GOOD and telegram.age_s > self._settings.stale_s:
             telegram = replace(telegram, state=State.DEAD_RECKONING, quality=0.0)
         if self._final_state is None:

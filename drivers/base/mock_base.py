@@ -13,6 +13,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.drivers.base.protocol import (
     ANGLE_UNIT_RAD,
+    GYRO_UNIT_RAD,
     LENGTH_UNIT_M,
     decode_pose,
     decode_status,
@@ -60,6 +61,10 @@ class BaseModel:
 
     The motors run while the heartbeat keeps changing and the state is not STOPPED. They stop, with HEARTBEAT_LOST set,
     when the heartbeat has stood still for heartbeat_timeout_s.
+
+    Attributes:
+        version: that it speaks.
+        gyro: integral of its yaw rate, rad, at seconds of the clock; None without one.
     """
 
     clock: Clock = time.monotonic_ns
@@ -69,6 +74,8 @@ class BaseModel:
     on_telegram: Callable[[ReceivedTelegram], None] | None = None
     e_stop: bool = False
     fault: bool = False
+    version: int = PROTOCOL_VERSION
+    gyro: Callable[[float], float] | None = None
     faults: BaseFaults = field(default_factory=BaseFaults)
 
     def __post_init__(self) -> None:
@@ -97,7 +104,7 @@ class BaseModel:
 
     def write_pose(self, registers: Sequence[int]) -> None:
         """A pose block arrives. Raises BaseLinkError when it is not understood; it is then not used."""
-        telegram = decode_pose(registers)
+        telegram = decode_pose(registers, self.version)
         now_ns = self.clock()
         if telegram.heartbeat != self._heartbeat:
             self._heartbeat, self._heartbeat_ns = telegram.heartbeat, now_ns
@@ -125,7 +132,8 @@ class BaseModel:
                 wheel_y_count=round(float(y) / LENGTH_UNIT_M),
                 wheel_theta_count=round(float(theta) / ANGLE_UNIT_RAD),
                 clock_ms=(now_ns - self._boot_ns) // 1_000_000,
-                version=PROTOCOL_VERSION + self.faults.wrong_version,
+                version=self.version + self.faults.wrong_version,
+                gyro_count=None if self.gyro is None else round(self.gyro(1e-9 * now_ns) / GYRO_UNIT_RAD),
             )
         )
 
@@ -186,7 +194,7 @@ class MockBase:
         if faults.garbage or faults.bad_crc or faults.slow_s >= self._timeout_s:
             raise BaseLinkError(f"base at {self._port}: no Modbus answer within {self._timeout_s} s; check the line")
         try:
-            return decode_status(self.model.read_status())
+            return decode_status(self.model.read_status(), self.model.version)
         except BaseLinkError as e:
             raise BaseLinkError(f"base at {self._port}: {e}") from e
 

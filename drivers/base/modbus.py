@@ -17,7 +17,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from ceilvo.config import Base
-from ceilvo.config.serial_budget import STATUS_REGISTERS, stop_bits
+from ceilvo.config.serial_budget import status_registers, stop_bits
 from ceilvo.drivers.base.protocol import POSE_ADDRESS, STATUS_ADDRESS, decode_status, encode_pose
 from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
@@ -107,7 +107,7 @@ class ModbusBase:
 
     def _status(self, answer: ModbusPDU) -> BaseStatus:
         try:
-            return decode_status(list(answer.registers))
+            return decode_status(list(answer.registers), self._config.protocol)
         except BaseLinkError as e:
             raise BaseLinkError(f"base at {self._config.port}: {e}") from e
 
@@ -120,7 +120,7 @@ class ModbusBase:
     def _read_write(self, client: ModbusSerialClient, values: list[int]) -> ModbusPDU:
         return client.readwrite_registers(
             read_address=STATUS_ADDRESS,
-            read_count=STATUS_REGISTERS,
+            read_count=status_registers(self._config.protocol),
             write_address=POSE_ADDRESS,
             values=values,
             device_id=self._config.unit_id,
@@ -130,7 +130,8 @@ class ModbusBase:
         return client.write_registers(POSE_ADDRESS, values, device_id=self._config.unit_id)
 
     def _read(self, client: ModbusSerialClient) -> ModbusPDU:
-        return client.read_input_registers(STATUS_ADDRESS, count=STATUS_REGISTERS, device_id=self._config.unit_id)
+        count = status_registers(self._config.protocol)
+        return client.read_input_registers(STATUS_ADDRESS, count=count, device_id=self._config.unit_id)
 
     def _request(self, send: Callable[[ModbusSerialClient], ModbusPDU], function: int) -> ModbusPDU:
         client = self._client

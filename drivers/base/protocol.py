@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ceilvo import se2
-from ceilvo.config.serial_budget import POSE_REGISTERS, STATUS_REGISTERS
-from ceilvo.drivers.telegrams import PROTOCOL_VERSION, BaseStatus, PoseTelegram
+from ceilvo.config.serial_budget import pose_registers, status_registers
+from ceilvo.drivers.telegrams import PROTOCOL_VERSION, WITH_MOTION, BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.types import Estimate, State
 
@@ -29,6 +29,10 @@ SPEED_UNIT_MPS = 1e-3
 """Of vx and vy."""
 TURN_UNIT_RADPS = 1e-3
 """Of omega."""
+GYRO_UNIT_RAD = 1e-6
+"""Of the integral of the yaw rate; docs/base-protocol.md, as the one below."""
+GAINED_UNIT_MPS = 1e-4
+"""Of the integrals of the accelerations."""
 
 UINT16_MAX = 0xFFFF  # registers have 16 bits, docs/base-protocol.md
 INT16_MAX = 0x7FFF  # the same, with sign
@@ -39,10 +43,14 @@ STATUS_MOTORS_ON = 1 << 0  # docs/base-protocol.md, as the three below
 STATUS_E_STOP = 1 << 1  # as above
 STATUS_FAULT = 1 << 2  # as above
 STATUS_HEARTBEAT_LOST = 1 << 3
+STATUS_GYRO = 1 << 4  # version 2, as below
+STATUS_ACCELERATIONS = 1 << 5
 """Bits of the status word."""
 
 _POSE = struct.Struct(">HHHIHiiiHHHhhhH")
+_POSE_2 = struct.Struct(">HHHIHiiiHHHhhhHH")
 _STATUS = struct.Struct(">HHiiiI")
+_STATUS_2 = struct.Struct(">HHiiiIiii")
 
 
 def no_estimate(heartbeat: int) -> PoseTelegram:
@@ -63,14 +71,14 @@ def telegram_of(estimate: Estimate, now_ns: int, heartbeat: int) -> PoseTelegram
 
 
 def encode_pose(telegram: PoseTelegram) -> list[int]:
-    """POSE_REGISTERS register values.
+    """The register values of the telegram's version.
 
     Sigmas and age saturate at 65535 (infinite sigma included), speeds at +-32767. A pose or twist that is not finite,
     a sigma that is NaN, or a position outside int32 is sent as state LOST (unless STOPPED) with quality 0 and all
     sigmas saturated; what is not finite becomes 0.
     """
     t = telegram if _sound(telegram) else _unusable(telegram)
-    raw = _POSE.pack(
+    values = (
         t.version,
         int(t.state),
         _saturated(t.quality, 1e-3, 0, 1000),
@@ -87,19 +95,21 @@ def encode_pose(telegram: PoseTelegram) -> list[int]:
         _saturated(t.omega_radps, TURN_UNIT_RADPS, -INT16_MAX, INT16_MAX),
         t.heartbeat & 0xFFFF,
     )
-    return _registers(raw)
+    if t.version != WITH_MOTION:
+        return _registers(_POSE.pack(*values))
+    return _registers(_POSE_2.pack(*values, _saturated(t.predicted_s, 1e-3, 0, UINT16_MAX)))
 
 
-def decode_pose(registers: Sequence[int]) -> PoseTelegram:
-    """The base's side of encode_pose.
+def decode_pose(registers: Sequence[int], version: int = PROTOCOL_VERSION) -> PoseTelegram:
+    """The base's side of encode_pose, of a base that speaks that version.
 
     Raises:
         BaseLinkError: wrong length, another protocol version or an unknown state.
     """
-    version, state, quality, sequence, age, x, y, theta, sx, sy, st, vx, vy, omega, heartbeat = _POSE.unpack(
-        _bytes(registers, POSE_REGISTERS, "pose block")
-    )
-    _check_version(version, "pose block")
+    _check_version(registers, version, "pose block")
+    layout = _POSE_2 if version == WITH_MOTION else _POSE
+    fields = layout.unpack(_bytes(registers, pose_registers(version), "pose block"))
+    found, state, quality, sequence, age, x, y, theta, sx, sy, st, vx, vy, omega, heartbeat, *more = fields
     if state not in State.__members__.values():
         raise BaseLinkError(f"pose block: state {state} is not one of 0..{max(State)}")
     return PoseTelegram(
@@ -117,19 +127,22 @@ def decode_pose(registers: Sequence[int]) -> PoseTelegram:
         vy_mps=SPEED_UNIT_MPS * vy,
         omega_radps=TURN_UNIT_RADPS * omega,
         heartbeat=heartbeat,
-        version=version,
+        version=found,
+        predicted_s=1e-3 * sum(more),
     )
 
 
 def encode_status(status: BaseStatus) -> list[int]:
-    """STATUS_REGISTERS register values; counts and clock wrap around."""
+    """The register values of the status's version; counts and clock wrap around, what is not there is 0."""
     flags = (
         (STATUS_MOTORS_ON, status.motors_on),
         (STATUS_E_STOP, status.e_stop),
         (STATUS_FAULT, status.fault),
         (STATUS_HEARTBEAT_LOST, status.heartbeat_lost),
+        (STATUS_GYRO, status.gyro_count is not None),
+        (STATUS_ACCELERATIONS, None not in (status.gained_x_count, status.gained_y_count)),
     )
-    raw = _STATUS.pack(
+    values = (
         status.version,
         sum(bit for bit, on in flags if on),
         wrap_int32(status.wheel_x_count),
@@ -137,13 +150,24 @@ def encode_status(status: BaseStatus) -> list[int]:
         wrap_int32(status.wheel_theta_count),
         status.clock_ms & 0xFFFFFFFF,
     )
-    return _registers(raw)
+    if status.version != WITH_MOTION:
+        return _registers(_STATUS.pack(*values))
+    counts = (status.gyro_count, status.gained_x_count, status.gained_y_count)
+    return _registers(_STATUS_2.pack(*values, *(wrap_int32(c or 0) for c in counts)))
 
 
-def decode_status(registers: Sequence[int]) -> BaseStatus:
-    """Raises BaseLinkError for a wrong length or another protocol version; unknown status bits are ignored."""
-    version, bits, x, y, theta, clock_ms = _STATUS.unpack(_bytes(registers, STATUS_REGISTERS, "status block"))
-    _check_version(version, "status block")
+def decode_status(registers: Sequence[int], version: int = PROTOCOL_VERSION) -> BaseStatus:
+    """What a base of that version says; unknown status bits are ignored.
+
+    Raises:
+        BaseLinkError: wrong length or another protocol version.
+    """
+    _check_version(registers, version, "status block")
+    layout = _STATUS_2 if version == WITH_MOTION else _STATUS
+    fields = layout.unpack(_bytes(registers, status_registers(version), "status block"))
+    found, bits, x, y, theta, clock_ms, *motion = fields
+    gyro = motion[0] if motion and bits & STATUS_GYRO else None
+    gained = motion[1:] if motion and bits & STATUS_ACCELERATIONS else (None, None)
     return BaseStatus(
         motors_on=bool(bits & STATUS_MOTORS_ON),
         e_stop=bool(bits & STATUS_E_STOP),
@@ -153,7 +177,10 @@ def decode_status(registers: Sequence[int]) -> BaseStatus:
         wheel_y_count=y,
         wheel_theta_count=theta,
         clock_ms=clock_ms,
-        version=version,
+        version=found,
+        gyro_count=gyro,
+        gained_x_count=gained[0],
+        gained_y_count=gained[1],
     )
 
 
@@ -213,9 +240,9 @@ def _bytes(registers: Sequence[int], count: int, what: str) -> bytes:
     return struct.pack(f">{count}H", *registers)
 
 
-def _check_version(version: int, what: str) -> None:
-    if version != PROTOCOL_VERSION:
+def _check_version(registers: Sequence[int], version: int, what: str) -> None:
+    if registers and registers[0] != version:
         raise BaseLinkError(
-            f"{what}: protocol version {version}, expected {PROTOCOL_VERSION};"
-            f" update the base's firmware or ceilvo, or check the register addresses"
+            f"{what}: protocol version {registers[0]}, expected {version};"
+            f" set base.protocol, update the base's firmware or ceilvo, or check the register addresses"
         )

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo import se2
-from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, LENGTH_UNIT_M, wrap_int32
+from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, GAINED_UNIT_MPS, GYRO_UNIT_RAD, LENGTH_UNIT_M, wrap_int32
 from ceilvo.drivers.telegrams import BaseStatus
+from ceilvo.senses.heard import Turn
 from ceilvo.types import Displacement, WheelMotion, frozen
 
 Array = NDArray[np.float64]
@@ -72,6 +73,7 @@ class WheelTrack:
         self._max_turn_radps = max_turn_radps
         self._lock = threading.Lock()
         self._samples: deque[tuple[int, int, int, int]] = deque(maxlen=samples)
+        self._turned: deque[tuple[int, ...]] = deque(maxlen=samples)
         self._offsets_ns: deque[int] = deque(maxlen=_OFFSET_SAMPLES)
         self._last: tuple[BaseStatus, int] | None = None
         self._restarts = 0
@@ -87,6 +89,7 @@ class WheelTrack:
             if self._last is not None and not self._continues(status, stamp_ns):
                 self._restarts += 1
                 self._samples.clear()
+                self._turned.clear()
                 self._offsets_ns.clear()
                 self._last = None
             self._append(status, stamp_ns)
@@ -108,6 +111,33 @@ class WheelTrack:
             return None
         return self._motion(t, path, t0, t1)
 
+    def turn_between(self, stamp0_ns: int, stamp1_ns: int, noise_rad2_ps: float) -> Turn | None:
+        """What the base's gyro says from stamp0 to stamp1, None without one or where the history does not cover both.
+
+        Args:
+            noise_rad2_ps: variance that its white noise adds in a second.
+        """
+        with self._lock:
+            last = self._last
+            if last is None or last[0].gyro_count is None or len(self._samples) < 2 or stamp1_ns < stamp0_ns:
+                return None
+            clock = np.array([s[0] for s in self._samples], dtype=np.int64)
+            counts = np.array(self._turned, dtype=np.int64)
+            offset_ns = min(self._offsets_ns)
+        origin_ns = int(clock[0])
+        t = np.asarray(1e-9 * (clock - origin_ns), dtype=np.float64)
+        t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in (stamp0_ns, stamp1_ns))
+        if not (self._covers(t, t0) and self._covers(t, t1)):
+            return None
+        path = counts * np.array([GYRO_UNIT_RAD, GAINED_UNIT_MPS, GAINED_UNIT_MPS])
+        moved = _pose_at(t, path, t1) - _pose_at(t, path, t0)
+        span_s, beyond_s = 1e-9 * (stamp1_ns - stamp0_ns), max(0.0, t1 - float(t[-1]))
+        rate = abs(float(moved[0])) / span_s if span_s > 0.0 else 0.0
+        var = GYRO_UNIT_RAD**2 / _ROUNDING + noise_rad2_ps * span_s + 2.0 * (self._noise.stamp_sigma_s * rate) ** 2
+        var += (0.5 * self._noise.coast_turn_radps2 * beyond_s**2) ** 2
+        gained = None if last[0].gained_x_count is None or last[0].gained_y_count is None else frozen(moved[1:])
+        return Turn(float(moved[0]), var, span_s, gained)
+
     def _continues(self, status: BaseStatus, stamp_ns: int) -> bool:
         if self._last is None:
             return True
@@ -123,6 +153,7 @@ class WheelTrack:
     def _append(self, status: BaseStatus, stamp_ns: int) -> None:
         if self._last is None:
             clock_ns, x, y, theta = 0, status.wheel_x_count, status.wheel_y_count, status.wheel_theta_count
+            turned = _motion_counts(status)
         else:
             before = self._last[0]
             elapsed_ms = wrap_int32(status.clock_ms - before.clock_ms)
@@ -133,7 +164,10 @@ class WheelTrack:
             x += wrap_int32(status.wheel_x_count - before.wheel_x_count)
             y += wrap_int32(status.wheel_y_count - before.wheel_y_count)
             theta += wrap_int32(status.wheel_theta_count - before.wheel_theta_count)
+            now, then = _motion_counts(status), _motion_counts(before)
+            turned = tuple(t + wrap_int32(a - b) for t, a, b in zip(self._turned[-1], now, then, strict=True))
         self._samples.append((clock_ns, x, y, theta))
+        self._turned.append(turned)
         self._offsets_ns.append(stamp_ns - clock_ns)
         self._last = (status, stamp_ns)
 
@@ -165,6 +199,11 @@ class WheelTrack:
         var_xy += (0.5 * n.coast_accel_mps2 * coast_s**2) ** 2
         var_theta += (0.5 * n.coast_turn_radps2 * coast_s**2) ** 2
         return np.diag([var_xy, var_xy, var_theta])
+
+
+def _motion_counts(status: BaseStatus) -> tuple[int, ...]:
+    """Gyro and both accelerometers, 0 where there are none."""
+    return status.gyro_count or 0, status.gained_x_count or 0, status.gained_y_count or 0
 
 
 def _step(before: BaseStatus, after: BaseStatus) -> tuple[float, float, float]:

@@ -16,13 +16,13 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "unknown section": (
         "camra:\n  rate_hz: 3\n",
         "config.yaml:1: camra: found an unknown section, expected one of robot, camera, calibration, features, "
-        "odometry, filter, states, base, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
+        "odometry, filter, senses, states, base, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
         "did you mean camera?",
     ),
     "key outside its section": (
         "baud: 9600\n",
         "config.yaml:1: baud: found an unknown section, expected one of robot, camera, calibration, features, "
-        "odometry, filter, states, base, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
+        "odometry, filter, senses, states, base, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
         "baud is a key of base, indent it there",
     ),
     "misspelt key": (

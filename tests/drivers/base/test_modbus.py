@@ -135,7 +135,7 @@ def test_a_version_the_base_does_not_know_is_refused_by_it(sim: SimBase) -> None
     base = ModbusBase(settings(sim.port))
     base.open()
     with pytest.raises(BaseLinkError, match="exception 3"):
-        base.exchange(replace(TELEGRAM, version=2))
+        base.exchange(replace(TELEGRAM, version=3))
     assert len(sim.telegrams) == 0
     base.close()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ceilvo.config.keys import key
+from ceilvo.config.sections.keys import key
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,143 @@
+"""One drive of one outfit under one condition, and what its estimates were worth against the truth."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.bench.fusion.conditions import BEGIN_S, CONDITIONS
+from ceilvo.bench.fusion.robot import TICK_S, Moment, Ride
+from ceilvo.bench.fusion.said import Said
+from ceilvo.bench.fusion.senses import OUTFITS, SENSES
+from ceilvo.bench.place.ceiling.eye import SyntheticEye
+from ceilvo.bench.place.ceiling.worlds import WorldSpec, landmarks_of, make_world
+from ceilvo.bench.place.robot.tally import CLAIMED, WRONG_M, WRONG_RAD
+from ceilvo.config import Config
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.sim.rig import simulated_calibration
+from ceilvo.types import Array, Crossings, Estimate, Pose
+
+_FRAME_TICKS = 7
+"""Between frames: 14 Hz; chosen: what counts is told, and runs take half the time of 30 Hz."""
+_START_SIGMA = np.diag([1e-6, 1e-6, 1e-6])
+"""m^2, m^2, rad^2 of the pose that the drive begins at."""
+_NO_LINES = "no lines found"
+
+
+@dataclass(frozen=True)
+class Case:
+    """Names of an outfit and a condition, and the seed, which is the same world and way for all outfits."""
+
+    outfit: str
+    condition: str
+    seed: int
+
+
+def as_key(case: Case) -> dict[str, Any]:
+    return asdict(case)
+
+
+def from_key(key: Any) -> Case:
+    return Case(key["outfit"], key["condition"], key["seed"])
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """The figures of a case, as JSON can hold them."""
+    cv2.setNumThreads(1)
+    return _figures(Drive(case).rows())
+
+
+@dataclass
+class Row:
+    """One frame: time since the condition began, error (3,) in map, its NEES per degree of freedom, and more."""
+
+    time_s: float
+    error: Array
+    nees: float
+    claimed: bool
+    way_m: float
+    blind: bool
+    estimate: Estimate
+
+
+class Drive:
+    """The robot, its senses and the daemon. Whatever is at random has a generator of its own by name."""
+
+    def __init__(self, case: Case) -> None:
+        self._case, self._condition = case, CONDITIONS[case.condition]
+        world = make_world(WorldSpec("20", 0.6, "raster", case.seed))
+        calibration = simulated_calibration(tile_m=world.spec.tile_m)
+        config, named = Config(), OUTFITS[case.outfit]
+        for name in named:
+            config = SENSES[name].configured(config, world)
+        self.devices = [SENSES[name].device(world, config, self._rng(name)) for name in named]
+        self._eye = SyntheticEye(world.features, calibration, self._rng("eye"))
+        self._ride = Ride(world.room, world.map_from_ceiling, self._condition, self._rng("ride"))
+        self.pipeline = Pipeline(calibration, config, self._rng("pipeline"))
+        self._known = landmarks_of(world.features, self._eye.missed, self._rng("map")), world.features.axis_rad
+
+    def _rng(self, name: str) -> np.random.Generator:
+        return np.random.default_rng([self._case.seed, zlib.crc32(name.encode())])
+
+    def rows(self, whole: bool = False) -> list[Row]:
+        """Of every frame since the condition began, or since the start."""
+        out, before_ns, way_m = [], None, 0.0
+        late_ticks = round(self._condition.late_s / TICK_S)
+        recent: list[Moment] = []
+        for k, moment in enumerate(self._ride):
+            for device in self.devices:
+                device.live(moment)
+            recent = [*recent[-late_ticks:], moment] if late_ticks else [moment]
+            way_m += float(np.hypot(*moment.moved[:2])) if moment.time_s > BEGIN_S else 0.0
+            if k == 0:
+                self.pipeline.load_map(*self._known, Pose(moment.pose), _START_SIGMA, recent=True)
+            if k % _FRAME_TICKS:
+                continue
+            said = Said()
+            for device in self.devices if before_ns is not None else ():
+                device.tell(before_ns, moment.ns, said)  # type: ignore[arg-type]
+            shown = recent[0]
+            seen = self._seen(shown)
+            estimate = self.pipeline.step_crossings(moment.ns, seen, said.wheels, missing=_NO_LINES, heard=said.heard)
+            before_ns = moment.ns
+            if whole or moment.time_s > BEGIN_S:
+                out.append(_row(moment, estimate, way_m, seen is None))
+        return out
+
+    def _seen(self, moment: Moment) -> Crossings | None:
+        return None if moment.dark or moment.bare else self._eye.look(moment.pose)
+
+
+def _row(moment: Moment, estimate: Estimate, way_m: float, blind: bool) -> Row:
+    error = estimate.pose - moment.pose
+    error[2] = se2.wrap(float(error[2]))
+    nees = float(error @ np.linalg.solve(estimate.cov, error)) / 3.0
+    return Row(moment.time_s - BEGIN_S, error, nees, estimate.state in CLAIMED, way_m, blind, estimate)
+
+
+def _figures(rows: list[Row]) -> dict[str, Any]:
+    off_m = np.array([np.hypot(r.error[0], r.error[1]) for r in rows])
+    off_rad = np.abs([r.error[2] for r in rows])
+    claimed = np.array([r.claimed for r in rows])
+    wrong = (off_m > WRONG_M) | (off_rad > WRONG_RAD)
+    frame_s = _FRAME_TICKS * TICK_S
+    blind = [k for k, r in enumerate(rows) if r.blind]
+    out = {
+        "rms_m": float(np.sqrt(np.mean(off_m**2))),
+        "rms_rad": float(np.sqrt(np.mean(off_rad**2))),
+        "max_m": float(off_m.max()),
+        "nees": float(np.mean([r.nees for r in rows])),
+        "wrong_s": frame_s * int(np.count_nonzero(wrong & claimed)),
+        "claimed_s": frame_s * int(np.count_nonzero(claimed)),
+        "end_m": float(off_m[-1]),
+    }
+    if blind:
+        last = blind[-1]
+        out |= {"blind_m": float(off_m[last]), "blind_rad": float(off_rad[last]), "blind_way_m": rows[last].way_m}
+        out |= {"blind_nees": rows[last].nees}
+    return out

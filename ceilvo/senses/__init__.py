@@ -1,0 +1,1 @@
+"""What senses beside camera and wheels say, as data."""

@@ -1,0 +1,35 @@
+"""What senses beside camera and wheels say of the time between two frames; a field a sense."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ceilvo.types import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """What a gyro says of an interval, integrated over it; its bias is still in it.
+
+    Attributes:
+        turned_rad: counter-clockwise about base z, not wrapped.
+        var_rad2: of its white noise and of where its samples lie in time; bias and scale are not in it.
+        span_s: length of the interval.
+        gained_mps: (2,) what accelerometers gathered along base x and y, None where there are none.
+    """
+
+    turned_rad: float
+    var_rad2: float
+    span_s: float
+    gained_mps: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """Of one frame's interval; None where a sense says nothing."""
+
+    turn: Turn | None = None
+
+
+NOTHING = Heard()
+"""Of a robot with camera and wheels alone."""
