@@ -85,8 +85,9 @@ class Pipeline:
     ) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
         elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
-        usable = self.checks.usable_wheels(wheels, elapsed_s)
-        expected, twist = self.odometry.expected(elapsed_s, usable), self.odometry.expected_twist(elapsed_s, usable)
+        told = self.checks.told(wheels, elapsed_s, heard)
+        expected = self.odometry.expected(elapsed_s, told.wheels, told.turn)
+        twist = self.odometry.expected_twist(elapsed_s, told.wheels, told.turn)
         hint = None if self.odometry.heights.wants_whole_look else expected
         crossings = self.vision(frame, hint, on_stage_done, twist)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done, heard=heard)
@@ -102,11 +103,12 @@ class Pipeline:
     ) -> Estimate:
         """step() from what was seen in a frame; without crossings, why they are missing."""
         elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)
-        usable = self.checks.admit(crossings, wheels, elapsed_s)
-        placed = self.odometry.placed(usable.crossings, self.odometry.expected(elapsed_s, usable.wheels))
-        motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing)
+        usable = self.checks.admit(crossings, wheels, elapsed_s, heard)
+        expected = self.odometry.expected(elapsed_s, usable.wheels, usable.turn)
+        placed = self.odometry.placed(usable.crossings, expected)
+        motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
         self.odometry.heights.learn(motion)
-        suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s)
+        suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)

@@ -36,7 +36,7 @@ class WheelsDevice:
     """Differential drive: two wheels of unknown scales, reckoned with as the base was built."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self._rng, self._track = rng, WheelTrack(samples=_SAMPLES)
+        self._rng, self._track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
         self.scales, track = 1.0 + _SCALE_SIGMA * rng.standard_normal(2), 1.0 + _SCALE_SIGMA * rng.standard_normal()
         self.track_m = TRACK_M * track
         self._odom, self._heading = np.zeros(3), 0.0
@@ -71,7 +71,7 @@ class GyroDevice:
     """Its integral comes with the base's telegrams, as its wheels' counts do."""
 
     def __init__(self, rng: np.random.Generator, config: Config) -> None:
-        self._rng, self._track = rng, WheelTrack(samples=_SAMPLES)
+        self._rng, self._track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
         self._noise = float(np.radians(config.senses.gyro_noise_dps)) ** 2
         self.bias, self.scale = _GYRO_BIAS * rng.standard_normal(), 1.0 + _GYRO_SCALE * rng.standard_normal()
         self._angle, self._ticks = 0.0, 0

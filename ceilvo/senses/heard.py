@@ -13,7 +13,8 @@ class Turn:
 
     Attributes:
         turned_rad: counter-clockwise about base z, not wrapped.
-        var_rad2: of its white noise and of where its samples lie in time; bias and scale are not in it.
+        var_rad2: of its white noise; bias and scale are not in it.
+        ends_rad2: variance by where the interval's ends lie in time: what it has too much the next one lacks.
         span_s: length of the interval.
         gained_mps: (2,) what accelerometers gathered along base x and y, None where there are none.
     """
@@ -21,6 +22,7 @@ class Turn:
     turned_rad: float
     var_rad2: float
     span_s: float
+    ends_rad2: float = 0.0
     gained_mps: Array | None = None
 
 

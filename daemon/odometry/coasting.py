@@ -49,32 +49,42 @@ class LastTwist:
     since_s: float
 
 
-def coast(config: Odometry, last: LastTwist, dt_s: float) -> tuple[Displacement, Array]:
-    """prev_from_curr (3,) over the next dt_s, with its covariance (3, 3).
+@dataclass(frozen=True, slots=True)
+class KnownTurn:
+    """What a gyro says of the heading while nothing else is known of the motion."""
+
+    turned_rad: float
+    var_rad2: float
+
+
+def coast(config: Odometry, last: LastTwist, dt_s: float, turn: KnownTurn | None = None) -> tuple[Displacement, Array]:
+    """prev_from_curr (3,) over the next dt_s, with its covariance (3, 3); a turn that is known replaces the twist's.
 
     The covariance is its share of what has been unknown since the twist was measured: those of a gap's steps add up to
     the whole, for the acceleration is the same in all of them.
     """
     steps = max(math.ceil(dt_s / _STEP_S - _SMALL_S), 1)
     ends_s = np.linspace(last.since_s, last.since_s + dt_s, steps + 1).tolist()
-    moved, cov = _arc(last.twist, ends_s[0], ends_s[1]), _cov(config, last, ends_s[0], ends_s[1])
+    part = None if turn is None else KnownTurn(turn.turned_rad / steps, turn.var_rad2 / steps)
+    moved, cov = _arc(last.twist, ends_s[0], ends_s[1], part), _cov(config, last, ends_s[0], ends_s[1], part)
     for start_s, end_s in pairwise(ends_s[1:]):
-        step, step_cov = _arc(last.twist, start_s, end_s), _cov(config, last, start_s, end_s)
+        step, step_cov = _arc(last.twist, start_s, end_s, part), _cov(config, last, start_s, end_s, part)
         moved, cov = se2.compose(moved, step), se2.compose_cov(moved, cov, step, step_cov)
     return Displacement(moved), cov
 
 
-def _arc(twist: Array, start_s: float, end_s: float) -> Array:
-    """The way of a twist that fades."""
+def _arc(twist: Array, start_s: float, end_s: float, turn: KnownTurn | None) -> Array:
+    """The way of a twist that fades, but for a turn that is known."""
     lasts_s = _DECAY_S * (math.exp(-start_s / _DECAY_S) - math.exp(-end_s / _DECAY_S))
     vx, vy, w = (twist * lasts_s).tolist()
+    w = w if turn is None else turn.turned_rad
     if abs(w) < _SMALL_RAD:
         return np.array([vx, vy, w])
     along, across = math.sin(w) / w, (1.0 - math.cos(w)) / w
     return np.array([along * vx - across * vy, across * vx + along * vy, w])
 
 
-def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float) -> Array:
+def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float, known: KnownTurn | None) -> Array:
     vx, vy, w = last.twist.tolist()
     speed = math.hypot(vx, vy)
     accel = math.hypot(config.coast_accel_mps2, _ACCEL_PM * speed**2)
@@ -82,7 +92,7 @@ def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float) -> Arr
     turn = math.hypot(_SPREAD * config.max_turn_radps, _CURVATURE_PM * speed)
     xy, theta = (accel, _SPREAD * config.max_speed_mps, last.span_s), (turn_accel, turn, last.span_s)
     var_xy, var_theta = (_off(*a, end_s) ** 2 - _off(*a, start_s) ** 2 for a in (xy, theta))
-    return np.diag([var_xy, var_xy, var_theta])
+    return np.diag([var_xy, var_xy, var_theta if known is None else known.var_rad2])
 
 
 def _off(accel: float, most: float, span_s: float | None, t_s: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
-from ceilvo.daemon.odometry.coasting import LastTwist, coast
+from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast
 from ceilvo.daemon.odometry.course import Course, contradicted, off_course
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
@@ -125,25 +125,33 @@ class VisualOdometry:
         self._config = config
         self.state = VisualOdometryState()
 
-    def expected(self, dt_s: float, wheels: WheelMotion | None = None) -> Array | None:
+    def expected(self, dt_s: float, wheels: WheelMotion | None = None, turn: KnownTurn | None = None) -> Array | None:
         """(3,) predicted motion since the previous call of step(), None right after a failure or at the start."""
         if self.state.reference is None or self.state.since_ref_s > 0.0:
             return None
-        return wheels.prev_from_curr if wheels is not None else self.state.twist * dt_s
+        if wheels is not None:
+            return wheels.prev_from_curr
+        moved = self.state.twist * dt_s
+        return moved if turn is None else np.array([moved[0], moved[1], turn.turned_rad])
 
     def look_again(self, reference: Crossings | None) -> None:
         """The last good frame's crossings, when they are known better now; None when they are not."""
         if reference is not None and self.state.reference is not None:
             self.state.reference = reference
 
-    def expected_twist(self, dt_s: float, wheels: WheelMotion | None = None) -> TwistPrior | None:
-        """Of the robot at the end of dt_s, by wheels or as it was last seen; None when nothing is known of it."""
+    def expected_twist(
+        self, dt_s: float, wheels: WheelMotion | None = None, turn: KnownTurn | None = None
+    ) -> TwistPrior | None:
+        """Of the robot at the end of dt_s, by wheels, or as it was last seen with the turn that is known; None when
+        nothing is known of it."""
         s = self.state
         if not s.twist_known or s.twist_span_s <= 0.0 or dt_s <= 0.0:
             return None
         last = se2.mean_twist(s.twist * s.twist_span_s, s.twist_span_s)
         if wheels is None:
             late = _TWIST_LATE * s.twist_change
+            if turn is not None:
+                last, late = np.append(last[:2], turn.turned_rad / dt_s), np.append(late[:2], 0.0)
             return TwistPrior(last + late, _TWIST_SIGMA + np.abs(late))
         mean = se2.mean_twist(wheels.prev_from_curr, dt_s)
         return TwistPrior(mean, _TWIST_SIGMA + np.abs(mean - last))
@@ -154,6 +162,7 @@ class VisualOdometry:
         dt_s: float,
         wheels: WheelMotion | None = None,
         missing: str = "no lines found",
+        turn: KnownTurn | None = None,
     ) -> Motion:
         """Motion since the previous call.
 
@@ -162,12 +171,13 @@ class VisualOdometry:
             dt_s: time since the previous call.
             wheels: what the base reports of the same interval, when it does.
             missing: why there are no crossings, for the failure.
+            turn: of the same interval, where there are no wheels.
 
         Returns:
             A Motion; where it failed, prev_from_curr is the prediction and cov is the variance of that. A
             good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
-        predicted = self._predicted(dt_s, wheels)
+        predicted = self._predicted(dt_s, wheels, turn)
         if crossings is None or len(crossings) < fewest(crossings, self._config):
             self.state.refused = None
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
@@ -194,13 +204,13 @@ class VisualOdometry:
 
     # -- before the view
 
-    def _predicted(self, dt_s: float, wheels: WheelMotion | None) -> Motion:
+    def _predicted(self, dt_s: float, wheels: WheelMotion | None, turn: KnownTurn | None) -> Motion:
         """The motion of dt_s by wheels or coasting, which has failed until a view confirms it."""
         s = self.state
         if wheels is not None:
             return Motion(wheels.prev_from_curr, wheels.cov, 0, 0.0, "", prior_cov=wheels.cov, by_wheels=True)
         last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
-        moved, cov = coast(self._config, last, dt_s)
+        moved, cov = coast(self._config, last, dt_s, turn)
         cov = cov + self._noise_floor()
         return Motion(moved, cov, 0, 0.0, "", prior_cov=cov)
 

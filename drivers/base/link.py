@@ -70,14 +70,16 @@ class BaseLink:
         base: Base,
         clock: Clock = time.monotonic_ns,
         on_crash: Callable[[BaseException], None] | None = None,
+        seamless: bool = False,
     ) -> None:
-        """clock must be the one of the estimates' stamps; on_crash is called in the thread when it dies."""
+        """clock must be the one of the estimates' stamps; on_crash is called in the thread when it dies; seamless is
+        WheelTrack's."""
         self._settings = settings
         self._base = base
         self._clock = clock
         self._on_crash = on_crash
         self._status_response_ns = round(1e9 * wire_budget(settings).status_response_s)
-        self._wheels = WheelTrack()
+        self._wheels = WheelTrack(seamless=seamless)
         self._latest: Estimate | None = None
         self._final_state: State | None = None
         self._stopping = threading.Event()

@@ -64,13 +64,22 @@ class WheelTrack:
         coast_s: float = 0.1,
         max_speed_mps: float = 5.0,
         max_turn_radps: float = 10.0,
+        seamless: bool = False,
     ) -> None:
-        """Stamps inside a gap longer than max_gap_s, or later than the newest sample by coast_s, are not covered."""
+        """Stamps inside a gap longer than max_gap_s, or later than the newest sample by coast_s, are not covered.
+
+        Args:
+            seamless: intervals that follow each other add up to the whole way: what was coasted at the end of one, and
+                turned out otherwise, is made good in the next. Otherwise that is lost, and wheels seem late by some
+                10 ms while the robot speeds up.
+        """
         self._noise = noise or WheelNoise()
         self._max_gap_s = max_gap_s
         self._coast_s = coast_s
         self._max_speed_mps = max_speed_mps
         self._max_turn_radps = max_turn_radps
+        self._seamless = seamless
+        self._ends: dict[str, tuple[int, Array]] = {}
         self._lock = threading.Lock()
         self._samples: deque[tuple[int, int, int, int]] = deque(maxlen=samples)
         self._turned: deque[tuple[int, ...]] = deque(maxlen=samples)
@@ -90,6 +99,7 @@ class WheelTrack:
                 self._restarts += 1
                 self._samples.clear()
                 self._turned.clear()
+                self._ends.clear()
                 self._offsets_ns.clear()
                 self._last = None
             self._append(status, stamp_ns)
@@ -109,7 +119,8 @@ class WheelTrack:
         t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in (stamp0_ns, stamp1_ns))
         if not (self._covers(t, t0) and self._covers(t, t1)):
             return None
-        return self._motion(t, path, t0, t1)
+        start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "wheels")
+        return self._motion(t, path, t0, t1, start, end)
 
     def turn_between(self, stamp0_ns: int, stamp1_ns: int, noise_rad2_ps: float) -> Turn | None:
         """What the base's gyro says from stamp0 to stamp1, None without one or where the history does not cover both.
@@ -130,13 +141,14 @@ class WheelTrack:
         if not (self._covers(t, t0) and self._covers(t, t1)):
             return None
         path = counts * np.array([GYRO_UNIT_RAD, GAINED_UNIT_MPS, GAINED_UNIT_MPS])
-        moved = _pose_at(t, path, t1) - _pose_at(t, path, t0)
+        start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "gyro")
+        moved = end - start
         span_s, beyond_s = 1e-9 * (stamp1_ns - stamp0_ns), max(0.0, t1 - float(t[-1]))
         rate = abs(float(moved[0])) / span_s if span_s > 0.0 else 0.0
-        var = GYRO_UNIT_RAD**2 / _ROUNDING + noise_rad2_ps * span_s + 2.0 * (self._noise.stamp_sigma_s * rate) ** 2
-        var += (0.5 * self._noise.coast_turn_radps2 * beyond_s**2) ** 2
+        ends = GYRO_UNIT_RAD**2 / _ROUNDING + 2.0 * (self._noise.stamp_sigma_s * rate) ** 2
+        ends += (0.5 * self._noise.coast_turn_radps2 * beyond_s**2) ** 2
         gained = None if last[0].gained_x_count is None or last[0].gained_y_count is None else frozen(moved[1:])
-        return Turn(float(moved[0]), var, span_s, gained)
+        return Turn(float(moved[0]), noise_rad2_ps * span_s, span_s, ends, gained)
 
     def _continues(self, status: BaseStatus, stamp_ns: int) -> bool:
         if self._last is None:
@@ -177,9 +189,20 @@ class WheelTrack:
         after = int(np.searchsorted(t, at_s))
         return after == 0 or after == len(t) or bool(t[after] - t[after - 1] <= self._max_gap_s)
 
-    def _motion(self, t: Array, path: Array, t0: float, t1: float) -> WheelMotion:
+    def _between(
+        self, t: Array, path: Array, at_s: tuple[float, float], stamps_ns: tuple[int, int], which: str
+    ) -> tuple[Array, Array]:
+        """(3,) both ends of an interval; where it follows the last one seamlessly, that one's end."""
+        start, end = _pose_at(t, path, at_s[0]), _pose_at(t, path, at_s[1])
+        if self._seamless:
+            before_ns, told = self._ends.get(which, (None, start))
+            start = told if before_ns == stamps_ns[0] else start
+            self._ends[which] = stamps_ns[1], end
+        return start, end
+
+    def _motion(self, t: Array, path: Array, t0: float, t1: float, start: Array, end: Array) -> WheelMotion:
         inside = path[(t > t0) & (t < t1)]
-        points = np.vstack((_pose_at(t, path, t0), inside, _pose_at(t, path, t1)))
+        points = np.vstack((start, inside, end))
         steps = np.diff(points, axis=0)
         length_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
         turned_rad = float(np.abs(steps[:, 2]).sum())

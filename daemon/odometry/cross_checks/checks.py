@@ -6,19 +6,24 @@ and says what is suspected from then on. No clock, no randomness: all memory is 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Config
+from ceilvo.daemon.odometry.coasting import KnownTurn
 from ceilvo.daemon.odometry.cross_checks.delay import Delay, DelayState
+from ceilvo.daemon.odometry.cross_checks.noticed import suspicions_of
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
 from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
 from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
 from ceilvo.daemon.odometry.cross_checks.standing import Standing, StandingState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion, Suspicions
 from ceilvo.daemon.odometry.cross_checks.turned_camera import YAW_SIGMA_RAD, TurnedCamera, TurnedCameraState
+from ceilvo.daemon.odometry.senses.motion_senses import MotionSenses, MotionSensesState, Noticed, Told
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Crossings, Displacement, Motion, Pose, WheelMotion
 
 _KNOWN_DELAY_S = 0.1
@@ -31,11 +36,12 @@ _STANDS_M, _STANDS_RAD = 0.002, 0.003
 
 @dataclass(frozen=True, slots=True)
 class Admitted:
-    """What of a frame may be used: crossings or None with the reason, wheels or None."""
+    """What of a frame may be used: crossings or None with the reason, wheels or None, without those the gyro's turn."""
 
     crossings: Crossings | None
     wheels: WheelMotion | None
     missing: str = ""
+    turn: KnownTurn | None = None
 
 
 @dataclass(slots=True)
@@ -50,20 +56,32 @@ class CrossChecksState:
     delay: DelayState = field(default_factory=DelayState)
     active: list[str] = field(default_factory=list)
     counters: dict[str, int] = field(default_factory=lambda: {kind.value: 0 for kind in Kind})
+    senses: MotionSensesState = field(default_factory=MotionSensesState)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What admit() was asked, and what it found: a repeat of an earlier picture, wheels between the pictures."""
+
+    crossings: Crossings | None
+    wheels: WheelMotion | None
+    repeat: Suspicion | None
+    usable: WheelMotion | None
 
 
 class CrossChecks:
     """All checks of one robot."""
 
     def __init__(self, config: Config) -> None:
-        self._max_delay_s = config.odometry.max_delay_s
+        self._max_delay_s, self._fine = config.odometry.max_delay_s, config.senses.time
         self._refuse_repeats = config.camera.refuse_repeats
         self._paths, self._pictures = Paths(), Pictures()
         self._standing, self._delay = Standing(config.odometry.match_radius_m), Delay()
         self._reversal, self._turned_camera = Reversal(), TurnedCamera()
+        self.senses, self._noticed = MotionSenses(config.senses), Noticed()
         self._active: list[str] = []
         self._counters = {kind.value: 0 for kind in Kind}
-        self._admitted: tuple[Crossings | None, WheelMotion | None, Suspicion | None] | None = None
+        self._admitted: _Asked | None = None
 
     @property
     def state(self) -> CrossChecksState:
@@ -77,6 +95,7 @@ class CrossChecks:
             self._delay.state,
             self._active,
             self._counters,
+            self.senses.state,
         )
 
     @state.setter
@@ -84,7 +103,7 @@ class CrossChecks:
         self._paths.state, self._pictures.state, self._delay.state = state.paths, state.pictures, state.delay
         self._standing.state, self._reversal.state = state.standing, state.reversal
         self._turned_camera.state = state.turned_camera
-        self._active, self._counters = state.active, state.counters
+        self._active, self._counters, self.senses.state = state.active, state.counters, state.senses
         self._admitted = None
 
     @property
@@ -95,20 +114,34 @@ class CrossChecks:
     def restart(self) -> None:
         """Begin anew after a reset: what is known of the camera stays, and the counters."""
         old = self.state
-        self.state = CrossChecksState(pictures=old.pictures, delay=old.delay, counters=old.counters)
+        self.senses.restart()
+        self.state = CrossChecksState(
+            pictures=old.pictures, delay=old.delay, counters=old.counters, senses=self.senses.state
+        )
 
-    def admit(self, crossings: Crossings | None, wheels: WheelMotion | None, elapsed_s: float) -> Admitted:
+    def admit(
+        self, crossings: Crossings | None, wheels: WheelMotion | None, elapsed_s: float, heard: Heard = NOTHING
+    ) -> Admitted:
         """What of a frame odometry may use; changes nothing that step() would see.
 
         Args:
             wheels: what the base reports since the frame before.
             elapsed_s: time since then.
+            heard: what other senses say of that time.
         """
-        repeat = self._repeat(crossings, wheels)
-        self._admitted = crossings, wheels, repeat
-        if repeat is not None:
-            return Admitted(None, self.usable_wheels(wheels, elapsed_s), repeat.reason)
-        return Admitted(crossings, self.usable_wheels(wheels, elapsed_s))
+        asked = self._asked(crossings, wheels, elapsed_s)
+        self._admitted = asked
+        told = self.senses.told(asked.usable, heard.turn, elapsed_s)
+        if asked.repeat is not None:
+            return Admitted(None, told.wheels, asked.repeat.reason, told.turn)
+        return Admitted(crossings, told.wheels, turn=told.turn)
+
+    def told(self, wheels: WheelMotion | None, elapsed_s: float, heard: Heard = NOTHING) -> Told:
+        """The motion that a picture will show, before it is looked at."""
+        return self.senses.told(self.usable_wheels(wheels, elapsed_s), heard.turn, elapsed_s)
+
+    def _asked(self, crossings: Crossings | None, wheels: WheelMotion | None, elapsed_s: float) -> _Asked:
+        return _Asked(crossings, wheels, self._repeat(crossings, wheels), self.usable_wheels(wheels, elapsed_s))
 
     def usable_wheels(self, wheels: WheelMotion | None, elapsed_s: float) -> WheelMotion | None:
         """The wheels' motion between the moments that the last two pictures show, in base as a turned camera has it.
@@ -117,7 +150,7 @@ class CrossChecks:
         """
         if wheels is None or Kind.WHEELS_REVERSED.value in self._active:
             return None
-        late_s = self._delay.known_s
+        late_s = self._known_late_s
         if late_s <= 0.0 or elapsed_s <= 0.0:
             return _seen_from(wheels, self._turned_camera.yaw_rad)
         return _seen_from(self._delayed(wheels, late_s, elapsed_s), self._turned_camera.yaw_rad)
@@ -136,7 +169,7 @@ class CrossChecks:
         A late picture's pose is moved on to its stamp by the wheels. A heading that a turned camera gives is turned to
         the wheels' direction; that the camera is not on the rotation centre is left out (5 mm at 5 deg and 6 cm).
         """
-        late_s, now_s, yaw_rad = self._delay.known_s, self._paths.state.time_s, self._turned_camera.yaw_rad
+        late_s, now_s, yaw_rad = self._known_late_s, self._paths.state.time_s, self._turned_camera.yaw_rad
         since = self._paths.wheel_motion(now_s - late_s, now_s) if late_s > 0.0 else None
         if since is not None and Kind.WHEELS_REVERSED.value not in self._active:
             moved = _seen_from(since, yaw_rad)
@@ -154,6 +187,7 @@ class CrossChecks:
         motion: Motion,
         wheels: WheelMotion | None,
         elapsed_s: float,
+        heard: Heard = NOTHING,
     ) -> Suspicions:
         """Take a frame in.
 
@@ -163,18 +197,23 @@ class CrossChecks:
             motion: what odometry made of them.
             wheels: as the base reports them, whatever admit() made of them.
             elapsed_s: time since the frame before, 0 for the first.
+            heard: what other senses say of that time.
         """
-        told, self._admitted = self._admitted, None
-        known = told is not None and told[0] is crossings and told[1] is wheels
-        repeat = told[2] if told is not None and known else self._repeat(crossings, wheels)
+        asked, self._admitted = self._admitted, None
+        if asked is None or asked.crossings is not crossings or asked.wheels is not wheels:
+            asked = self._asked(crossings, wheels, elapsed_s)
         if crossings is not None:
             self._pictures.add(crossings, motion)
         self._paths.add(motion, wheels, elapsed_s)
         self._delay.step(self._paths)
-        known_s = self._delay.known_s
-        late_s = self._max_delay_s if self._delay.state.steady_s is None else max(known_s, 0.0) + _KNOWN_DELAY_S
-        found = [] if repeat is None else [repeat]
-        found += self._standing.step(self._paths, late_s)
+        if self._fine and len(self._paths):
+            self.senses.wheels_lag.step(self._paths.series())
+        self._noticed = self.senses.step(motion, asked.usable, heard.turn, elapsed_s)
+        known_s = self._known_late_s
+        late_s = self._max_delay_s if self._steady_late_s is None else max(known_s, 0.0) + _KNOWN_DELAY_S
+        found = [] if asked.repeat is None else [asked.repeat]
+        found += self._standing.step(self._paths, late_s, self._noticed.still)
+        found += suspicions_of(self._noticed, motion.ok, self._since_jump_s())
         against = self._reversal.step(self._paths, max(known_s, 0.0))
         found += against + self._turned_camera.step(self._paths, max(known_s, 0.0), late_s, bool(against))
         found += self._late()
@@ -195,8 +234,26 @@ class CrossChecks:
             moved.append(self._paths.wheels[-1] - self._paths.wheels_at(since_s))
         return all(np.hypot(m[0], m[1]) < _STANDS_M and abs(m[2]) < _STANDS_RAD for m in moved)
 
+    @property
+    def _known_late_s(self) -> float:
+        """By how much pictures come later than wheels, to milliseconds where that is known so well; 0 where not."""
+        fine = self.senses.wheels_lag
+        return fine.known_s if self._fine and math.isfinite(fine.sigma_s) else self._delay.known_s
+
+    @property
+    def _steady_late_s(self) -> float | None:
+        fine = self.senses.wheels_lag
+        return fine.known_s if self._fine and math.isfinite(fine.sigma_s) else self._delay.state.steady_s
+
+    def _since_jump_s(self) -> tuple[float, float] | None:
+        """Size of the last jump of a delay, and how long ago that was noticed."""
+        lags = (self.senses.wheels_lag.state, self.senses.gyro_lag.state)
+        times = (self._paths.state.time_s, self.senses.gyro_path.state.time_s)
+        found = [(t - lag.jumped_at_s, lag.jumped_s) for lag, t in zip(lags, times, strict=True) if lag.jumps]
+        return None if not found else (min(found)[1], min(found)[0])
+
     def _late(self) -> list[Suspicion]:
-        steady_s = self._delay.state.steady_s
+        steady_s = self._steady_late_s
         if steady_s is None or abs(steady_s) <= self._max_delay_s:
             return []
         what = "pictures come" if steady_s > 0.0 else "wheel odometry comes"

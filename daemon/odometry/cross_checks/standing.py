@@ -62,12 +62,17 @@ class Standing:
         """The paths begin anew."""
         self.state = StandingState()
 
-    def step(self, paths: Paths, late_s: float) -> list[Suspicion]:
-        """After a frame was added to the paths; late_s is by how much the picture may lag behind the wheels."""
+    def step(self, paths: Paths, late_s: float, still: bool = False) -> list[Suspicion]:
+        """After a frame was added to the paths.
+
+        Args:
+            late_s: by how much the picture may lag behind the wheels.
+            still: a gyro says that nobody moved the robot in the gap that ends here.
+        """
         if not len(paths):
             self.restart()
             return []
-        found = (self._stands(paths, late_s), self._lifted(paths), self._moves(paths, late_s))
+        found = (self._stands(paths, late_s), self._lifted(paths, still), self._moves(paths, late_s))
         return [s for s in found if s is not None]
 
     def _stands(self, paths: Paths, late_s: float) -> Suspicion | None:
@@ -92,7 +97,7 @@ class Standing:
             away,
         )
 
-    def _lifted(self, paths: Paths) -> Suspicion | None:
+    def _lifted(self, paths: Paths, still: bool) -> Suspicion | None:
         """Vision is back after a gap in which the wheels stood, which a robot's in the air do as well."""
         s, now_s = self.state, float(paths.time_s[-1])
         if not paths.good[-1]:
@@ -100,7 +105,7 @@ class Standing:
             return None
         before, gap_s, failed = s.sight_wheels, now_s - s.sight_s, s.failed
         s.sight_s, s.sight_wheels, s.failed = now_s, paths.wheels[-1].copy(), 0
-        if before is None or gap_s < (_BLIND_S if failed else _hole_s(paths)):
+        if before is None or still or gap_s < (_BLIND_S if failed else _hole_s(paths)):
             return None
         if _size(displacement(before, paths.wheels[-1])) > _STILL_SHARE:
             return None

@@ -35,6 +35,11 @@ class Kind(str, Enum):
     CAMERA_TURNED = "camera_turned"
     KNOCKED = "knocked"
     LATE = "picture_late"
+    DELAY_JUMPED = "delay_jumped"
+    SLIP_AHEAD = "wheels_slip_ahead"
+    SLIP_SIDEWAYS = "wheels_slip_sideways"
+    SLIP_TURNING = "wheels_slip_turning"
+    CARRIED = "carried"
 
 
 @dataclass(frozen=True, slots=True)
