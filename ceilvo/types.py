@@ -163,13 +163,12 @@ class Motion:
         prev_from_curr: (3,) [m, m, rad]; maps static points seen now to where they were seen before, which is the
             robot's own displacement in its previous base frame.
         cov: (3, 3).
-        inliers: correspondences used.
-        rms_m: residual of eq. 16.
+        inliers, rms_m: correspondences used, and their residual of eq. 16.
         failure: None, or why there is no motion (prev_from_curr is then a prediction).
         restarted: odometry goes on from this frame without having tied it to the last good one, so what was
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
         prior_cov: (3, 3) of prev_from_curr before anything was seen in this frame: what prediction alone knew.
-        by_wheels: the prediction is the wheels'.
+        by_wheels, watched: as of WheelMotion, where the prediction is the wheels'.
         alternatives: (A, 3) other displacements prev_from_curr that this view fits too: whole tiles or quarter turns
             off. Those are left out that are less likely than the rate of error that odometry may have.
         log_ratio: (A,) logarithm of how much likelier the view is at each of them than at prev_from_curr; what the
@@ -186,6 +185,7 @@ class Motion:
     restarted: bool = False
     prior_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     by_wheels: bool = False
+    watched: bool = False
     alternatives: Array = field(default_factory=lambda: np.empty((0, 3)))
     log_ratio: Array = field(default_factory=lambda: np.empty(0))
     doubt: float = 0.0
@@ -197,10 +197,12 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class WheelMotion:
-    """Displacement that the base reports between two frames, prev_from_curr (3,) [m, m, rad] with cov (3, 3)."""
+    """Displacement that the base reports between two frames, prev_from_curr (3,) [m, m, rad] with cov (3, 3); watched:
+    a gyro bears out that the robot stood on its wheels."""
 
     prev_from_curr: Displacement
     cov: Array
+    watched: bool = False
 
 
 NO_LANDMARK = -1

@@ -21,6 +21,8 @@ _SPIN_ACCEL_RADPS2 = 10.0
 """Into and out of a fast turn; chosen: 3 rad/s after .3 s."""
 _CARRY_TURN_RAD = 2.0
 """By which a carried robot is turned at most; chosen."""
+_WOBBLE_RAD, _WOBBLE_HZ = 0.1, 0.8
+"""And by which it sways in a person's hands; chosen: 6 deg with every second step."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Ride:
                 self._head_on()
             since_s = k * TICK_S - BEGIN_S
             lifted = c.carried_m > 0.0 and 0.0 <= since_s < CARRY_S
-            moved = self._carried() if lifted else self._driven(since_s)
+            moved = self._carried(since_s) if lifted else self._driven(since_s)
             self._room_pose = np.asarray(se2.compose(self._room_pose, moved))
             self._way_m += float(np.hypot(moved[0], moved[1]))
             on = since_s >= 0.0
@@ -97,10 +99,11 @@ class Ride:
             return arc(0.0, self._turn_radps, TICK_S)
         return arc(*self._driver.twist(self._room_pose, TICK_S), TICK_S)
 
-    def _carried(self) -> Array:
+    def _carried(self, since_s: float) -> Array:
         self._driver.stop()
         inside = self._driver.low, self._driver.high
-        moved = np.asarray(se2.driven(self._carry, np.array([TICK_S]))[0])
+        sway = 2.0 * np.pi * _WOBBLE_HZ * _WOBBLE_RAD * np.cos(2.0 * np.pi * _WOBBLE_HZ * since_s)
+        moved = np.asarray(se2.driven(self._carry + np.array([0.0, 0.0, sway]), np.array([TICK_S]))[0])
         there = se2.compose(self._room_pose, moved)
         if np.all(there[:2] > inside[0]) and np.all(there[:2] < inside[1]):
             return moved

@@ -14,7 +14,8 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.types import Array, Displacement
+from ceilvo.daemon.vision.rolling_shutter import TwistPrior
+from ceilvo.types import Array, Displacement, WheelMotion
 
 _DECAY_S = 1.0
 """Time constant of the twist while vision is out; chosen: a robot that hears that its pose is bad stops in about it."""
@@ -36,6 +37,11 @@ _STEP_S = 0.1
 """Longest step of which the covariance is linear in the heading; chosen."""
 _SMALL_S = 1e-6
 """A step is not divided because it is longer by less: stamps are whole nanoseconds."""
+_TWIST_SIGMA = np.array([0.005, 0.005, 0.006])
+"""[m/s, m/s, rad/s] of the next frame's twist when it did not change lately; chosen: a steady drive differs
+by less, and what lamps and lens do to lines looks like 0.007 rad/s (docs/method.md)."""
+_TWIST_LATE = 1.5
+"""Steps from the middle of the last one to the next frame: its twist goes on changing as in the last, or does not."""
 _SMALL_RAD = 1e-9
 """An arc that turns by less is straight."""
 
@@ -71,6 +77,23 @@ def coast(config: Odometry, last: LastTwist, dt_s: float, turn: KnownTurn | None
         step, step_cov = _arc(last.twist, start_s, end_s, part), _cov(config, last, start_s, end_s, part)
         moved, cov = se2.compose(moved, step), se2.compose_cov(moved, cov, step, step_cov)
     return Displacement(moved), cov
+
+
+def twist_prior(
+    last: Array, change: Array, dt_s: float, wheels: WheelMotion | None, turn: KnownTurn | None
+) -> TwistPrior:
+    """By wheels, or as the eye last saw it, with the turn that a gyro tells.
+
+    Args:
+        last: (3,) [m/s, m/s, rad/s] of the last step, and by how much that differed from the one before: change (3,).
+    """
+    if wheels is not None:
+        mean = se2.mean_twist(wheels.prev_from_curr, dt_s)
+        return TwistPrior(mean, _TWIST_SIGMA + np.abs(mean - last))
+    late = _TWIST_LATE * change
+    if turn is not None:
+        last, late = np.append(last[:2], turn.turned_rad / dt_s), np.append(late[:2], 0.0)
+    return TwistPrior(last + late, _TWIST_SIGMA + np.abs(late))
 
 
 def _arc(twist: Array, start_s: float, end_s: float, turn: KnownTurn | None) -> Array:

@@ -27,7 +27,7 @@ class Track:
         blind_cov: (3, 3) what prediction alone knew of it, however many frames failed on it or did not come.
         moved_m, turned_rad: of this frame alone.
         blind_s: time since the last frame that gave a final motion; the time between two frames where none failed.
-        by_wheels: wheels covered all of that time.
+        by_wheels, watched: wheels covered all of that time, and a gyro bears out that the robot stood on them.
     """
 
     final: Motion | None
@@ -38,6 +38,7 @@ class Track:
     turned_rad: float
     blind_s: float
     by_wheels: bool
+    watched: bool = False
 
     def carry(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
         """A pose (3,) with cov (3, 3) at the last final motion, moved over the gap."""
@@ -89,7 +90,7 @@ class DeadReckoning:
         # a good motion corrects the gap's: it is no lever for the error of the heading that was predicted
         before, step = gap.prev_from_curr, np.zeros(3) if motion.ok else motion.prev_from_curr
         blind_cov, failed_cov = (se2.compose_cov(before, gap.cov, step, c) for c in (motion.prior_cov, motion.cov))
-        by_wheels = gap.by_wheels and motion.by_wheels
+        by_wheels, watched = gap.by_wheels and motion.by_wheels, gap.watched and motion.watched
         moved_m = float(np.hypot(*motion.prev_from_curr[:2]))
         s.blind_m += moved_m
         s.blind_s += dt_s
@@ -101,6 +102,7 @@ class DeadReckoning:
             cov=motion.cov if motion.ok else failed_cov,
             prior_cov=blind_cov,
             by_wheels=by_wheels,
+            watched=watched,
             alternatives=se2.compose(gap.prev_from_curr, motion.alternatives) if motion.doubt else motion.alternatives,
         )
         final = motion.ok or motion.restarted
@@ -113,6 +115,7 @@ class DeadReckoning:
             turned_rad=abs(float(motion.prev_from_curr[2])),
             blind_s=s.blind_s,
             by_wheels=by_wheels,
+            watched=watched,
         )
         s.gap = track.gap
         if final:
@@ -128,4 +131,4 @@ class DeadReckoning:
         self.state = DeadReckoningState(stamp_ns=self.state.stamp_ns)
 
 
-NO_MOTION = Motion(Displacement(np.zeros(3)), np.zeros((3, 3)), 0, 0.0, by_wheels=True)
+NO_MOTION = Motion(Displacement(np.zeros(3)), np.zeros((3, 3)), 0, 0.0, by_wheels=True, watched=True)

@@ -16,7 +16,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
-from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast
+from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, twist_prior
 from ceilvo.daemon.odometry.course import Course, contradicted, off_course
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
@@ -51,11 +51,6 @@ _MOST_USUAL = 0.4
 """Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 _MOVED_RAD = np.pi / math.sqrt(3.0)
 """Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
-_TWIST_SIGMA = np.array([0.005, 0.005, 0.006])
-"""[m/s, m/s, rad/s] of the next frame's twist when it did not change lately; chosen: a steady drive differs
-by less, and what lamps and lens do to lines looks like 0.007 rad/s (docs/method.md)."""
-_TWIST_LATE = 1.5
-"""Steps from the middle of the last one to the next frame: its twist goes on changing as in the last, or does not."""
 _NONE, _NO_FIT = np.empty((0, 3)), "nothing fits the last good view"
 
 
@@ -142,19 +137,12 @@ class VisualOdometry:
     def expected_twist(
         self, dt_s: float, wheels: WheelMotion | None = None, turn: KnownTurn | None = None
     ) -> TwistPrior | None:
-        """Of the robot at the end of dt_s, by wheels, or as it was last seen with the turn that is known; None when
-        nothing is known of it."""
+        """Of the robot at the end of dt_s, by wheels, or as it was last seen; None when nothing is known of it."""
         s = self.state
         if not s.twist_known or s.twist_span_s <= 0.0 or dt_s <= 0.0:
             return None
         last = se2.mean_twist(s.twist * s.twist_span_s, s.twist_span_s)
-        if wheels is None:
-            late = _TWIST_LATE * s.twist_change
-            if turn is not None:
-                last, late = np.append(last[:2], turn.turned_rad / dt_s), np.append(late[:2], 0.0)
-            return TwistPrior(last + late, _TWIST_SIGMA + np.abs(late))
-        mean = se2.mean_twist(wheels.prev_from_curr, dt_s)
-        return TwistPrior(mean, _TWIST_SIGMA + np.abs(mean - last))
+        return twist_prior(last, s.twist_change, dt_s, wheels, turn)
 
     def step(
         self,
@@ -208,7 +196,8 @@ class VisualOdometry:
         """The motion of dt_s by wheels or coasting, which has failed until a view confirms it."""
         s = self.state
         if wheels is not None:
-            return Motion(wheels.prev_from_curr, wheels.cov, 0, 0.0, "", prior_cov=wheels.cov, by_wheels=True)
+            told, cov = wheels.prev_from_curr, wheels.cov
+            return Motion(told, cov, 0, 0.0, "", prior_cov=cov, by_wheels=True, watched=wheels.watched)
         last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
         moved, cov = coast(self._config, last, dt_s, turn)
         cov = cov + self._noise_floor()

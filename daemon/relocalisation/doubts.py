@@ -16,6 +16,8 @@ LIFT_S = 1.0
 LIFTED, CARRY_S = 0.02, 2.0
 """Chance that a robot which saw nothing for so long was lifted meanwhile; chosen: it happens, but seldom. In less time
 fewer places are near enough, as its square."""
+UNNOTICED = 1e-3
+"""Part of those lifts that neither wheels nor gyro notice; chosen: nobody carries a robot without turning it."""
 JUMPED = 0.5
 """The same where it did see, but no motion of a robot explains what: chosen, it is as likely as a fault of vision."""
 CARRY_MPS = 2.0
@@ -118,7 +120,7 @@ def shows_a_jump(crossings: int, usual: float) -> bool:
     return crossings >= min(FEWEST_JUMPED, max(0.5 * usual, FEWEST_EVER))
 
 
-def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float) -> Doubt:
+def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float, watched: bool = False) -> Doubt:
     """After a stretch without motions from vision.
 
     Args:
@@ -126,8 +128,10 @@ def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float) -> Doub
         blind_s: how long it was.
         jumped: pictures there were, but they did not fit.
         other: probability that the motion which ended it is another one that fits as well.
+        watched: a gyro bears out that the robot stood on its wheels.
     """
     lifted = LIFTED * min(1.0, (blind_s / CARRY_S) ** 2) if blind_s > LIFT_S else 0.0
+    lifted *= UNNOTICED if watched else 1.0
     elsewhere = max(JUMPED if jumped else lifted, min(other, JUMPED))
     why = "the picture jumped" if jumped else f"{blind_s:.1f} s without vision"
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)

@@ -186,7 +186,7 @@ class Relocaliser:
         if gapped or track.final.doubt > 0.0:
             bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
             cov = track.final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
-            self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt))
+            self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt, track.watched))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far."""

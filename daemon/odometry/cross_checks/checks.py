@@ -172,7 +172,7 @@ class CrossChecks:
         late_s, now_s, yaw_rad = self._known_late_s, self._paths.state.time_s, self._turned_camera.yaw_rad
         since = self._paths.wheel_motion(now_s - late_s, now_s) if late_s > 0.0 else None
         if since is not None and Kind.WHEELS_REVERSED.value not in self._active:
-            moved = _seen_from(since, yaw_rad)
+            moved = _seen_from(self.senses.since(since, late_s) or since, yaw_rad)
             cov = se2.compose_cov(pose, cov, moved.prev_from_curr, moved.cov)
             pose = Pose(se2.compose(pose, moved.prev_from_curr))
         if yaw_rad:
@@ -237,13 +237,13 @@ class CrossChecks:
     @property
     def _known_late_s(self) -> float:
         """By how much pictures come later than wheels, to milliseconds where that is known so well; 0 where not."""
-        fine = self.senses.wheels_lag
-        return fine.known_s if self._fine and math.isfinite(fine.sigma_s) else self._delay.known_s
+        known_s, sigma_s = self.senses.wheels_late
+        return known_s if self._fine and math.isfinite(sigma_s) else self._delay.known_s
 
     @property
     def _steady_late_s(self) -> float | None:
-        fine = self.senses.wheels_lag
-        return fine.known_s if self._fine and math.isfinite(fine.sigma_s) else self._delay.state.steady_s
+        known_s, sigma_s = self.senses.wheels_late
+        return known_s if self._fine and math.isfinite(sigma_s) else self._delay.state.steady_s
 
     def _since_jump_s(self) -> tuple[float, float] | None:
         """Size of the last jump of a delay, and how long ago that was noticed."""

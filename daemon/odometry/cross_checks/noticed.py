@@ -27,7 +27,7 @@ def suspicions_of(noticed: Noticed, seen: bool, jumped: tuple[float, float] | No
     if noticed.carried_rad is not None:
         deg = math.degrees(abs(noticed.carried_rad))
         why = f"the gyro turned by {deg:.0f} deg or jolted while the wheels stood: somebody carries the robot"
-        severity = Severity.NOTED if seen else Severity.IN_DOUBT
+        severity = Severity.IN_DOUBT if noticed.begins and not seen else Severity.NOTED
         found.append(Suspicion(Kind.CARRIED, why, severity, CARRY_MPS * _CARRY_S, CARRY_RADPS * _CARRY_S))
     if jumped is not None and jumped[1] < _JUMP_SAID_S:
         why = f"the delay between camera and base jumped by {1e3 * jumped[0]:.0f} ms: look at the camera's driver"

@@ -26,7 +26,7 @@ angle lies between samples; chosen."""
 _SLOW_RADPS = 0.1
 """Hardly turning."""
 _BETWEEN_S, _STAMP_S = 0.04, 0.002
-"""How far beyond a sample an end may lie, which costs a change of the rate so much time; and when a sample was taken."""
+"""How far beyond a sample an end may lie, during which the rate changes as it did; error of a sample's time."""
 
 
 @dataclass(slots=True)

@@ -61,6 +61,14 @@ class GyroPath:
         before, after = np.interp([now_s - late_s, now_s + elapsed_s - late_s], times, angles).tolist()
         return replace(turn, turned_rad=after - before)
 
+    def last(self, late_s: float) -> Turn | None:
+        """Of the last late_s until the last row, None where the history does not reach."""
+        rows, now_s = self.state.rows, self.state.time_s
+        if late_s <= 0.0 or not len(rows) or now_s - late_s < rows[0, _TIME]:
+            return None
+        before = float(np.interp(now_s - late_s, rows[:, _TIME], rows[:, _GYRO]))
+        return Turn(float(rows[-1, _GYRO]) - before, float(_VAR[1]), late_s)
+
     def series(self) -> Series:
         """For the delay; of the two channels the gyro knows one."""
         rows = self.state.rows

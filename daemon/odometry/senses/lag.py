@@ -108,6 +108,10 @@ class Lag:
         """Of known_s, where it is known; else inf."""
         return self.state.sigma_s if self.state.sigma_s <= _SURE_S else math.inf
 
+    def skip(self, now_s: float) -> None:
+        """What was gathered until now since the last window tells nothing: wheels slip."""
+        self.state.next_s = max(self.state.next_s, now_s)
+
     def step(self, now: Series) -> None:
         """After a row was added."""
         s, t = self.state, now.time_s

@@ -23,8 +23,8 @@ _CARRIED_MPS = 0.4
 """The same by accelerometers; chosen: a slope of 4 deg gathers less."""
 _QUIET_RAD, _QUIET_MPS = 0.008, 0.15
 """And less than this is none: .5 deg."""
-_LONGEST_S = 5.0
-"""Gap through which a quiet gyro vouches that nobody moved the robot; chosen: long rides on a cart may be smooth."""
+_LONGEST_S = 2.0
+"""Gap through which a quiet gyro vouches that nobody moved the robot; chosen: a cart may roll smoothly for longer."""
 
 
 @dataclass(slots=True)

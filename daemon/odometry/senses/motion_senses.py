@@ -18,7 +18,7 @@ from ceilvo.daemon.odometry.senses.gyro_path import GyroPath, GyroPathState
 from ceilvo.daemon.odometry.senses.lag import Lag, LagState
 from ceilvo.daemon.odometry.senses.lifted import Lifted, LiftedState
 from ceilvo.daemon.odometry.senses.reckoning import Reckoning, Step, arc
-from ceilvo.daemon.odometry.senses.slip import Compared, Slip, SlipTest, SlipTestState
+from ceilvo.daemon.odometry.senses.slip import AXES, Compared, Slip, SlipTest, SlipTestState
 from ceilvo.daemon.odometry.senses.wheel_scales import PARAMETERS, WheelScales, WheelScalesState
 from ceilvo.senses.heard import Turn
 from ceilvo.types import Array, Displacement, Motion, WheelMotion
@@ -56,19 +56,28 @@ class Noticed:
 
     Attributes:
         slips: that go on.
-        carried_rad: turned by so much while the wheels stood; None where not.
+        carried_rad: turned by so much while the wheels stood, from when that is noticed until the eye measures a motion;
+            None where not. begins: it is noticed now.
         still: the gyro was there all through the gap that ends here, and told no motion.
     """
 
     slips: tuple[Slip, ...] = ()
     carried_rad: float | None = None
+    begins: bool = False
     still: bool = False
 
 
 @dataclass(slots=True)
 class MotionSensesState:
-    """Of each part; gap: the way since the last frame that the eye measured; twist: (3,) [m/s, m/s, rad/s] by wheels in
-    the last frame; seen: the eye measured it."""
+    """Of each part, and of all together.
+
+    Attributes:
+        gap: the way since the last frame that the eye measured.
+        twist: (3,) [m/s, m/s, rad/s] by wheels in the last frame; seen: the eye measured that.
+        off_floor: since the eye last measured, the wheels have left the floor.
+        watched: since then wheels and gyro told the same all the time.
+        eye_twist: (3,) [m/s, m/s, rad/s] as the eye last measured it.
+    """
 
     wheels: WheelScalesState = field(default_factory=WheelScalesState)
     gyro: GyroState = field(default_factory=GyroState)
@@ -80,6 +89,9 @@ class MotionSensesState:
     gap: Reckoning = field(default_factory=lambda: Reckoning.start(_ALL))
     twist: Array = field(default_factory=lambda: np.zeros(3))
     seen: bool = False
+    off_floor: bool = False
+    watched: bool = True
+    eye_twist: Array = field(default_factory=lambda: np.zeros(3))
 
 
 class MotionSenses:
@@ -90,6 +102,7 @@ class MotionSenses:
         self.wheels, self.gyro, self.slip, self.lifted = WheelScales(config), Gyro(config), SlipTest(), Lifted()
         self.wheels_lag, self.gyro_lag, self.gyro_path = Lag(), Lag(), GyroPath()
         self._gap, self._twist, self._seen = Reckoning.start(_ALL), np.zeros(3), False
+        self._off_floor, self._watched, self._eye_twist = False, True, np.zeros(3)
 
     @property
     def on(self) -> bool:
@@ -109,6 +122,9 @@ class MotionSenses:
             self._gap,
             self._twist,
             self._seen,
+            self._off_floor,
+            self._watched,
+            self._eye_twist,
         )
 
     @state.setter
@@ -116,6 +132,26 @@ class MotionSenses:
         self.wheels.state, self.gyro.state, self.slip.state, self.lifted.state = s.wheels, s.gyro, s.slip, s.lifted
         self.wheels_lag.state, self.gyro_lag.state, self.gyro_path.state = s.wheels_lag, s.gyro_lag, s.gyro_path
         self._gap, self._twist, self._seen = s.gap, s.twist, s.seen
+        self._off_floor, self._watched, self._eye_twist = s.off_floor, s.watched, s.eye_twist
+
+    @property
+    def wheels_late(self) -> tuple[float, float]:
+        """By how much the eye is later than the wheels, s, and its standard deviation; 0 and inf while not known."""
+        return self._one_base() if self._config.gyro == "base" else (self.wheels_lag.known_s, self.wheels_lag.sigma_s)
+
+    @property
+    def gyro_late(self) -> tuple[float, float]:
+        """The same for the gyro."""
+        return self._one_base() if self._config.gyro == "base" else (self.gyro_lag.known_s, self.gyro_lag.sigma_s)
+
+    def _one_base(self) -> tuple[float, float]:
+        """Both come in the same telegrams, so both tell one delay."""
+        lags = [lag for lag in (self.wheels_lag, self.gyro_lag) if math.isfinite(lag.sigma_s)]
+        if not lags:
+            return 0.0, math.inf
+        weight = [lag.sigma_s**-2 for lag in lags]
+        known_s = sum(w * lag.known_s for w, lag in zip(weight, lags, strict=True)) / sum(weight)
+        return known_s, sum(weight) ** -0.5
 
     def restart(self) -> None:
         """After a reset: what was learnt of the robot stays."""
@@ -123,6 +159,7 @@ class MotionSenses:
         self.slip.state = SlipTestState(began=self.slip.state.began)
         self.gyro_path.state, self.lifted.state = GyroPathState(), LiftedState()
         self._gap, self._seen = Reckoning.start(_ALL), False
+        self._off_floor, self._watched = False, True
 
     # -- before the view
 
@@ -136,6 +173,7 @@ class MotionSenses:
         if not self.on or elapsed_s <= 0.0:
             return Told(wheels)
         heard = self._between_pictures(turn, elapsed_s)
+        wheels = None if self._off_floor else wheels
         step = self._step(wheels, heard, elapsed_s)
         if step is None:
             return Told(None)
@@ -143,16 +181,30 @@ class MotionSenses:
         cov = after.share_of(self._gap, self._parameters(), moved)
         if wheels is None:
             return Told(None, KnownTurn(float(moved[2]), float(cov[2, 2])))
-        return Told(WheelMotion(Displacement(moved), cov))
+        return Told(WheelMotion(Displacement(moved), cov, self._watched and self._believes(heard)))
+
+    def since(self, wheels: WheelMotion | None, late_s: float) -> WheelMotion | None:
+        """What the robot did in the last late_s, until the stamp of the last frame; None where nothing tells.
+
+        Args:
+            wheels: in that time, as they report it.
+        """
+        heard = self.gyro_path.last(late_s) if self.on and self._config.gyro != "none" else None
+        step = self._step(None if self._off_floor else wheels, heard, late_s) if self.on else None
+        if step is None:
+            return wheels
+        twist = step.twist if wheels is not None else np.append(self._eye_twist[:2] * late_s, step.twist[2])
+        moved, bend = arc(twist)
+        return WheelMotion(Displacement(moved), bend @ step.noise @ bend.T)
 
     def _between_pictures(self, turn: Turn | None, elapsed_s: float) -> Turn | None:
         if turn is None or self._config.gyro == "none":
             return None
-        return self.gyro_path.earlier(turn, self.gyro_lag.known_s, elapsed_s)
+        return self.gyro_path.earlier(turn, self.gyro_late[0], elapsed_s)
 
     def _step(self, wheels: WheelMotion | None, turn: Turn | None, elapsed_s: float) -> Step | None:
         """By wheels, with the gyro's turn where it is believed; by the gyro alone; None where neither says anything."""
-        by_gyro = turn if turn is not None and self.gyro.state.updates >= _GYRO_KNOWN else None
+        by_gyro = turn if self._believes(turn) else None
         if wheels is None and by_gyro is None:
             return None
         twist, by, noise = np.zeros(3), np.zeros((3, _ALL)), np.zeros((3, 3))
@@ -168,6 +220,10 @@ class MotionSenses:
         if not self._gap.seconds:
             noise = noise + np.diag(_ends(twist / elapsed_s, by_gyro))
         return Step(twist, by, noise)
+
+    def _believes(self, turn: Turn | None) -> bool:
+        """Whether the gyro says something, and enough is known of it."""
+        return turn is not None and self.gyro.state.updates >= _GYRO_KNOWN
 
     def _by_wheels(self, wheels: WheelMotion, elapsed_s: float) -> Step:
         if self._config.wheels:
@@ -187,28 +243,34 @@ class MotionSenses:
         if not self.on or elapsed_s <= 0.0:
             return Noticed()
         heard = self._between_pictures(turn, elapsed_s)
-        step = self._step(wheels, heard, elapsed_s)
+        step = self._step(None if self._off_floor else wheels, heard, elapsed_s)
         seen = motion.ok and not motion.restarted
         usable = seen and self._seen and motion.doubt < _SURE_DOUBT
         by_wheels = None if wheels is None else self._by_wheels(wheels, elapsed_s)
         slips = self._slips(motion, by_wheels, heard, usable, elapsed_s)
-        noticed = self._lifted(motion, wheels, heard, seen, elapsed_s)
+        carried_rad, still = self._lifted(motion, wheels, heard, seen, elapsed_s)
         self._learn(motion, by_wheels, heard, usable, elapsed_s)
         if self._config.gyro != "none":
             self._follow(motion, turn, seen, elapsed_s)
         ended = motion.ok or motion.restarted
+        off_floor, before = self._off_floor or carried_rad is not None, self._off_floor
+        self._off_floor = off_floor and not ended
+        unlike = any(s.axis == AXES[2] for s in slips) or off_floor
+        self._watched = self._believes(heard) and not unlike and (ended or self._watched)
+        if usable:
+            self._eye_twist = se2.mean_twist(motion.prev_from_curr, elapsed_s)
+        if slips:
+            self.wheels_lag.skip(self.slip.state.time_s)
         self._gap = Reckoning.start(_ALL) if ended or step is None else self._gap.then(step, elapsed_s)
         self._twist = np.zeros(3) if by_wheels is None else by_wheels.twist / elapsed_s
         self._seen = ended
-        return Noticed(tuple(slips), *noticed)
-
-    def _late_sigma_s(self) -> float:
-        return min(self.wheels_lag.sigma_s, _UNKNOWN_LATE_S)
+        carried_rad = self.lifted.state.turned_rad if off_floor else None
+        return Noticed(tuple(slips), carried_rad, off_floor and not before, still)
 
     def _slips(
         self, motion: Motion, by_wheels: Step | None, turn: Turn | None, usable: bool, elapsed_s: float
     ) -> list[Slip]:
-        by_gyro = turn if turn is not None and self.gyro.state.updates >= _GYRO_KNOWN else None
+        by_gyro = turn if self._believes(turn) else None
         if not self._config.wheels or by_wheels is None or not (usable or by_gyro is not None):
             self.slip.miss(elapsed_s)
             return []
@@ -225,7 +287,7 @@ class MotionSenses:
             var[2] += by_gyro.var_rad2
             scale[2] += math.sqrt(max(self.gyro.var_rad2(by_gyro) - by_gyro.var_rad2, 0.0))
             ends[2] += by_gyro.ends_rad2
-        late = (rate - self._twist) * self._late_sigma_s()
+        late = (rate - self._twist) * min(self.wheels_late[1], _UNKNOWN_LATE_S)
         return self.slip.step(Compared(counted, moved, known, var, scale, late, ends), elapsed_s)
 
     def _lifted(
@@ -240,8 +302,8 @@ class MotionSenses:
     def _learn(self, motion: Motion, by_wheels: Step | None, turn: Turn | None, usable: bool, elapsed_s: float) -> None:
         self.gyro.passed(elapsed_s)
         if turn is not None and usable:
-            late_s = min(self.gyro_lag.sigma_s, _UNKNOWN_LATE_S)
-            self.gyro.learn(turn, float(motion.prev_from_curr[2]), float(motion.cov[2, 2]), late_s)
+            late_sigma_s = min(self.gyro_late[1], _UNKNOWN_LATE_S)
+            self.gyro.learn(turn, float(motion.prev_from_curr[2]), float(motion.cov[2, 2]), late_sigma_s)
         else:
             self.gyro.leave()
             if turn is not None and self.lifted.stands and not motion.ok:
@@ -251,7 +313,8 @@ class MotionSenses:
         if not usable or any(self.slip.slipping):
             self.wheels.leave()
             return
-        self.wheels.learn(by_wheels, motion.prev_from_curr, motion.cov, elapsed_s, self._late_sigma_s())
+        late_sigma_s = min(self.wheels_late[1], _UNKNOWN_LATE_S)
+        self.wheels.learn(by_wheels, motion.prev_from_curr, motion.cov, elapsed_s, late_sigma_s)
 
     def _follow(self, motion: Motion, turn: Turn | None, seen: bool, elapsed_s: float) -> None:
         """The delay of the gyro against the eye."""
