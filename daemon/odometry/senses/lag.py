@@ -26,8 +26,9 @@ _WINDOW_S = 0.14
 """Of one comparison; chosen: two frames at 14 Hz, and far shorter than speeding up takes."""
 _AROUND_S = 0.3
 """Around a window the eye's rate must change for it to tell a lag."""
-_CHANGE = np.array([0.04, 0.08])
-"""[m/s, rad/s] by which; chosen: steady drives do not, where noise between the sense's samples would pass for a lag."""
+_CHANGE, _CHANGE_SHARE = np.array([0.03, 0.06]), 0.4
+"""[m/s, rad/s] by which at least, and by which share of the fastest; chosen: while it is steady, noise between the
+sense's samples passes for a lag."""
 _MEMORY, _RECENT = 300.0, 40.0
 """Windows that the long and the short memory go back; chosen: a minute and some seconds of changing speed."""
 _SCALE_SIGMA, _BIAS_SIGMA = 0.05, 0.02
@@ -151,10 +152,12 @@ class Lag:
 
 def _telling(now: Series, from_s: float, to_s: float) -> Array:
     """(C,) 1 where the eye's rate changes around a window."""
-    at_s = np.arange(from_s - _AROUND_S, to_s + _AROUND_S, 0.5 * _WINDOW_S)
+    ends_s = max(from_s - _AROUND_S, float(now.time_s[0])), min(to_s + _AROUND_S, float(now.time_s[-1]))
+    at_s = np.arange(*ends_s, 0.5 * _WINDOW_S)
     path = np.stack([np.interp(at_s, now.time_s, channel) for channel in now.eye.T], axis=-1)
     rates = np.diff(path, axis=0) / (0.5 * _WINDOW_S)
-    return np.asarray((np.ptp(rates, axis=0) > _CHANGE) & np.any(now.sense != 0.0, axis=0), np.float64)
+    changes = np.ptp(rates, axis=0) > np.maximum(_CHANGE, _CHANGE_SHARE * np.abs(rates).max(axis=0))
+    return np.asarray(changes & np.any(now.sense != 0.0, axis=0), np.float64)
 
 
 def _products(now: Series, first: int, last: int) -> Array:

@@ -56,8 +56,8 @@ class Noticed:
 
     Attributes:
         slips: that go on.
-        carried_rad: turned by so much while the wheels stood, from when that is noticed until the eye measures a motion;
-            None where not. begins: it is noticed now.
+        carried_rad: turned while the wheels stood, said until the eye measures a motion again; None where not.
+        begins: that is noticed now.
         still: the gyro was there all through the gap that ends here, and told no motion.
     """
 
