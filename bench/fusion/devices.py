@@ -48,8 +48,8 @@ class WheelsDevice:
         self._ticks += 1
         if self._ticks % _TICKS == 0:
             units = ((self._odom[0], LENGTH_UNIT_M), (self._odom[1], LENGTH_UNIT_M), (self._heading, ANGLE_UNIT_RAD))
-            counts = [wrap_int32(round(value / unit)) for value, unit in units]
-            self._track.add(BaseStatus(True, False, False, False, *counts, moment.ns // 1_000_000), moment.ns)
+            x, y, heading = (wrap_int32(round(value / unit)) for value, unit in units)
+            self._track.add(BaseStatus(True, False, False, False, x, y, heading, moment.ns // 1_000_000), moment.ns)
 
     def tell(self, before_ns: int, stamp_ns: int, said: Said) -> None:
         said.wheels = self._track.between(before_ns, stamp_ns)

@@ -54,6 +54,7 @@ def conflicts(config: Config, calibration: Calibration | None = None) -> list[Co
         *_calibration(config, calibration),
         *_states(config),
         *_base(config.base),
+        *_senses(config),
         *_zenoh(config.zenoh),
         *_ros2(config.ros2),
         *_vda5050(config),
@@ -176,6 +177,12 @@ def _base(base: Base) -> Iterator[Conflict]:
         return
     if not base.port:
         yield Conflict(("base.port",), "found nothing, expected a serial device; name it or set base.enabled to false")
+    if base.predict and base.protocol == 1:
+        yield Conflict(
+            ("base.predict", "base.protocol"),
+            "found true, expected false with base.protocol: 1, in which the age says how far the base itself must move "
+            "the pose on; set base.protocol: 2, or base.predict: false",
+        )
     budget = wire_budget(base)
     if not budget.fits:
         yield Conflict(
@@ -188,6 +195,21 @@ def _base(base: Base) -> Iterator[Conflict]:
             ("base.timeout_s", "base.baud", "base.turnaround_ms", "base.function", "base.parity"),
             f"found {base.timeout_s:g}, expected at least {budget.answer_s:.3g}, which an answer takes at base.baud "
             f"{base.baud} with base.turnaround_ms {base.turnaround_ms:g}; every one would come too late",
+        )
+
+
+def _senses(config: Config) -> Iterator[Conflict]:
+    s, base = config.senses, config.base
+    if s.gyro == "base" and (not base.enabled or base.protocol == 1):
+        yield Conflict(
+            ("senses.gyro", "base.enabled", "base.protocol"),
+            "found base, expected a base that has a gyro in its registers; set base.protocol: 2, or senses.gyro: none",
+        )
+    if s.gyro == "topic" and not config.zenoh.enabled:
+        yield Conflict(("senses.gyro", "zenoh.enabled"), "found topic, expected zenoh.enabled: true to hear it")
+    if s.wheels and not (base.enabled and base.use_wheels):
+        yield Conflict(
+            ("senses.wheels", "base.use_wheels"), "found true, expected wheels to learn of; set base.use_wheels: true"
         )
 
 

@@ -278,6 +278,9 @@ class Zenoh:
         "", "a file with the owner's token, which every command must bring then; needed where others can reach the bus"
     )
     allow_same_name: bool = key(False, "start though another daemon behind zenoh.connect has the same robot.name")
+    predict_ms: float | None = key(
+        None, "pose messages are moved on to so long after they are sent; null = of the picture", low=0.0, high=500.0
+    )
     health_period_s: float = key(1.0, "period of the health message", low=0.1, high=60.0)
     landmarks_period_s: float = key(1.0, "shortest period of the landmarks message", low=0.1, high=60.0)
     particles_period_s: float = key(0.2, "shortest period of the particles message", low=0.02, high=60.0)

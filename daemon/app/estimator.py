@@ -12,16 +12,19 @@ import numpy as np
 from ceilvo.daemon.integrity.stamp_rate import StampRate
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
+from ceilvo.daemon.odometry.senses.learnt import learnt
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
 from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
 from ceilvo.errors import CeilvoError
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 Clock = Callable[[], int]
 Wheels = Callable[[int, int], WheelMotion | None]
+Hears = Callable[[int, int], Heard]
 InputListener = Callable[[Input, Estimate | None, Pipeline], None]
 """Gets every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
@@ -42,6 +45,11 @@ _MAX_LAG_NS = 1_000_000_000
 def no_wheels(stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
     """For robots whose base does not report odometry."""
     return None
+
+
+def hears_nothing(stamp0_ns: int, stamp1_ns: int) -> Heard:
+    """For robots with no other senses than camera and wheels."""
+    return NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +84,13 @@ class Estimator:
         wheels: Wheels = no_wheels,
         listener: InputListener = no_listener,
         session: str | None = None,
+        hears: Hears = hears_nothing,
     ) -> None:
         """session: names the drive that key poses are of; None: none are taken."""
         self._pipeline = pipeline
         self._taker = None if session is None else KeyPoseTaker(session, MOST_KEY_POSES)
         self._clock = clock
-        self._wheels = wheels
+        self._wheels, self._hears = wheels, hears
         self._listener = listener
         self._lock = threading.Lock()
         self._last: Estimate | None = None
@@ -128,7 +137,8 @@ class Estimator:
                 self._late += 1
                 return None
             wheels = None if before_ns is None else self._wheels(before_ns, frame.stamp_ns)
-            estimate = self._do(FrameInput(frame, wheels), on_stage_done)
+            heard = NOTHING if before_ns is None else self._hears(before_ns, frame.stamp_ns)
+            estimate = self._do(FrameInput(frame, wheels, heard), on_stage_done)
         if estimate is None:
             return None
         stage_times_ms["step"] = 1e-6 * (self._clock() - start_ns)
@@ -146,7 +156,8 @@ class Estimator:
             if before_ns is None:
                 return None
             now_ns = max(self._clock() - self._lag_ns, before_ns + 1)
-            self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns)))
+            heard = self._hears(before_ns, now_ns)
+            self._last = self._do(Silence(now_ns, reason, self._wheels(before_ns, now_ns), heard))
             return self._last
 
     def load_map(self, stored_map: StoredMap, state: StoredState | None, floors: Floors | None = None) -> None:
@@ -245,6 +256,15 @@ class Estimator:
         """How often picture, wheels and stamps were against each other, by kind."""
         with self._lock:
             return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults}
+
+    def noticed(self) -> tuple[tuple[str, str], ...]:
+        """Name and reason of what senses of motion noticed in the last frame for the first time."""
+        return tuple((s.kind.value, s.reason) for s in self._pipeline.checks.begun)
+
+    def senses(self) -> Mapping[str, object]:
+        """What was learnt of wheels, gyro and delays; nothing where none of it is switched on."""
+        with self._lock:
+            return learnt(self._pipeline.checks.senses, self._pipeline.config.senses)
 
     def map(self) -> tuple[Landmarks, float | None]:
         """Of all floors, in their common frame."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
+from ceilvo.daemon.app.requests import Ahead, as_it_is
 from ceilvo.daemon.replay.overlay import draw_overlay
 from ceilvo.daemon.replay.recording import RecordingTap
 from ceilvo.daemon.vision.finder.crossing_finder import View
@@ -51,11 +52,15 @@ class Outputs:
         recording: RecordingTap | None = None,
         wires: Sequence[Wire] = (),
         map_of: MapOf = no_map,
+        ahead: Ahead = as_it_is,
+        predict_ms: float | None = None,
     ) -> None:
-        """map_of: name and version of the map of a floor, see Store.map_of."""
+        """map_of: name and version of the map of a floor, see Store.map_of; ahead: see handlers(); predict_ms: as
+        zenoh.predict_ms."""
         self._robot, self._calibration, self._estimator = robot, calibration, estimator
         self._base, self._bus, self._clock, self._recording = base, bus, clock, recording
         self._wires, self._map_of = tuple(wires), map_of
+        self._ahead, self._predict_ms = ahead, predict_ms
         self._reported: State | None = None
         self.events: deque[str] = deque(maxlen=_EVENTS)
 
@@ -69,11 +74,14 @@ class Outputs:
             wire.publish(estimate, stamp, self._scene)
         if self._bus is not None:
             map_ = self._map_of(estimate.floor)
-            self._bus.put(Topic.POSE, messages.encode_pose(self._robot, estimate, stamp.unix_ns, now_ns, *map_))
+            then, ms = (estimate, None) if self._predict_ms is None else self._ahead(estimate, self._predict_ms)
+            self._bus.put(Topic.POSE, messages.encode_pose(self._robot, then, stamp.unix_ns, now_ns, *map_, ms))
             self._bus.put(Topic.ODOM, messages.encode_odom(self._robot, estimate, stamp.unix_ns))
             self._offer(self._bus, estimate.seq, stamp)
         if self._recording is not None:
             self._recording.published(estimate)
+        for name, reason in self._estimator.noticed():
+            self.event(name, reason, logging.WARNING)
         if estimate.state is not self._reported:
             before = "start" if self._reported is None else self._reported.name
             self._reported = estimate.state

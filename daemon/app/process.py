@@ -26,17 +26,17 @@ import numpy as np
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_check import check_fits
 from ceilvo.config import Config
-from ceilvo.daemon.app.estimator import Estimator, no_listener, no_wheels
+from ceilvo.daemon.app.estimator import Estimator, no_listener
 from ceilvo.daemon.app.fleet import Membership
 from ceilvo.daemon.app.keeping import Keeper, begin_on, load, store_of
 from ceilvo.daemon.app.outputs import Outputs
 from ceilvo.daemon.app.requests import handlers
+from ceilvo.daemon.app.senses.hearing import Hearing
 from ceilvo.daemon.app.telemetry import Telemetry, Truth
 from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
-from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.namesake import refuse_namesake
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
@@ -110,22 +110,21 @@ class Daemon:
         self._recording = recording_of(
             config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
         )
-        self._base = BaseLink(config.base, self._port(), clock, self._crash) if config.base.enabled else None
-        self._estimator = Estimator(
-            Pipeline(plan.calibration, config, np.random.default_rng(config.service.seed)),
-            clock,
-            self._base.wheels.between if self._base is not None and config.base.use_wheels else no_wheels,
-            no_listener if self._recording is None else self._recording.input,
-            self._store.session,
-        )
+        hearing = Hearing(config, self._port, clock, self._crash)
+        self._base = hearing.base
+        listener = no_listener if self._recording is None else self._recording.input
+        given = hearing.wheels, listener, self._store.session, hearing.between
+        rng = np.random.default_rng(config.service.seed)
+        self._estimator = Estimator(Pipeline(plan.calibration, config, rng), clock, *given)
         period_s, tell = config.service.state_period_s, lambda *said: self._outputs.event(*said)
         self._keeper = Keeper(self._estimator, self._store, period_s, tell)
-        answers = handlers(config, plan.calibration, self._estimator, self._store, self._keeper.save)
-        wires = wires_of(config, plan.calibration, answers)
+        answers = handlers(config, plan.calibration, self._estimator, self._store, self._keeper.save, hearing.ahead)
+        wires = wires_of(config, plan.calibration, answers, hearing)
         self._bus, self._wires = wires.bus, wires.others
         name, fixed, recording = config.robot.name, plan.calibration, self._recording
-        links, kept = (self._base, self._bus), self._store.map_of
-        self._outputs: Outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, self._wires, kept)
+        links = (self._base, self._bus)
+        more = recording, self._wires, self._store.map_of, hearing.ahead, config.zenoh.predict_ms
+        self._outputs: Outputs = Outputs(name, fixed, self._estimator, *links, clock, *more)
         self._fleet = Membership(config, self._store.folder, lambda: self._estimator.last, self._outputs.event)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         parts, seed = (self._estimator, self._capture, *links, plan.truth, clock), config.service.seed

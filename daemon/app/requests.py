@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -11,16 +12,33 @@ from ceilvo.config import Config
 from ceilvo.daemon.app.command_log import CommandLog
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.kept.store import Store
-from ceilvo.drivers.bus import commands
+from ceilvo.drivers.bus import commands, messages
 from ceilvo.drivers.bus.requests import Handlers, Result
 from ceilvo.errors import CeilvoError
-from ceilvo.types import Landmarks, Pose
+from ceilvo.types import Estimate, Landmarks, Pose
+
+Ahead = Callable[[Estimate, float], tuple[Estimate, float]]
+
+
+def as_it_is(estimate: Estimate, ahead_ms: float) -> tuple[Estimate, float]:
+    """Where nothing is predicted."""
+    return estimate, 0.0
 
 
 def handlers(
-    config: Config, calibration: Calibration, estimator: Estimator, store: Store, save: Callable[[], bool]
+    config: Config,
+    calibration: Calibration,
+    estimator: Estimator,
+    store: Store,
+    save: Callable[[], bool],
+    ahead: Ahead = as_it_is,
 ) -> Handlers:
-    """Handlers that are safe to call from any thread; `save` writes map and pose."""
+    """Handlers that are safe to call from any thread.
+
+    Args:
+        save: writes map and pose.
+        ahead: moves an estimate on to so many milliseconds from now.
+    """
 
     def here() -> Landmarks:
         """The map of the floor that the robot is on."""
@@ -57,6 +75,16 @@ def handlers(
             map_now = "map forgotten" + ("; the last one that was saved stays as map.db.1" * store.begin_anew(floor))
         return {"did": f"started again at the configured initial pose, {map_now}"}
 
+    def pose(asked: commands.PoseAt) -> bytes:
+        last = estimator.last
+        if last is None:
+            raise CeilvoError("no pose yet: the camera has given no picture")
+        then, ahead_ms = (last, None) if asked.predict_ms is None else ahead(last, asked.predict_ms)
+        now_ns = time.monotonic_ns()
+        unix_ns = time.time_ns() - (now_ns - last.stamp_ns)
+        kept = store.map_of(last.floor)
+        return messages.encode_pose(config.robot.name, then, unix_ns, now_ns, *kept, predicted_ms=ahead_ms)
+
     return Handlers(
         map=here,
         calibration=lambda: calibration,
@@ -66,4 +94,5 @@ def handlers(
         save_map=save_map,
         reset=reset,
         told=CommandLog(store.folder),
+        pose=pose,
     )

@@ -10,6 +10,7 @@ import zenoh
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.app.senses.hearing import Hearing
 from ceilvo.drivers.bus.requests import Handlers, Requests
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import Wire
@@ -27,7 +28,7 @@ class Wires:
     others: tuple[Wire, ...] = ()
 
 
-def wires_of(config: Config, calibration: Calibration, handlers: Handlers) -> Wires:
+def wires_of(config: Config, calibration: Calibration, handlers: Handlers, hearing: Hearing | None = None) -> Wires:
     """As configured; opens nothing.
 
     Raises:
@@ -36,11 +37,24 @@ def wires_of(config: Config, calibration: Calibration, handlers: Handlers) -> Wi
     """
     named = config.zenoh.wire if config.zenoh.enabled else ()
     if not {"rmw_zenoh", "ros2dds"} & set(named) and not config.ros2.dds and not config.ros2.fleet_tf:
-        return Wires(ZenohBus(config.zenoh, config.robot.name, handlers) if config.zenoh.enabled else None)
-    return _with_ros2(config, calibration, handlers, named)
+        return Wires(_bus(config, handlers, hearing, []))
+    return _with_ros2(config, calibration, handlers, named, hearing)
 
 
-def _with_ros2(config: Config, calibration: Calibration, handlers: Handlers, named: tuple[str, ...]) -> Wires:
+def _bus(
+    config: Config, handlers: Handlers, hearing: Hearing | None, speakers: list[Callable[[zenoh.Session], None]]
+) -> ZenohBus | None:
+    if not config.zenoh.enabled:
+        return None
+    if hearing is None or not hearing.keys:
+        return ZenohBus(config.zenoh, config.robot.name, handlers, speakers=speakers)
+    heard = [*speakers, hearing.declare]
+    return ZenohBus(config.zenoh, config.robot.name, handlers, speakers=heard, welcome=hearing.keys)
+
+
+def _with_ros2(
+    config: Config, calibration: Calibration, handlers: Handlers, named: tuple[str, ...], hearing: Hearing | None
+) -> Wires:
     from ceilvo.drivers.ros2.cdr import Cdr  # who speaks no ROS 2 needs no rosbags
     from ceilvo.drivers.ros2.conversion import Conversion
     from ceilvo.drivers.ros2.endpoints import Endpoint, endpoints
@@ -67,7 +81,7 @@ def _with_ros2(config: Config, calibration: Calibration, handlers: Handlers, nam
         from ceilvo.drivers.ros2.dds import DdsTransport
 
         transports.append(DdsTransport(config.ros2, cdr, ends, latched))
-    bus = ZenohBus(config.zenoh, robot, handlers, speakers=speakers) if config.zenoh.enabled else None
+    bus = _bus(config, handlers, hearing, speakers)
     requests = Requests(robot, handlers) if bus is None else bus.requests
     intake = Intake(config.ros2, cdr, ends, requests.answer)
     return Wires(bus, (Ros2Node(config.ros2, conversion, cdr, ends, transports, intake),))

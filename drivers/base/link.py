@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from ceilvo import config
 from ceilvo.config.serial_budget import wire_budget
-from ceilvo.drivers.base.protocol import no_estimate, telegram_of
+from ceilvo.drivers.base.protocol import moved_on, no_estimate, telegram_of
 from ceilvo.drivers.base.wheel_track import WheelTrack
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.rate_limit import QuietLog
@@ -167,6 +167,8 @@ class BaseLink:
         now_ns = self._clock()
         telegram = no_estimate(self._heartbeat) if estimate is None else telegram_of(estimate, now_ns, self._heartbeat)
         telegram = replace(telegram, version=self._settings.protocol)
+        if estimate is not None and self._settings.predict:
+            telegram = moved_on(telegram, estimate, now_ns, self._wheels.aside(estimate.stamp_ns, now_ns))
         if telegram.state in GOOD and telegram.age_s > self._settings.stale_s:
             telegram = replace(telegram, state=State.DEAD_RECKONING, quality=0.0)
         if self._final_state is None:

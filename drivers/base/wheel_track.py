@@ -106,6 +106,13 @@ class WheelTrack:
 
     def between(self, stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
         """Displacement prev_from_curr from stamp0 to stamp1, None when the history does not cover both."""
+        return self._asked(stamp0_ns, stamp1_ns, self._seamless)
+
+    def aside(self, stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
+        """The same for somebody else: it does not count as the interval before the next one."""
+        return self._asked(stamp0_ns, stamp1_ns, False)
+
+    def _asked(self, stamp0_ns: int, stamp1_ns: int, seamless: bool) -> WheelMotion | None:
         with self._lock:
             if len(self._samples) < 2 or stamp1_ns < stamp0_ns:
                 return None
@@ -119,7 +126,7 @@ class WheelTrack:
         t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in (stamp0_ns, stamp1_ns))
         if not (self._covers(t, t0) and self._covers(t, t1)):
             return None
-        start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "wheels")
+        start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "wheels" * seamless)
         return self._motion(t, path, t0, t1, start, end)
 
     def turn_between(self, stamp0_ns: int, stamp1_ns: int, noise_rad2_ps: float) -> Turn | None:
@@ -141,7 +148,7 @@ class WheelTrack:
         if not (self._covers(t, t0) and self._covers(t, t1)):
             return None
         path = counts * np.array([GYRO_UNIT_RAD, GAINED_UNIT_MPS, GAINED_UNIT_MPS])
-        start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "gyro")
+        start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "gyro" * self._seamless)
         moved = end - start
         span_s, beyond_s = 1e-9 * (stamp1_ns - stamp0_ns), max(0.0, t1 - float(t[-1]))
         rate = abs(float(moved[0])) / span_s if span_s > 0.0 else 0.0
@@ -192,9 +199,9 @@ class WheelTrack:
     def _between(
         self, t: Array, path: Array, at_s: tuple[float, float], stamps_ns: tuple[int, int], which: str
     ) -> tuple[Array, Array]:
-        """(3,) both ends of an interval; where it follows the last one seamlessly, that one's end."""
+        """(3,) both ends of an interval; where it follows the last one of that name, that one's end."""
         start, end = _pose_at(t, path, at_s[0]), _pose_at(t, path, at_s[1])
-        if self._seamless:
+        if which:
             before_ns, told = self._ends.get(which, (None, start))
             start = told if before_ns == stamps_ns[0] else start
             self._ends[which] = stamps_ns[1], end

@@ -10,6 +10,7 @@ from typing import Any
 from ceilvo.drivers.bus import messages
 from ceilvo.errors import BusError
 from ceilvo.se2 import wrap
+from ceilvo.senses.prediction import MAX_AHEAD_S
 
 MAX_COMMAND_BYTES = 4096
 """docs/zenoh.md; far more than any command needs."""
@@ -49,6 +50,13 @@ class Reset:
     keep_map: bool = True
 
 
+@dataclass(frozen=True, slots=True)
+class PoseAt:
+    """The last pose, moved on to so many milliseconds from now; None: as it is, of its picture."""
+
+    predict_ms: float | None = None
+
+
 Command = InitialPose | Relocalise | SaveMap | Reset
 
 _POSE_RANGES: Mapping[str, tuple[float, float]] = {
@@ -59,6 +67,25 @@ _POSE_RANGES: Mapping[str, tuple[float, float]] = {
     "sigma_theta_rad": (1e-4, math.pi),
 }
 """Beyond them units are mixed up."""
+_MOST_AHEAD_MS = 1e3 * MAX_AHEAD_S
+
+
+def parse_pose_at(payload: bytes) -> PoseAt:
+    """The question in the payload of a query for the pose; an empty payload asks for the last one as it is.
+
+    Raises:
+        BusError: too large, not JSON, unknown field, wrong type, out of range.
+    """
+    where = "query pose"
+    if len(payload) > MAX_COMMAND_BYTES:
+        raise BusError(f"{where}: payload too large, expected at most {MAX_COMMAND_BYTES} bytes; send less")
+    fields = messages.load_object(payload, where) if payload.strip() else {}
+    _check_names(where, fields, ("predict_ms",))
+    ms = fields.get("predict_ms")
+    if ms is not None and (isinstance(ms, bool) or not isinstance(ms, int | float) or not 0.0 <= ms <= _MOST_AHEAD_MS):
+        expected = f"a number in [0, {_MOST_AHEAD_MS:g}], counted from now"
+        raise BusError(f"{where}: predict_ms is {messages.short(ms)}, expected {expected}")
+    return PoseAt(None if ms is None else float(ms))
 
 
 def parse_command(command: str, payload: bytes, *, exact: bool = True) -> Command:

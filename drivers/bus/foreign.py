@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import zenoh
@@ -31,10 +31,14 @@ class ForeignSamples:
         with self._lock:
             return self._count
 
-    def watch(self, session: zenoh.Session, key: str, hint: Callable[[str], str] = lambda key: "") -> Any:
-        """A subscriber of `key` that hears other sessions only; keep it."""
+    def watch(
+        self, session: zenoh.Session, key: str, hint: Callable[[str], str] = lambda key: "", welcome: Sequence[str] = ()
+    ) -> Any:
+        """A subscriber of `key` that hears other sessions only, and passes over keys that are welcome; keep it."""
 
         def heard(sample: zenoh.Sample) -> None:
+            if str(sample.key_expr) in welcome:
+                return
             with self._lock:
                 self._count += 1
             found = str(sample.key_expr)

@@ -36,7 +36,7 @@ MAX_PARTICLES = 2000
 """A larger set is thinned uniformly: the message is for looking at, and this many are about 150 kB."""
 
 
-QUERIES = ("map", "calibration", "config")
+QUERIES = ("map", "calibration", "config", "pose")
 
 
 def robot_key(prefix: str, robot: str) -> str:
@@ -61,11 +61,13 @@ def encode_pose(
     sent_ns: int,
     map_id: str = "",
     map_version: int | None = None,
+    predicted_ms: float | None = None,
 ) -> bytes:
     """Pose of base in map, how good it is and why; sent_ns (monotonic) minus the capture time is its age.
 
     Args:
         map_id: name of the floor's map; map_version: as it was last kept, None where it is not.
+        predicted_ms: by which pose and cov were moved on from the stamp; None where nobody asked for that.
     """
     e, d = estimate, estimate.health
     sigma = np.sqrt(np.maximum(np.diag(e.cov), 0.0))
@@ -100,6 +102,7 @@ def encode_pose(
             "motion_rms_m": e.motion.rms_m,
             "motion_failure": e.motion.failure,
             "latency_ms": e.latency_ms,
+            **({} if predicted_ms is None else {"predicted_ms": predicted_ms}),
         },
     )
 

@@ -23,6 +23,11 @@ Result = Mapping[str, object]
 """What a command did, for the reply; plain values."""
 
 
+def no_pose(asked: commands.PoseAt) -> bytes:
+    """Where nobody estimates one."""
+    raise BusError("no pose here; ask a robot that drives")
+
+
 @dataclass(frozen=True, slots=True)
 class Handlers:
     """The daemon's side of every request.
@@ -40,6 +45,8 @@ class Handlers:
     reset: Callable[[commands.Reset], Result]
     told: Callable[[str, str, str, str], None] = lambda command, arguments, who, outcome: None
     """Hears of every command that was taken, or refused for want of a right to it."""
+    pose: Callable[[commands.PoseAt], bytes] = no_pose
+    """The pose message, as it is or moved on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +94,7 @@ class Requests:
         short_name = name.removeprefix("cmd/")
         is_command = name != short_name
         try:
-            body = self._command(short_name, payload, attachment, exact) if is_command else self._query(name)
+            body = self._command(short_name, payload, attachment, exact) if is_command else self._query(name, payload)
         except CeilvoError as e:
             self._refusals.warning(f"{name} refused: {e}")
             return self._count("request_errors", Answer(False, messages.encode_error(self._robot, short_name, str(e))))
@@ -107,8 +114,10 @@ class Requests:
             self._counts[name] += 1
         return answer
 
-    def _query(self, name: str) -> bytes:
+    def _query(self, name: str, payload: bytes) -> bytes:
         h = self._handlers
+        if name == "pose":
+            return h.pose(commands.parse_pose_at(payload))
         if name == "calibration":
             return messages.encode_calibration(self._robot, h.calibration())
         if name == "config":

@@ -60,8 +60,12 @@ class ZenohBus:
         *,
         clock: Clock = time.monotonic_ns,
         speakers: Sequence[Speaker] = (),
+        welcome: Sequence[str] = (),
     ) -> None:
         """Checks the configuration; opens nothing. Speakers declare their own on the session when there is one.
+
+        Args:
+            welcome: of the robot's own keys, those where others may speak.
 
         Raises:
             BusError: an endpoint, the prefix, the robot's name or the configuration file cannot be used.
@@ -78,7 +82,7 @@ class ZenohBus:
         key = "zenoh.config_file" if config.config_file else "zenoh.listen"
         self._connection = Connection(session_config(config), key, self._declare)
         self._publishers: dict[Topic, zenoh.Publisher] = {}
-        self._speakers = tuple(speakers)
+        self._speakers, self._welcome = tuple(speakers), tuple(welcome)
         self._declared: list[Any] = []
         self._foreign = ForeignSamples(clock)
         self._zid = ""
@@ -176,7 +180,7 @@ class ZenohBus:
                 self._publishers[topic] = self._publisher(session, topic)
             for name in Requests.NAMES:
                 self._declared.append(session.declare_queryable(f"{self._stem}/{name}", self._responder(name)))
-        self._declared.append(self._foreign.watch(session, f"{self._stem}/**", self._hint))
+        self._declared.append(self._foreign.watch(session, f"{self._stem}/**", self._hint, self._welcome))
         self._zid = str(session.info.zid())
         self._declared.append(session.liveliness().declare_token(session_token(self._stem, self._zid)))
         # Last, so that whoever sees the robot appear can ask it.

@@ -34,3 +34,8 @@ class Senses:
     gyro_bias_dps: float = key(0.5, "deg/s, standard deviation of the bias at the start", low=1e-4, high=20.0)
     gyro_walk_dps: float = key(0.002, "deg/s by which the bias drifts in a second, as its root", low=0.0, high=1.0)
     gyro_scale_sigma: float = key(0.01, "standard deviation of the gyro's scale, a share", low=0.0, high=0.1)
+
+    @property
+    def any(self) -> bool:
+        """Whether one of them is on."""
+        return self.time or self.wheels or self.gyro != "none"

@@ -15,7 +15,7 @@ from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.coasting import KnownTurn
 from ceilvo.daemon.odometry.cross_checks.delay import Delay, DelayState
-from ceilvo.daemon.odometry.cross_checks.noticed import suspicions_of
+from ceilvo.daemon.odometry.cross_checks.noticed import OF_SENSES, suspicions_of
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
 from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
 from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
@@ -70,7 +70,11 @@ class _Asked:
 
 
 class CrossChecks:
-    """All checks of one robot."""
+    """All checks of one robot.
+
+    Attributes:
+        senses: of motion beside the eye; begun: what they noticed in the last frame for the first time.
+    """
 
     def __init__(self, config: Config) -> None:
         self._max_delay_s, self._fine = config.odometry.max_delay_s, config.senses.time
@@ -82,6 +86,7 @@ class CrossChecks:
         self._active: list[str] = []
         self._counters = {kind.value: 0 for kind in Kind}
         self._admitted: _Asked | None = None
+        self.begun: tuple[Suspicion, ...] = ()
 
     @property
     def state(self) -> CrossChecksState:
@@ -262,6 +267,7 @@ class CrossChecks:
 
     def _count(self, found: list[Suspicion]) -> Suspicions:
         now = sorted({f.kind.value for f in found})
+        self.begun = tuple(f for f in found if f.kind in OF_SENSES and f.kind.value not in self._active)
         for kind in now:
             self._counters[kind] = self._counters.get(kind, 0) + (kind not in self._active)
         self._active = now

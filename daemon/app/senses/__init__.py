@@ -1,0 +1,1 @@
+"""Senses beside camera and wheels, in a running process."""
