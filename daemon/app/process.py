@@ -123,8 +123,8 @@ class Daemon:
         self._bus, self._wires = wires.bus, wires.others
         name, fixed, recording = config.robot.name, plan.calibration, self._recording
         links = (self._base, self._bus)
-        more = recording, self._wires, self._store.map_of, hearing.ahead, config.zenoh.predict_ms
-        self._outputs: Outputs = Outputs(name, fixed, self._estimator, *links, clock, *more)
+        places, ahead = (self._wires, self._store.map_of), (hearing.ahead, config.zenoh.predict_ms)
+        self._outputs: Outputs = Outputs(name, fixed, self._estimator, *links, clock, recording, *places, *ahead)
         self._fleet = Membership(config, self._store.folder, lambda: self._estimator.last, self._outputs.event)
         self._capture = CaptureLoop(plan.camera, config.camera, clock, self._on_capture, self._crash)
         parts, seed = (self._estimator, self._capture, *links, plan.truth, clock), config.service.seed

@@ -61,9 +61,11 @@ class Robot:
         return {"done": type(request).__name__}
 
     def handlers(self) -> Handlers:
-        return Handlers(
-            self.landmarks, self.calibration, config.Config, self.command, self.command, self.command, self.command
-        )
+        do = self.command
+        return Handlers(self.landmarks, self.calibration, config.Config, do, do, do, do, pose=self.pose)
+
+    def pose(self, asked: commands.PoseAt) -> bytes:
+        return json.dumps({"predict_ms": asked.predict_ms}).encode()
 
 
 class FakeClock:

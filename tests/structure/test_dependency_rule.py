@@ -37,7 +37,7 @@ TOPS = {
     "bench": {"ceilvo", "drivers", "daemon", "sim", "bench"},
 }
 FLEET = ("daemon/fleet", "daemon/fleet/service", "daemon/fleet/robot")
-JOIN_DRIVERS = ("daemon/app", "daemon/app/readers", "daemon/replay", "daemon/doctor", *FLEET[1:])
+JOIN_DRIVERS = ("daemon/app", "daemon/app/readers", "daemon/app/senses", "daemon/replay", "daemon/doctor", *FLEET[1:])
 SIMULATION = "daemon/app/simulation.py"
 FACTORY = "daemon/relocalisation/filters.py"
 MAP = "daemon/map"

@@ -96,6 +96,8 @@ def test_what_is_rendered_reads_back_the_same(tmp_path_factory: pytest.TempPathF
 
 CONFLICT_KEYS = (
     ": recorder.kept_bytes: ",
+    ": senses.",
+    ": base.predict: ",
     ": fleet.service: ",
     ": mapd.building: ",
     ": robot.name: ",
