@@ -175,9 +175,12 @@ class CrossChecks:
         the wheels' direction; that the camera is not on the rotation centre is left out (5 mm at 5 deg and 6 cm).
         """
         late_s, now_s, yaw_rad = self._known_late_s, self._paths.state.time_s, self._turned_camera.yaw_rad
-        since = self._paths.wheel_motion(now_s - late_s, now_s) if late_s > 0.0 else None
-        if since is not None and Kind.WHEELS_REVERSED.value not in self._active:
-            moved = _seen_from(self.senses.since(since, late_s) or since, yaw_rad)
+        late_s = max(late_s, 0.0) if len(self._paths) else max(self.senses.gyro_late[0], 0.0)
+        told = self._paths.wheel_motion(now_s - late_s, now_s) if late_s else None
+        told = None if Kind.WHEELS_REVERSED.value in self._active else told
+        since = self.senses.since(told, late_s) if late_s else None
+        if since is not None:
+            moved = _seen_from(since, yaw_rad)
             cov = se2.compose_cov(pose, cov, moved.prev_from_curr, moved.cov)
             pose = Pose(se2.compose(pose, moved.prev_from_curr))
         if yaw_rad:

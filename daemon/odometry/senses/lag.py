@@ -29,7 +29,7 @@ _AROUND_S = 0.3
 _CHANGE, _CHANGE_SHARE = np.array([0.03, 0.06]), 0.4
 """[m/s, rad/s] by which at least, and by which share of the fastest; chosen: while it is steady, noise between the
 sense's samples passes for a lag."""
-_MEMORY, _RECENT = 300.0, 40.0
+_MEMORY, _RECENT = 300.0, 24.0
 """Windows that the long and the short memory go back; chosen: a minute and some seconds of changing speed."""
 _SCALE_SIGMA, _BIAS_SIGMA = 0.05, 0.02
 """Of the sense's scale, and of its bias in its units a second, that the fit allows."""
@@ -37,8 +37,11 @@ _FEWEST = 12
 """Windows of a channel that an estimate needs."""
 _SURE_S = 0.005
 """A delay that is known better than this is used; chosen: 2.5 mm at .5 m/s."""
-_JUMP_S, _JUMP_SIGMAS = 0.012, 5.0
-"""Both memories differ by more: the delay has jumped; chosen: 6 mm at .5 m/s."""
+_JUMP_S, _JUMP_SIGMAS = 0.01, 3.0
+"""Both memories differ by more: the delay has jumped; chosen: 5 mm at .5 m/s. They have much in common, so three
+standard deviations are many."""
+_KNOWN_RECENTLY_S = 0.01
+"""And the short memory must know it so well."""
 _NEEDED = 3
 """Times in a row that is found before it is said."""
 _LEAST_NOISE = 0.02
@@ -141,11 +144,12 @@ class Lag:
         found, recent = _least(s.long, s.counts[0]), _least(s.short, s.counts[1])
         if found is not None and recent is not None:
             off = abs(found[0] - recent[0])
-            far = recent[1] < _SURE_S and off > _JUMP_S + _JUMP_SIGMAS * math.hypot(recent[1], found[1])
+            far = recent[1] < _KNOWN_RECENTLY_S and off > _JUMP_S + _JUMP_SIGMAS * math.hypot(recent[1], found[1])
             s.differs = s.differs + 1 if far and s.delay_s is not None else 0
             if s.differs >= _NEEDED:
                 s.jumps, s.jumped_s, s.jumped_at_s = s.jumps + 1, recent[0] - found[0], now_s
-                s.long, s.counts[0], s.differs, found = s.short.copy(), s.counts[1].copy(), 0, recent
+                s.long, s.short, s.counts, s.differs = 0.0 * s.long, 0.0 * s.short, 0.0 * s.counts, 0
+                found = recent[0], min(recent[1], _SURE_S)
         if found is not None:
             s.delay_s, s.sigma_s = found
 

@@ -14,8 +14,8 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.types import Array
 
-_SMALL_RAD = 1e-9
-"""An arc that turns by less is straight."""
+_SMALL_RAD = 1e-4
+"""An arc that turns by less is reckoned by series: differences of cosines would lose its digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +67,10 @@ def arc(twist: Array) -> tuple[Array, Array]:
     """(3,) displacement of a constant twist (3,) [m, m, rad], and its derivative (3, 3) by that."""
     a, c, w = twist.tolist()
     if abs(w) < _SMALL_RAD:
-        return np.array([a, c, w]), np.array([[1.0, 0.0, -0.5 * c], [0.0, 1.0, 0.5 * a], [0.0, 0.0, 1.0]])
-    s, k = math.sin(w) / w, (1.0 - math.cos(w)) / w
-    ds, dk = (math.cos(w) - s) / w, (math.sin(w) - k) / w
+        s, k, ds, dk = 1.0 - w * w / 6.0, 0.5 * w, -w / 3.0, 0.5
+    else:
+        s, k = math.sin(w) / w, (1.0 - math.cos(w)) / w
+        ds, dk = (math.cos(w) - s) / w, (math.sin(w) - k) / w
     by = np.array([[s, -k, a * ds - c * dk], [k, s, a * dk + c * ds], [0.0, 0.0, 1.0]])
     return np.array([s * a - k * c, k * a + s * c, w]), by
 

@@ -133,19 +133,20 @@ class WheelScales:
         if s.by_wheels.seconds > _LONGEST_S:
             self.leave()
         elif s.way_m >= _STRETCH_M:
-            late = np.diag(((twist - s.twist) * late_sigma_s) ** 2 + (twist**2 + s.twist**2) * _STAMP_S**2)
-            self._update(seen_cov + late)
+            late = np.diag(((twist - s.twist) * late_sigma_s) ** 2)
+            self._update(seen_cov + late, (twist**2 + s.twist**2) * _STAMP_S**2)
             self.leave()
 
-    def _update(self, besides: Array) -> None:
-        """A whole stretch; besides: (3, 3) what else it errs by than the wheels."""
+    def _update(self, besides: Array, stamps: Array) -> None:
+        """A whole stretch; besides: (3, 3) what else it errs by than the wheels, stamps: (3,) by its ends at most."""
         s = self.state
+        errs = besides + np.diag(stamps)
         s.cov = s.cov + np.eye(PARAMETERS) * _WALK_PM**2 * s.way_m
         off = se2.between(s.by_wheels.way, s.by_eye)  # what the scales and noise must explain, in base at the end
         c, k = math.cos(float(s.by_wheels.way[2])), math.sin(float(s.by_wheels.way[2]))
         turn = np.array([[c, k, 0.0], [-k, c, 0.0], [0.0, 0.0, 1.0]])
         h, noise = turn @ s.by_wheels.by_parameters, turn @ s.by_wheels.noise @ turn.T
-        total = h @ s.cov @ h.T + noise + besides
+        total = h @ s.cov @ h.T + noise + errs
         weighed = np.linalg.solve(total, off)
         if float(off @ weighed) > _GATE_CHI2 * max(1.0, 3.0 - s.stretches):
             s.refused += 1
@@ -153,8 +154,8 @@ class WheelScales:
         s.off = np.clip(s.off + s.cov @ h.T @ weighed, -self._bound, self._bound)
         gain = s.cov @ h.T @ np.linalg.inv(total)
         keep = np.eye(PARAMETERS) - gain @ h
-        s.cov = keep @ s.cov @ keep.T + gain @ (noise + besides) @ gain.T
-        self._learn_noise(off, np.diagonal(total), np.diagonal(noise))
+        s.cov = keep @ s.cov @ keep.T + gain @ (noise + errs) @ gain.T
+        self._learn_noise(off, np.diagonal(total) - stamps, np.diagonal(noise))  # rather too much than too little
         s.stretches += 1
 
     def _learn_noise(self, off: Array, total: Array, noise: Array) -> None:

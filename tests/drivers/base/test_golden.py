@@ -19,10 +19,13 @@ from ceilvo.sim.base import SimBase
 from ceilvo.types import State
 
 ROOT = Path(__file__).parents[3]
-GOLDEN: dict[str, Any] = json.loads((ROOT / "tests/golden/base_telegrams.json").read_text())
+GOLDEN: dict[int, dict[str, Any]] = {
+    version: json.loads((ROOT / "tests/golden" / name).read_text())
+    for version, name in ((1, "base_telegrams.json"), (2, "base_telegrams_2.json"))
+}
 DOC = (ROOT / "docs/base-protocol.md").read_text()
-TELEGRAM = PoseTelegram(**{**GOLDEN["telegram"], "state": State[GOLDEN["telegram"]["state"]]})
-STATUS = BaseStatus(**GOLDEN["status"])
+TELEGRAM = {v: PoseTelegram(**{**g["telegram"], "state": State[g["telegram"]["state"]]}) for v, g in GOLDEN.items()}
+STATUS = {v: BaseStatus(**g["status"]) for v, g in GOLDEN.items()}
 
 
 def crc_by_division(data: bytes) -> bytes:
@@ -37,9 +40,10 @@ def crc_by_division(data: bytes) -> bytes:
     return crc.to_bytes(2, "little")
 
 
-def golden_frame(name: str) -> bytes:
-    parts = GOLDEN["frames"][name]
-    text = "".join("".join(v for _, v in GOLDEN[p]) if p in GOLDEN else p for p in parts)
+def golden_frame(name: str, version: int) -> bytes:
+    golden = GOLDEN[version]
+    parts = golden["frames"][name]
+    text = "".join("".join(v for _, v in golden[p]) if p in golden else p for p in parts)
     body = bytes.fromhex(text)
     return body + crc_by_division(body)
 
@@ -48,45 +52,52 @@ def test_crc_by_division_gives_the_catalogued_check_value() -> None:
     assert crc_by_division(b"123456789") == bytes.fromhex("374b")
 
 
-@pytest.mark.parametrize("name", GOLDEN["frames"])
-def test_the_document_shows_the_golden_frames(name: str) -> None:
-    block = re.search(rf"^```{name}\n(.*?)^```", DOC, re.M | re.S)
+@pytest.mark.parametrize("version", GOLDEN)
+@pytest.mark.parametrize("name", GOLDEN[1]["frames"])
+def test_the_document_shows_the_golden_frames(name: str, version: int) -> None:
+    title = name if version == 1 else f"version {version}, {name}"
+    block = re.search(rf"^```{title}\n(.*?)^```", DOC, re.M | re.S)
     assert block is not None
-    assert bytes.fromhex(block[1]) == golden_frame(name)
+    assert bytes.fromhex(block[1]) == golden_frame(name, version)
 
 
-def test_blocks_are_encoded_as_golden() -> None:
-    pose = "".join(f"{r:04x}" for r in bp.encode_pose(TELEGRAM))
-    status = "".join(f"{r:04x}" for r in bp.encode_status(STATUS))
-    assert pose == "".join(v for _, v in GOLDEN["pose_block"])
-    assert status == "".join(v for _, v in GOLDEN["status_block"])
+@pytest.mark.parametrize("version", GOLDEN)
+def test_blocks_are_encoded_as_golden_and_read_back(version: int) -> None:
+    pose, status = bp.encode_pose(TELEGRAM[version]), bp.encode_status(STATUS[version])
+    for registers, block in ((pose, "pose_block"), (status, "status_block")):
+        assert "".join(f"{r:04x}" for r in registers) == "".join(v for _, v in GOLDEN[version][block])
+    assert bp.decode_status(status, version) == STATUS[version]
+    assert bp.decode_pose(pose, version).predicted_s == pytest.approx(0.04 * (version == 2))
 
 
 class _Scripted(SimBase):
     """The simulated base with a fixed status."""
 
     def read(self, function: int, address: int, count: int) -> list[int]:
-        assert (address, count) == (bp.STATUS_ADDRESS, 10)
-        return bp.encode_status(STATUS)
+        assert (address, count) == (bp.STATUS_ADDRESS, {1: 10, 2: 16}[self.model.version])
+        return bp.encode_status(STATUS[self.model.version])
 
 
-@pytest.fixture
-def sim() -> Iterator[SimBase]:
-    with _Scripted(baud=1_000_000, turnaround_s=0.0) as sim:
+@pytest.fixture(params=GOLDEN)
+def sim(request: pytest.FixtureRequest) -> Iterator[SimBase]:
+    with _Scripted(baud=1_000_000, turnaround_s=0.0, version=request.param) as sim:
         yield sim
 
 
 @pytest.mark.parametrize(("function", "codes"), [("fc23", ["fc23"]), ("fc16_fc04", ["fc16", "fc04"])])
 def test_golden_frames_are_what_goes_over_the_line(sim: SimBase, function: str, codes: list[str]) -> None:
-    base = ModbusBase(config.Base(port=sim.port, baud=1_000_000, function=function, timeout_s=2.0))
+    version = sim.model.version
+    settings = config.Base(port=sim.port, baud=1_000_000, function=function, timeout_s=2.0, protocol=version)
+    base = ModbusBase(settings)
     base.open()
     try:
-        assert base.exchange(TELEGRAM) == STATUS
+        assert base.exchange(TELEGRAM[version]) == STATUS[version]
     finally:
         base.close()
     expected = []
     for code in codes:
-        expected += [("<", golden_frame(f"{code} request")), (">", golden_frame(f"{code} response"))]
+        sent, answered = (golden_frame(f"{code} {what}", version) for what in ("request", "response"))
+        expected += [("<", sent), (">", answered)]
     assert list(sim.wire) == expected
 
 
