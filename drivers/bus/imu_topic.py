@@ -23,6 +23,8 @@ _MOST_RADPS, _MOST_MPS2 = 100.0, 200.0
 """Beyond is damage: no gyro of a robot measures more."""
 _LONGEST_GAP_S = 0.2
 """Between two samples; a longer one is a gap, and what lies beyond the newest by more is not covered."""
+_TURN_ACCEL_RADPS2 = 2.0
+"""Standard deviation of how the rate changes beyond the newest sample; as drivers/base/wheel_track.py."""
 _EARLY_S, _LATE_S = 0.05, 2.0
 """A stamp further ahead or older is of another clock."""
 _SAMPLES = 2048
@@ -88,7 +90,7 @@ class ImuTopic:
         moved = _at(t, samples[:, 1:], t1) + beyond_s * rates - _at(t, samples[:, 1:], t0)
         span_s = t1 - t0
         step_s = float(np.median(np.diff(t)))
-        ends = 2.0 * (0.5 * step_s * moved[0] / span_s) ** 2 + (0.5 * beyond_s * rates[0]) ** 2
+        ends = 2.0 * (0.5 * step_s * moved[0] / span_s) ** 2 + (0.5 * _TURN_ACCEL_RADPS2 * beyond_s**2) ** 2
         gained: Array = frozen(np.asarray(moved[1:]))
         return Turn(float(moved[0]), self._noise * span_s, span_s, float(ends), gained if np.any(gained) else None)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -235,3 +236,49 @@ def test_wrong_signs_would_show() -> None:
     motion = track.between(at(0.0), at(1.0))
     assert motion is not None
     assert motion.prev_from_curr == pytest.approx([-0.3, 0.0, -0.2], abs=1e-4)
+
+
+def with_gyro(t_s: float, clock_ms: int) -> BaseStatus:
+    """Turns at 0.5 rad/s, and its wheels see less of it."""
+    x, y, theta = circle(t_s)
+    wheels = status((x, y, 0.9 * theta), clock_ms)
+    return replace(
+        wheels, version=2, gyro_count=wrap_int32(round(0.5 * t_s / 1e-6)), gained_x_count=7, gained_y_count=7
+    )
+
+
+def test_the_gyros_turn_comes_with_the_same_clock_and_wraps() -> None:
+    track = WheelTrack()
+    for ms in range(0, 2001, PERIOD_MS):
+        track.add(with_gyro(4290.0 + 1e-3 * ms, 1000 + ms), START_NS + 1_000_000 * ms)
+    turn = track.turn_between(at(0.31), at(1.73), 1e-7)
+    assert turn is not None
+    assert abs(turn.turned_rad - 0.5 * 1.42) < 1e-5
+    assert turn.var_rad2 == pytest.approx(1.42e-7)
+    assert turn.gained_mps is not None and turn.gained_mps.tolist() == [0.0, 0.0]
+    assert track.turn_between(at(-1.0), at(1.0), 1e-7) is None
+
+
+def test_a_base_without_a_gyro_tells_no_turn() -> None:
+    track = WheelTrack()
+    fill(track, circle)
+    assert track.turn_between(at(0.5), at(1.0), 1e-7) is None
+
+
+@pytest.mark.parametrize("seamless", [True, False])
+def test_intervals_add_up_to_the_way_where_they_are_to(seamless: bool) -> None:
+    """Speeding up, asked 40 ms after the newest sample each time, as a camera asks."""
+    track, way = WheelTrack(seamless=seamless), 0.0
+    asked = 0.54
+    fill(track, starting, 0.0, 0.5)
+    for k in range(15):
+        now_s = 0.5 + 0.1 * (k + 1)
+        fill(track, starting, now_s - 0.05, now_s)
+        motion = track.between(at(asked), at(now_s + 0.04))
+        assert motion is not None
+        way, asked = way + float(motion.prev_from_curr[0]), now_s + 0.04
+        before = track.aside(at(asked - 0.3), at(asked))
+        assert before is not None, "somebody else may ask meanwhile"
+    true = starting(asked)[0] - starting(0.54)[0]
+    print(way - true)
+    assert (abs(way - true) < 0.004) == seamless

@@ -61,6 +61,6 @@ def test_shares_of_steps_add_up_to_the_whole() -> None:
         way = se2.compose(way, moved)
         ratio = np.linalg.eigvals(np.linalg.solve(after.cov(PARAMETERS), cov)).real
         assert np.all(ratio > 0.97), "never less than the whole"
-        assert np.all(np.diag(cov) < 1.1 * np.diag(after.cov(PARAMETERS)) + 1e-12)
+        assert np.all(np.diag(cov) < 1.3 * np.diag(after.cov(PARAMETERS)) + 1e-12)
     independent = 25 * (BY @ PARAMETERS @ BY.T + NOISE)[2, 2]
-    assert cov[2, 2] > 10.0 * independent, "the same error in all steps adds up, it does not average out"
+    assert cov[2, 2] > 4.0 * independent, "the same error in all steps adds up, it does not average out"

@@ -1,0 +1,57 @@
+"""The bench itself: what happens in each condition, and that outfits are compared under the same."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ceilvo.bench.fusion import conditions, robot, run
+from ceilvo.bench.fusion.conditions import CONDITIONS
+from ceilvo.bench.fusion.robot import TICK_S, Moment, Ride
+from ceilvo.bench.fusion.senses import OUTFITS, SENSES
+
+ROOM = (0.0, 0.0, 20.0, 20.0)
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conditions begin after two seconds."""
+    for module in (conditions, robot, run):
+        monkeypatch.setattr(module, "BEGIN_S", 2.0)
+
+
+def moments(name: str) -> list[Moment]:
+    return list(Ride(ROOM, np.zeros(3), CONDITIONS[name], np.random.default_rng(1)))
+
+
+def way_m(those: list[Moment]) -> float:
+    return float(sum(np.hypot(*m.moved[:2]) for m in those))
+
+
+@pytest.mark.usefixtures("soon")
+def test_conditions_are_what_their_names_say() -> None:
+    slips = [m for m in moments("slip 20 % for 1 m") if m.slip]
+    assert {m.slip for m in slips} == {0.2}
+    assert abs(way_m(slips) - 1.0) < 0.01
+    assert abs(TICK_S * sum(m.dark for m in moments("blackout 10 s")) - 10.0) < 0.1
+    assert abs(way_m([m for m in moments("bare stretch 8 m") if m.bare]) - 8.0) < 0.01
+    fastest = max(abs(float(m.moved[2])) for m in moments("fast turns 3 rad/s")) / TICK_S
+    assert abs(fastest - 3.0) < 0.01
+    carried = [m for m in moments("carried") if m.lifted]
+    assert all(m.dark for m in carried)
+    assert 1.0 < way_m(carried) < 2.1
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_drive_gives_the_same_figures_again_and_every_outfit_the_same_way() -> None:
+    cases = [run.Case(o, "normal", 3) for o in ("vision", "+ gyro", "+ gyro")]
+    drives = [run.Drive(c) for c in cases]
+    rows = [[r for r, _ in zip(d.rows(), range(40), strict=False)] for d in drives]
+    assert [r.way_m for r in rows[0]] == [r.way_m for r in rows[1]]
+    assert all(np.array_equal(a.error, b.error) for a, b in zip(rows[1], rows[2], strict=True))
+
+
+def test_every_outfit_is_made_of_known_senses_and_has_one_more_than_the_one_before() -> None:
+    worn = list(OUTFITS.values())
+    assert all(set(names) <= set(SENSES) for names in worn)
+    assert all(set(a) < set(b) for a, b in pairwise(worn))
