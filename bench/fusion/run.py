@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -49,7 +50,7 @@ def from_key(key: Any) -> Case:
 def run_case(case: Case) -> dict[str, Any]:
     """The figures of a case, as JSON can hold them."""
     cv2.setNumThreads(1)
-    return _figures(Drive(case).rows())
+    return _figures(list(Drive(case).rows()))
 
 
 @dataclass
@@ -84,9 +85,9 @@ class Drive:
     def _rng(self, name: str) -> np.random.Generator:
         return np.random.default_rng([self._case.seed, zlib.crc32(name.encode())])
 
-    def rows(self, whole: bool = False) -> list[Row]:
+    def rows(self, whole: bool = False) -> Iterator[Row]:
         """Of every frame since the condition began, or since the start."""
-        out, before_ns, way_m = [], None, 0.0
+        before_ns, way_m = None, 0.0
         late_ticks = round(self._condition.late_s / TICK_S)
         recent: list[Moment] = []
         for k, moment in enumerate(self._ride):
@@ -106,8 +107,7 @@ class Drive:
             estimate = self.pipeline.step_crossings(moment.ns, seen, said.wheels, missing=_NO_LINES, heard=said.heard)
             before_ns = moment.ns
             if whole or moment.time_s > BEGIN_S:
-                out.append(_row(moment, estimate, way_m, seen is None))
-        return out
+                yield _row(moment, estimate, way_m, seen is None)
 
     def _seen(self, moment: Moment) -> Crossings | None:
         return None if moment.dark or moment.bare else self._eye.look(moment.pose)

@@ -240,3 +240,21 @@ def test_notes_are_no_errors() -> None:
     assert notes(replace(Config(), ["zenoh.connect=[tcp/127.0.0.1:7447]"])) == ()
     for end in ("tcp/127.0.0.1:0", "tcp/[::1]:7447", "tcp/localhost:7447"):
         assert notes(replace(Config(), [f"zenoh.listen=['{end}']"])) == ()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        (["base.predict=true"], "base.predict: found true, expected false with base.protocol: 1"),
+        (["base.predict=true", "base.protocol=2"], ""),
+        (["senses.gyro=base"], "senses.gyro: found base, expected a base that has a gyro in its registers"),
+        (["senses.gyro=base", "base.protocol=2"], ""),
+        (["senses.gyro=topic", "zenoh.enabled=false"], "senses.gyro: found topic, expected zenoh.enabled: true"),
+        (["senses.wheels=true", "base.use_wheels=false"], "senses.wheels: found true, expected wheels to learn of"),
+        (["senses.wheels=true", "senses.time=true", "senses.drive=omni"], ""),
+    ],
+)
+def test_senses_need_what_they_listen_to(overrides: list[str], says: str) -> None:
+    found = conflicts(*overrides)
+    assert len(found) == bool(says)
+    assert all(says in p for p in found)

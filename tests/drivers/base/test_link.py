@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from link_parts import SETTINGS, FakeClock, Watched, estimate, received, wait_more
 from patience import PATIENCE_S
 
-from ceilvo import config
+from ceilvo import config, se2
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.sim.base import SimBase
@@ -255,3 +256,20 @@ def test_over_a_pty_that_vanishes_and_returns_with_a_rebooted_base(tmp_path: Pat
     assert [t.telegram.sequence for t in sim.telegrams][-1] == 2
     assert sim.telegrams[-1].telegram.state is State.STOPPED
     assert link.wheels.restarts == 1
+
+
+def test_a_base_that_steers_gets_the_pose_of_now_with_the_age_of_the_picture(base: Watched) -> None:
+    clock = FakeClock()
+    base.model.version = 2
+    settings = replace(SETTINGS, protocol=2, predict=True)
+    link = BaseLink(settings, base, clock=clock)
+    old = estimate(3, clock.now_ns - 100_000_000)
+    link.submit(old)
+    link.start()
+    assert base.model.wait_received(1)
+    assert link.stop()
+    t = received(base)[0]
+    there = se2.compose(old.pose, se2.driven(old.twist, np.array([0.1]))[0])
+    assert np.allclose([t.x_m, t.y_m, t.theta_rad], there, atol=1e-4)
+    assert (t.age_s, t.predicted_s, t.version) == (pytest.approx(0.1), pytest.approx(0.1), 2)
+    assert t.sigma_x_m > 0.01

@@ -91,3 +91,21 @@ def test_reading_everything_moves_nothing(world: World, key: str, asked: int) ->
     until(all_refuse, f"{asked} commands refuse {key}")
     assert all("wildcard" in a["error"] for a in refused)
     assert world.robot.calls == []
+
+
+@pytest.mark.parametrize(("payload", "ahead"), [(None, None), (b"{}", None), (b'{"predict_ms": 50}', 50.0)])
+def test_the_pose_is_asked_for_as_it_is_or_of_a_moment_from_now(
+    world: World, payload: bytes | None, ahead: float | None
+) -> None:
+    ((ok, answer),) = get(world.other(), "ceilvo/robot1/pose", payload)
+    assert ok
+    assert answer == {"predict_ms": ahead}
+
+
+@pytest.mark.parametrize(
+    "payload", [b'{"predict_ms": -1}', b'{"predict_ms": 501}', b'{"predict_ms": true}', b'{"at": 1}']
+)
+def test_a_moment_that_is_too_far_off_is_refused(world: World, payload: bytes) -> None:
+    ((ok, answer),) = get(world.other(), "ceilvo/robot1/pose", payload)
+    assert not ok
+    assert "query pose" in answer["error"]
