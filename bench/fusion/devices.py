@@ -36,7 +36,7 @@ class WheelsDevice:
     """Differential drive: two wheels of unknown scales, reckoned with as the base was built."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self._rng, self._track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
+        self._rng, self.track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
         self.scales, track = 1.0 + _SCALE_SIGMA * rng.standard_normal(2), 1.0 + _SCALE_SIGMA * rng.standard_normal()
         self.track_m = TRACK_M * track
         self._odom, self._heading = np.zeros(3), 0.0
@@ -49,10 +49,10 @@ class WheelsDevice:
         if self._ticks % _TICKS == 0:
             units = ((self._odom[0], LENGTH_UNIT_M), (self._odom[1], LENGTH_UNIT_M), (self._heading, ANGLE_UNIT_RAD))
             x, y, heading = (wrap_int32(round(value / unit)) for value, unit in units)
-            self._track.add(BaseStatus(True, False, False, False, x, y, heading, moment.ns // 1_000_000), moment.ns)
+            self.track.add(BaseStatus(True, False, False, False, x, y, heading, moment.ns // 1_000_000), moment.ns)
 
     def tell(self, before_ns: int, stamp_ns: int, said: Said) -> None:
-        said.wheels = self._track.between(before_ns, stamp_ns)
+        said.wheels = self.track.between(before_ns, stamp_ns)
 
     def _counted(self, moment: Moment) -> Array:
         """What the base makes of a step: each wheel's way over its scale, and the track that it was built with."""

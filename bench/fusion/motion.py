@@ -34,9 +34,10 @@ from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.files import write_atomic
+from ceilvo.senses.prediction import predicted
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.tasks.workers import Workers, each
-from ceilvo.types import Array
+from ceilvo.types import Array, Displacement, Estimate, FilterHealth, Motion, Pose, State, Twist
 
 _FRAME_TICKS = 7
 """As in the rest of this bench."""
@@ -47,13 +48,16 @@ _LATE_S, _LATE_WITHIN_S = 0.08, 0.01
 _FOUND_S, _SCALE_M = 30.0, 20.0
 """Time and way after which delay and scales must be known."""
 SLIPS = {Kind.SLIP_AHEAD, Kind.SLIP_SIDEWAYS, Kind.SLIP_TURNING}
+_AGE_S = 0.1
+"""Of a pose when it reaches a base: exposure, a frame period, a step and the line."""
 _HOUR_S = 3600.0
 _LEG_S = 600.0
 
 
 @dataclass
 class Frame:
-    """After one frame: what was driven and seen so far, and the error (3,) and cov (3, 3) since the last sight."""
+    """After one frame: what was driven and seen so far, and the error (3,) and cov (3, 3) of the way
+    since the last sight, in base at that."""
 
     moment: Moment
     way_m: float
@@ -109,7 +113,8 @@ class Drive:
             else:
                 cov = se2.compose_cov(reckoned, cov, motion.prev_from_curr, motion.cov)
                 reckoned = se2.compose(reckoned, motion.prev_from_curr)
-            error = se2.between(se2.between(seen_at, shown.pose), reckoned)
+            error = reckoned - se2.between(seen_at, shown.pose)
+            error[2] = se2.wrap(float(error[2]))
             yield Frame(moment, way_m, blind_m, error, cov, {s.kind for s in found.active}, self.checks)
 
 
@@ -175,6 +180,35 @@ def blackout(seed: int, senses: Sequence[str] = ("wheels", "gyro")) -> dict[str,
     return {"way_m": last.blind_m, "off_m": float(np.hypot(*error[:2])), "off_rad": abs(float(error[2])), "nees": nees}
 
 
+def ahead(seed: int) -> dict[str, Any]:
+    """Error of a right pose that is _AGE_S old: as it is, moved on by its twist, and by the wheels."""
+    rng = np.random.default_rng([seed, 2])
+    wheels, moments = WheelsDevice(rng), []
+    off: dict[str, list[float]] = {"as it is": [], "twist": [], "wheels": []}
+    for k, moment in enumerate(Ride(_HALL.room, np.zeros(3), Condition(seconds=0.0), rng)):
+        wheels.live(moment)
+        moments = [*moments[-round(_AGE_S / TICK_S) - 1 :], moment]
+        if k % _FRAME_TICKS or moment.time_s < 2.0:
+            continue
+        before, old = moments[-round(_AGE_S / TICK_S) - 2], moments[-round(_AGE_S / TICK_S) - 1]
+        twist = Twist(se2.mean_twist(se2.between(before.pose, old.pose), TICK_S))
+        last = _estimate(old, twist)
+        told = wheels.track.aside(old.ns, moment.ns)
+        for name, pose in (
+            ("as it is", old.pose),
+            ("twist", predicted(last, moment.ns)[0]),
+            ("wheels", predicted(last, moment.ns, told)[0]),
+        ):
+            off[name].append(float(np.hypot(*(pose - moment.pose)[:2])))
+    return {name: _rms(np.array(values)) for name, values in off.items()}
+
+
+def _estimate(moment: Moment, twist: Twist) -> Estimate:
+    pose, motion = Pose(moment.pose), Motion(Displacement(np.zeros(3)), np.eye(3), 10, 0.0)
+    health = FilterHealth(0, 0.0, None, 0.0, 1.0, 0)
+    return Estimate(1, moment.ns, pose, 1e-8 * np.eye(3), pose, twist, State.TRACKING, 1.0, "", motion, health, 0, 0)
+
+
 def hour(seed: int) -> dict[str, Any]:
     """False slips in ten minutes."""
     count, on = 0, False
@@ -191,6 +225,7 @@ STUDIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "slip": slip,
     "blackout, wheels": partial(blackout, senses=("wheels",)),
     "blackout, wheels and gyro": blackout,
+    "ahead": ahead,
     "hour": hour,
 }
 
@@ -252,6 +287,8 @@ def _bars(name: str, rows: list[dict[str, Any]]) -> list[Bar]:
             Bar("s, median", r := quantile("said_s", 0.5), f"{r:.2f}"),
             Bar("false before", r := float(column("false").sum()), f"{r:.0f} in {len(rows)} min", high=0.0),
         ]
+    if name == "ahead":
+        return [Bar(f"mm off, {key}", r := 1e3 * _rms(column(key)), f"{r:.1f}") for key in rows[0]]
     if name == "hour":
         return [Bar("false slips in an hour", r := float(column("false").sum()), f"{r:.0f}", high=0.0)]
     share, deg = 100.0 * column("off_m") / column("way_m"), np.degrees(column("off_rad"))

@@ -24,7 +24,7 @@ def learnt(senses: MotionSenses, config: Senses) -> dict[str, object]:
         w, names = senses.wheels.state, senses.wheels.names
         out["wheel_scale_off"] = dict(zip(names, w.off.tolist(), strict=True))
         out["wheel_scale_sigma"] = dict(zip(names, np.sqrt(np.diagonal(w.cov)).tolist(), strict=True))
-        out["wheel_noise_pm"] = dict(zip(AXES, np.sqrt(w.noise).tolist(), strict=True))
+        out["wheel_noise"] = dict(zip((*AXES, "turning_per_rad"), np.sqrt(w.noise).tolist(), strict=True))
         out["slips"] = dict(zip(AXES, senses.slip.state.began.astype(int).tolist(), strict=True))
     if config.gyro != "none":
         bias, scale = senses.gyro.state.bias_scale.tolist()

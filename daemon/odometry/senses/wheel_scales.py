@@ -23,12 +23,12 @@ _STRETCH_M, _TURN_M_PER_RAD = 0.25, 0.25
 .5 m."""
 _LONGEST_S = 5.0
 """Of a stretch; chosen: vision's slow errors, and a robot that rests."""
-_COMMISSIONED = np.array([1e-4, 1e-4, 1e-4])
-"""[m^2/m, m^2/m, rad^2/m] of the wheels' noise before anything is learnt, ahead, sideways and turning: 1 cm and .6 deg
-after a metre; as drivers/base/wheel_track.py."""
+_COMMISSIONED = np.array([1e-4, 1e-4, 1e-4, 4e-4])
+"""[m^2/m, m^2/m, rad^2/m, rad^2/rad] of the wheels' noise before anything is learnt: ahead, sideways, of the heading by
+way and by turning; 1 cm and .6 deg after a metre, 1.1 deg after a radian; as drivers/base/wheel_track.py."""
 _QUIETEST, _LOUDEST = 0.01, 30.0
-"""Of that, what may be learnt: .001 m and .06 deg after a metre, to 5 cm and 3 deg; chosen."""
-_GAIN, _LEAST_GAIN = 0.3, 0.04
+"""Of that, what may be learnt: 1 mm and .06 deg after a metre, to 5 cm and 3 deg; chosen."""
+_GAIN, _LEAST_GAIN = 0.4, 0.04
 """Of the logarithm of the noise for a stretch that errs by twice its variance; at first, and after a while; chosen."""
 _MOST_RATIO = 6.0
 """Of a squared error to its variance: a larger one is a slip, and teaches as much as this one does; chosen."""
@@ -36,6 +36,8 @@ _WALK_PM = 1e-4
 """Drift of a scale in a metre, by load and wear, as its root: .3 % in a kilometre; chosen."""
 _GATE_CHI2 = 21.1
 """Squared error of a stretch, three degrees of freedom, that is a slip: noise exceeds it once in 10^4."""
+_TINY = 1e-30
+"""Against a division by nothing."""
 _STAMP_S = 0.002
 """Standard deviation of when a count was taken; as drivers/base/wheel_track.py."""
 _GRAIN_M, _GRAIN_RAD = 4e-5, 4e-6
@@ -49,21 +51,24 @@ class WheelScalesState:
     Attributes:
         off: (3,) shares by which the scales are off what the base reckons with, cov: their covariance (3, 3); set at
             the first stretch.
-        noise: (3,) variances that a metre adds, ahead, sideways and in turning.
+        noise: (4,) variances that a metre adds ahead, sideways and to the heading, and that a radian adds to that.
+        taught: (4,) stretches that told each of them, as a sum of shares.
         stretches: learnt from; refused: taken for slips.
         by_wheels, by_eye: the stretch under way; eye_cov: (3, 3) error of one frame's motion.
-        way_m: of that stretch.
+        way_m, turned_rad: of that stretch; the way counts turns as well.
         twist: (3,) [m/s, m/s, rad/s] at its start.
     """
 
     off: Array = field(default_factory=lambda: np.zeros(PARAMETERS))
     cov: Array = field(default_factory=lambda: np.zeros((PARAMETERS, PARAMETERS)))
     noise: Array = field(default_factory=lambda: _COMMISSIONED.copy())
+    taught: Array = field(default_factory=lambda: np.zeros(4))
     stretches: int = 0
     refused: int = 0
     by_wheels: Reckoning = field(default_factory=lambda: Reckoning.start(PARAMETERS))
     by_eye: Array = field(default_factory=lambda: np.zeros(3))
     way_m: float = 0.0
+    turned_rad: float = 0.0
     twist: Array = field(default_factory=lambda: np.zeros(3))
 
 
@@ -91,9 +96,12 @@ class WheelScales:
         twist = se2.mean_twist(wheels.prev_from_curr, 1.0)
         by = self._by_scales(twist)
         true = twist + by @ self.state.off
-        way_m = float(np.hypot(twist[0], twist[1])) + _TURN_M_PER_RAD * abs(float(twist[2]))
+        turned_rad, straight_m = abs(float(twist[2])), float(np.hypot(twist[0], twist[1]))
+        ahead, across, by_way, by_turn = self.state.noise.tolist()
+        way_m = straight_m + _TURN_M_PER_RAD * turned_rad
         grain = np.array([_GRAIN_M, _GRAIN_M, _GRAIN_RAD]) ** 2
-        return Step(true, by, np.diag(self.state.noise * way_m + grain))
+        noise = np.array([ahead * way_m, across * way_m, by_way * straight_m + by_turn * turned_rad])
+        return Step(true, by, np.diag(noise + grain))
 
     def _by_scales(self, twist: Array) -> Array:
         """(3, 3) derivative of a twist by the scales."""
@@ -114,7 +122,7 @@ class WheelScales:
     def leave(self) -> None:
         """The stretch under way tells nothing: the eye saw nothing, or wheels slip."""
         s = self.state
-        s.by_wheels, s.by_eye, s.way_m = Reckoning.start(PARAMETERS), np.zeros(3), 0.0
+        s.by_wheels, s.by_eye, s.way_m, s.turned_rad = Reckoning.start(PARAMETERS), np.zeros(3), 0.0, 0.0
 
     def learn(self, step: Step, seen: Array, seen_cov: Array, elapsed_s: float, late_sigma_s: float) -> None:
         """A frame by wheels, and by eye: (3,) prev_from_curr with (3, 3), where both saw it.
@@ -129,7 +137,7 @@ class WheelScales:
         s.by_wheels = s.by_wheels.then(step, elapsed_s)
         s.by_eye = se2.compose(s.by_eye, seen)
         way_m = float(np.hypot(step.twist[0], step.twist[1])) + _TURN_M_PER_RAD * abs(float(step.twist[2]))
-        s.way_m += way_m
+        s.way_m, s.turned_rad = s.way_m + way_m, s.turned_rad + abs(float(step.twist[2]))
         if s.by_wheels.seconds > _LONGEST_S:
             self.leave()
         elif s.way_m >= _STRETCH_M:
@@ -160,8 +168,11 @@ class WheelScales:
 
     def _learn_noise(self, off: Array, total: Array, noise: Array) -> None:
         s = self.state
-        ratio = np.minimum(off**2 / total, _MOST_RATIO) - 1.0
-        gain = max(_GAIN / math.sqrt(1.0 + s.stretches), _LEAST_GAIN)
-        s.noise = np.clip(
-            s.noise * np.exp(gain * ratio * noise / total), _QUIETEST * _COMMISSIONED, _LOUDEST * _COMMISSIONED
-        )
+        ratio = (np.minimum(off**2 / total, _MOST_RATIO) - 1.0) * noise / total
+        by_way, by_turn = s.noise[2] * (s.way_m - _TURN_M_PER_RAD * s.turned_rad), s.noise[3] * s.turned_rad
+        part = by_turn / max(by_way + by_turn, _TINY)
+        share = np.array([1.0, 1.0, 1.0 - part, part])
+        gain = np.maximum(_GAIN / np.sqrt(1.0 + s.taught), _LEAST_GAIN)
+        step = np.exp(gain * share * ratio[[0, 1, 2, 2]])
+        s.noise = np.clip(s.noise * step, _QUIETEST * _COMMISSIONED, _LOUDEST * _COMMISSIONED)
+        s.taught = s.taught + share
