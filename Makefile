@@ -102,6 +102,7 @@ bench-place: $(VENV)/.installed
 
 bench-fusion: $(VENV)/.installed-bench
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.fusion --seeds $(or $(SEEDS),4) --jobs $(or $(JOBS),1)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.fusion.motion --count $(or $(COUNT),20) --jobs $(or $(JOBS),1)
 
 bench-arm: $(VENV)/.installed
 	bash bench/arm/emulated.sh
