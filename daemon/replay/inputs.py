@@ -17,7 +17,13 @@ import numpy as np
 
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.floors import Floors
-from ceilvo.daemon.replay.plausible import belief_problem, crossings_problem, landmarks_problem, wheels_problem
+from ceilvo.daemon.replay.plausible import (
+    belief_problem,
+    crossings_problem,
+    landmarks_problem,
+    turn_problem,
+    wheels_problem,
+)
 from ceilvo.daemon.replay.snapshot import read_value, restore, value_json
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
@@ -194,8 +200,12 @@ def _problem(given: Input) -> str:
     if isinstance(given, SetPose):
         return belief_problem(given.pose, given.cov)
     if isinstance(given, Sighting) and given.crossings is not None:
-        return crossings_problem(given.crossings) or wheels_problem(given.wheels)
-    return wheels_problem(given.wheels) if isinstance(given, FrameInput | Sighting | Silence) else ""
+        return crossings_problem(given.crossings) or _told_problem(given)
+    return _told_problem(given) if isinstance(given, FrameInput | Sighting | Silence) else ""
+
+
+def _told_problem(given: FrameInput | Sighting | Silence) -> str:
+    return wheels_problem(given.wheels) or turn_problem(given.heard.turn)
 
 
 def _map_problem(given: LoadMap) -> str:

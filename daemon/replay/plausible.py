@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.se2 import covariance_problem
+from ceilvo.senses.heard import Turn
 from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Array, Crossings, Landmarks, WheelMotion
 
 _MAX_PX = 1e6
@@ -46,6 +47,19 @@ def landmarks_problem(m: Landmarks) -> str:
     if not problem and min(m.ids.min(initial=0), m.sightings.min(initial=0)) < 0:
         problem = "ids or sightings are below 0"
     return problem
+
+
+def turn_problem(turn: Turn | None) -> str:
+    """Of what a gyro said."""
+    if turn is None:
+        return ""
+    numbers = np.array([turn.turned_rad, turn.var_rad2, turn.span_s, turn.ends_rad2])
+    found = {"turn": (numbers, (4,), MAX_COORDINATE_M)}
+    if turn.gained_mps is not None:
+        found["gained_mps"] = (turn.gained_mps, (2,), MAX_COORDINATE_M)
+    problem = next(_number_problems(found), "")
+    below = not problem and min(turn.var_rad2, turn.span_s, turn.ends_rad2) < 0.0
+    return "a variance or the span of a turn is below 0" if below else problem
 
 
 def crossings_problem(c: Crossings) -> str:

@@ -112,6 +112,10 @@ class Lag:
         """Of known_s, where it is known; else inf."""
         return self.state.sigma_s if self.state.sigma_s <= _SURE_S else math.inf
 
+    def restart(self) -> None:
+        """Time begins anew; what is known of the delay stays."""
+        self.state.next_s, self.state.jumped_at_s = 0.0, -math.inf
+
     def skip(self, now_s: float) -> None:
         """What was gathered until now since the last window tells nothing: wheels slip."""
         self.state.next_s = max(self.state.next_s, now_s)

@@ -156,6 +156,8 @@ class MotionSenses:
     def restart(self) -> None:
         """After a reset: what was learnt of the robot stays."""
         self.wheels.leave()
+        self.wheels_lag.restart()
+        self.gyro_lag.restart()
         self.slip.state = SlipTestState(began=self.slip.state.began)
         self.gyro_path.state, self.lifted.state = GyroPathState(), LiftedState()
         self._gap, self._seen = Reckoning.start(_ALL), False

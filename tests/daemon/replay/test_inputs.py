@@ -5,18 +5,32 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, input_json, read_input
+from ceilvo.daemon.replay.inputs import (
+    FrameInput,
+    Input,
+    LoadMap,
+    Reset,
+    SetPose,
+    Silence,
+    check_plausible,
+    input_json,
+    read_input,
+)
 from ceilvo.errors import FileFormatError
+from ceilvo.senses.heard import NOTHING, Heard, Turn
 from ceilvo.types import Frame, Landmarks, Pose, WheelMotion
 
 floats = st.floats(allow_nan=False, allow_infinity=False)
 poses, covs = arrays(np.float64, 3, elements=floats), arrays(np.float64, (3, 3), elements=floats)
 wheels = st.none() | st.builds(WheelMotion, poses, covs)
 counts = st.integers(0, 2**62)
+gained = st.none() | arrays(np.float64, 2, elements=floats)
+heard = st.just(NOTHING) | st.builds(Heard, st.none() | st.builds(Turn, floats, floats, floats, floats, gained))
 texts = st.text(max_size=30)
 
 
@@ -30,8 +44,8 @@ def landmarks(draw: st.DrawFn) -> Landmarks:
 
 frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
 inputs = st.one_of(
-    st.builds(FrameInput, frames, wheels),
-    st.builds(Silence, counts, texts, wheels),
+    st.builds(FrameInput, frames, wheels, heard),
+    st.builds(Silence, counts, texts, wheels, heard),
     st.builds(LoadMap, landmarks(), floats, poses, covs, st.booleans(), floats),
     st.builds(SetPose, poses, covs, texts),
     st.builds(Reset, st.booleans()),
@@ -53,6 +67,24 @@ def flat(value: object) -> object:
     if hasattr(value, "__slots__"):
         return tuple(flat(getattr(value, name)) for name in value.__slots__)
     return repr(value)
+
+
+@pytest.mark.parametrize(
+    ("turn", "says"),
+    [
+        (Turn(np.nan, 0.0, 0.1), "not finite"),
+        (Turn(0.1, -1.0, 0.1), "below 0"),
+        (Turn(0.1, 0.0, 0.1, 0.0, np.zeros(3)), "gained_mps has the shape"),
+        (Turn(0.1, 0.0, 0.1, 0.0, np.zeros(2)), ""),
+    ],
+)
+def test_a_turn_that_no_gyro_says_is_damage(turn: Turn, says: str) -> None:
+    given_ = Silence(1, "dark", None, Heard(turn))
+    if not says:
+        check_plausible(given_)
+        return
+    with pytest.raises(FileFormatError, match=says):
+        check_plausible(given_)
 
 
 @given(st.binary(max_size=80) | st.text(max_size=80).map(str.encode) | inputs.map(lambda g: input_json(g, 0)[:-9]))

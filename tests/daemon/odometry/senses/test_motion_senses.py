@@ -118,6 +118,21 @@ def test_a_robot_that_stands_in_the_dark_is_vouched_for_and_one_that_drives_is_n
         assert senses.step(seen(twist), wheels_of(twist), turn_of(float(twist[2])), DT_S).carried_rad is None
 
 
+def test_after_a_reset_what_was_learnt_stays_and_learning_goes_on() -> None:
+    senses = MotionSenses(ALL)
+    learn(senses, driven(30.0))
+    off, stretches, windows = (
+        senses.wheels.state.off.copy(),
+        senses.wheels.state.stretches,
+        senses.gyro_lag.state.counts.copy(),
+    )
+    senses.restart()
+    assert np.array_equal(senses.wheels.state.off, off)
+    learn(senses, driven(30.0))
+    assert senses.wheels.state.stretches > stretches
+    assert np.any(senses.gyro_lag.state.counts > windows), "the delay is followed by the new time"
+
+
 def test_a_snapshot_goes_on_as_the_run_does() -> None:
     one, other = MotionSenses(ALL), MotionSenses(ALL)
     learn(one, driven(20.0))
