@@ -100,6 +100,11 @@ class LapPath:
         y = sin * local[..., 0] + cos * local[..., 1] + 0.5 * self.spec.room_m
         return np.stack([x, y, se2.wrap_array(0.5 * np.pi * side + self._heading(c))], axis=-1)
 
+    def turned_at(self, t_s: ArrayLike) -> Array:
+        """Heading since the start, not wrapped, (...) for t_s of shape (...)."""
+        side, _, over = self._locate(t_s)
+        return np.asarray(0.5 * np.pi * side + self._heading(np.clip(over, 0.0, None)))
+
     def twist_at(self, t_s: ArrayLike) -> Array:
         """Velocity in base [m/s, m/s, rad/s], (..., 3) for t_s of shape (...)."""
         v = self.speed_at(t_s)

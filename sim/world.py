@@ -42,6 +42,10 @@ class WorldSpec:
     surroundings: SurroundingsSpec = field(default_factory=SurroundingsSpec)
 
 
+GYRO_BIAS_RADPS = 0.005
+"""Of the simulated base's gyro: .3 deg/s; chosen: an ordinary chip."""
+
+
 class World:
     """A deterministic function of time. frame_at() is for one thread at a time, the rest for any.
 
@@ -86,6 +90,10 @@ class World:
     def wheel_odometry_at(self, t_s: float) -> Array:
         """(3,) cumulative odom_from_base as the wheels report it."""
         return self.wheels.at(t_s)
+
+    def gyro_at(self, t_s: float) -> float:
+        """Integral of the yaw rate that a gyro of the base measures, rad; its bias is in it."""
+        return float(self.path.turned_at(t_s)) + GYRO_BIAS_RADPS * t_s
 
     def frame_at(self, t_s: float) -> Gray:
         """(H, W) uint8: the exposure that starts at t_s, that of the middle row. The same time gives the same bytes."""

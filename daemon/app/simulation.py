@@ -41,6 +41,8 @@ def simulation(
         parity=config.base.parity,
         unit_id=config.base.unit_id,
         odometry=lambda t_s: tuple(world.wheel_odometry_at(world.seconds(round(1e9 * t_s)))),
+        version=config.base.protocol,
+        gyro=lambda t_s: world.gyro_at(world.seconds(round(1e9 * t_s))),
     )
     x, y, theta = (float(v) for v in world.initial_pose)
     lens, room_m = world.calibration.camera, world.spec.lap.room_m

@@ -175,3 +175,11 @@ def test_the_nose_rises_when_speeding_up_and_the_body_leans_out_of_a_left_bend()
     a = path.acceleration_at(T)
     assert mean[np.argmax(a[:, 0]), 1] < -0.003
     assert mean[np.argmax(a[:, 1]), 0] > 0.003
+
+
+def test_the_heading_that_is_not_wrapped_is_the_turn_rates_integral() -> None:
+    path, t = LapPath(), np.linspace(0.0, 80.0, 4001)
+    turned = path.turned_at(t)
+    assert turned[-1] > 2.0 * np.pi, "more than a lap"
+    middle = path.twist_at(0.5 * (t[1:] + t[:-1]))[:, 2]
+    assert np.allclose(np.diff(turned), middle * np.diff(t), atol=1e-4)
