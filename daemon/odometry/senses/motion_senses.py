@@ -211,7 +211,7 @@ class MotionSenses:
             return None
         twist, by, noise = np.zeros(3), np.zeros((3, _ALL)), np.zeros((3, 3))
         if wheels is not None:
-            step = self._by_wheels(wheels, elapsed_s)
+            step = self._by_wheels(wheels)
             twist, noise = step.twist.copy(), step.noise.copy()
             by[:, :PARAMETERS] = step.by_parameters
         if by_gyro is not None:
@@ -227,9 +227,9 @@ class MotionSenses:
         """Whether the gyro says something, and enough is known of it."""
         return turn is not None and self.gyro.state.updates >= _GYRO_KNOWN
 
-    def _by_wheels(self, wheels: WheelMotion, elapsed_s: float) -> Step:
+    def _by_wheels(self, wheels: WheelMotion) -> Step:
         if self._config.wheels:
-            return self.wheels.step(wheels, elapsed_s)
+            return self.wheels.step(wheels)
         return Step(se2.mean_twist(wheels.prev_from_curr, 1.0), np.zeros((3, PARAMETERS)), wheels.cov)
 
     def _parameters(self) -> Array:
@@ -248,7 +248,7 @@ class MotionSenses:
         step = self._step(None if self._off_floor else wheels, heard, elapsed_s)
         seen = motion.ok and not motion.restarted
         usable = seen and self._seen and motion.doubt < _SURE_DOUBT
-        by_wheels = None if wheels is None else self._by_wheels(wheels, elapsed_s)
+        by_wheels = None if wheels is None else self._by_wheels(wheels)
         slips = self._slips(motion, by_wheels, heard, usable, elapsed_s)
         carried_rad, still = self._lifted(motion, wheels, heard, seen, elapsed_s)
         self._learn(motion, by_wheels, heard, usable, elapsed_s)

@@ -85,13 +85,9 @@ class WheelScales:
     def names(self) -> tuple[str, str, str]:
         return ("x", "y", "theta") if self._track_m is None else ("left", "right", "track")
 
-    def restart(self) -> None:
-        """The path begins anew; what was learnt stays."""
-        self.leave()
-
     # -- what it says
 
-    def step(self, wheels: WheelMotion, elapsed_s: float) -> Step:
+    def step(self, wheels: WheelMotion) -> Step:
         """What wheels report (3,), with the scales that are known."""
         twist = se2.mean_twist(wheels.prev_from_curr, 1.0)
         by = self._by_scales(twist)

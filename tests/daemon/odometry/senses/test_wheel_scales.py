@@ -28,7 +28,7 @@ def learn(scales: WheelScales, steps: int, rng: np.random.Generator, noise: floa
         way = float(np.hypot(*said[:2])) + 0.25 * abs(said[2])
         said = said + noise * np.sqrt(way) * rng.standard_normal(3) * [1.0, float(omni), 1.0]
         wheels = WheelMotion(Displacement(se2.driven(said, np.ones(1))[0]), np.eye(3))
-        step = scales.step(wheels, DT_S)
+        step = scales.step(wheels)
         scales.learn(step, se2.driven(true, np.ones(1))[0], EYE, DT_S, 0.0)
 
 
@@ -70,6 +70,6 @@ def test_a_slip_teaches_nothing_and_scales_stay_within_their_bound() -> None:
     before, refused = learnt.state.off.copy(), learnt.state.refused
     for _ in range(6):
         wheels = WheelMotion(Displacement(np.array([0.05, 0.0, 0.0])), np.eye(3))
-        learnt.learn(learnt.step(wheels, DT_S), np.array([0.03, 0.0, 0.0]), EYE, DT_S, 0.0)
+        learnt.learn(learnt.step(wheels), np.array([0.03, 0.0, 0.0]), EYE, DT_S, 0.0)
     assert learnt.state.refused > refused
     assert np.array_equal(learnt.state.off, before)
