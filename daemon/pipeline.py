@@ -14,6 +14,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.beacons.relocaliser import BeaconRelocaliser, BeaconState
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Severity, Suspicions
@@ -26,7 +27,7 @@ from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState
 from ceilvo.daemon.relocalisation.floors import Floors
-from ceilvo.daemon.relocalisation.relocaliser import Relocaliser, RelocaliserState
+from ceilvo.daemon.relocalisation.relocaliser import RelocaliserState
 from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
@@ -53,6 +54,7 @@ class PipelineState:
     checks: CrossChecksState = field(default_factory=CrossChecksState)
     heights: HeightsState = field(default_factory=HeightsState)
     floors: FloorTrackerState = field(default_factory=FloorTrackerState)
+    beacons: BeaconState = field(default_factory=BeaconState)
 
 
 class Pipeline:
@@ -69,7 +71,7 @@ class Pipeline:
         self.vision = CrossingFinder(calibration, config.features)
         self.odometry = HeightsOdometry(config.odometry, calibration)
         self.dead_reckoning = DeadReckoning(process)
-        self.relocaliser = Relocaliser(make_filter(settings, rng), calibration, config)
+        self.relocaliser = BeaconRelocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
         self.seq = 0
@@ -112,7 +114,7 @@ class Pipeline:
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
-        self.relocaliser.travelled(track, 0 if crossings is None else len(crossings))
+        self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
         if len(self.odometry.heights.misplaced) and track.gap is None:
             forget_near(self.filter, self.odometry.heights.misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
@@ -140,7 +142,7 @@ class Pipeline:
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
-        pose, cov = self.checks.corrected(*track.carry(Pose(pose), cov))
+        pose, cov = self.checks.corrected(*self.relocaliser.carry(track, Pose(pose), cov))
         path = self.dead_reckoning.state
         degraded = suspicions.gravest(Severity.DEGRADED)
         floor, pose, cov = self.relocaliser.floor_tracker.floors.on_floor(pose, cov)
@@ -211,6 +213,7 @@ class Pipeline:
             self.checks.state,
             self.odometry.heights.state,
             self.relocaliser.floor_tracker.state,
+            self.relocaliser.beacons,
         )
 
     @state.setter
@@ -220,6 +223,7 @@ class Pipeline:
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
         self.checks.state, self.odometry.heights.state = state.checks, state.heights
         self.relocaliser.floor_tracker.state = state.floors
+        self.relocaliser.beacons = state.beacons
 
     def reset(self, keep_map: bool = False) -> None:
         """Start again at the configured initial pose, with the map (the pose is then a hypothesis) or without.

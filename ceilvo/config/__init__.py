@@ -14,12 +14,14 @@ from ceilvo.config.schema import (
     States,
     Zenoh,
 )
+from ceilvo.config.sections.beacons import Beacons
 from ceilvo.config.sections.fleet import Fleet, Mapd
 from ceilvo.config.sections.interop import Ros2, Vda5050, Web
 from ceilvo.config.sections.senses import Senses
 
 __all__ = [
     "Base",
+    "Beacons",
     "CalibrationFile",
     "Camera",
     "Config",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
+from ceilvo.config.sections.beacons import Beacons
 from ceilvo.config.sections.fleet import Fleet, Mapd
 from ceilvo.config.sections.interop import Ros2, Vda5050, Web
 from ceilvo.config.sections.keys import key
@@ -332,6 +333,7 @@ class Config:
     senses: Senses = field(default_factory=Senses)
     states: States = field(default_factory=States)
     base: Base = field(default_factory=Base)
+    beacons: Beacons = field(default_factory=Beacons)
     zenoh: Zenoh = field(default_factory=Zenoh)
     ros2: Ros2 = field(default_factory=Ros2)
     vda5050: Vda5050 = field(default_factory=Vda5050)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ceilvo.senses.beacons import MarkSeen, Range
 from ceilvo.types import Array
 
 
@@ -28,9 +29,16 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """Of one frame's interval; None where a sense says nothing."""
+    """Of one frame's interval; None or empty where a sense says nothing.
+
+    Attributes:
+        ranges: to radio anchors, that came in it.
+        marks: in the frame at its end.
+    """
 
     turn: Turn | None = None
+    ranges: tuple[Range, ...] = ()
+    marks: tuple[MarkSeen, ...] = ()
 
 
 NOTHING = Heard()

@@ -54,6 +54,7 @@ class PlaceBelief:
         spot_m, spot_rad: moved and turned since the spot began.
         cut: places were left out that may be right.
         leader, led_m: the likeliest place (3,) but for the tracked one, and for how much of the way it was.
+        told, told_unknown: what of log_weight and unknown is of other senses, see tell().
     """
 
     places: Array = field(default_factory=_tracked)
@@ -67,6 +68,13 @@ class PlaceBelief:
     cut: bool = False
     leader: Array = field(default_factory=lambda: np.zeros(3))
     led_m: float = 0.0
+    told: Array = field(default_factory=lambda: np.zeros(1))
+    told_unknown: float = 0.0
+
+    def __post_init__(self) -> None:
+        """States of older recordings were told nothing."""
+        if len(self.told) != len(self.places):
+            self.told = np.zeros(len(self.places))
 
     def __len__(self) -> int:
         """Places, the tracked one included."""
@@ -160,6 +168,12 @@ class PlaceBelief:
         self.spot = before + log_ratio
         self.spot_views += 1
 
+    def tell(self, log_likelihood: Array, unknown: float) -> None:
+        """Other senses say (P,) of the places and of unknown ground, in place of what they said before."""
+        self.log_weight = self.log_weight + (log_likelihood - self.told)
+        self.unknown += unknown - self.told_unknown
+        self.told, self.told_unknown = log_likelihood, unknown
+
     def leave_spot(self) -> None:
         """What this spot says is settled; the next view is from another. Places that have lost are dropped."""
         best = int(np.argmax(self.weights()[0]))
@@ -205,6 +219,7 @@ class PlaceBelief:
         self.log_weight = np.concatenate([self.log_weight, weight[fresh] - combined(likeliest)])
         self.seen = np.concatenate([self.seen, np.repeat(likeliest[None], len(fresh), axis=0)])
         self.spot = np.concatenate([self.spot, np.full((len(fresh), 2), np.nan)])
+        self.told = np.concatenate([self.told, np.full(len(fresh), self.told[0])])
         if len(self) > MOST_PLACES:
             self._leave_out(_best(self.settled, MOST_PLACES))
 
@@ -214,7 +229,7 @@ class PlaceBelief:
 
     def _keep(self, which: Ints | NDArray[np.bool_]) -> None:
         self.places, self.log_weight = self.places[which], self.log_weight[which]
-        self.seen, self.spot = self.seen[which], self.spot[which]
+        self.seen, self.spot, self.told = self.seen[which], self.spot[which], self.told[which]
 
     def doubt_unknown(self, log_odds: float) -> None:
         """Something happened after which the robot may be anywhere, with these log-odds against the tracked place."""
@@ -236,6 +251,7 @@ class PlaceBelief:
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
         self.places = np.asarray(compose(self.places[order], np.broadcast_to(back, self.places.shape)))
         self.places[0], self.log_weight, self.seen = 0.0, self.log_weight[order], self.seen[order]
+        self.told = self.told[order]
         return there
 
 

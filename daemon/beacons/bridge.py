@@ -1,0 +1,148 @@
+"""The pose within a gap of vision, where ranges and marks hold what prediction alone would lose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.daemon.beacons.anchors import AnchorTable
+from ceilvo.daemon.beacons.mark_poses import MarkPose
+from ceilvo.daemon.beacons.range_errors import direct_share
+from ceilvo.types import Array, Displacement, Ints, Motion, Pose
+
+CORRELATED = 4.0
+"""By which the variance of a range is raised within a gap: ranges of a second share part of their errors; chosen."""
+LEAST_DIRECT = 0.2
+"""A range that came straight with less probability is left out."""
+FEWEST = 3
+"""Ranges and marks after which the pose within a gap is worth more than prediction's, chosen."""
+
+
+@dataclass(slots=True)
+class BridgeState:
+    """Within a gap; nothing outside.
+
+    Attributes:
+        mean: (3 + A,) pose in map, then what each anchor's ranges are off by at this place; empty outside a gap.
+        cov: of that.
+        gap: (3,) how far the gap's prediction had come, with its covariance gap_cov (3, 3).
+        used: ranges and marks that were taken.
+        marks: how often each was, by number as text.
+    """
+
+    mean: Array = field(default_factory=lambda: np.empty(0))
+    cov: Array = field(default_factory=lambda: np.empty((0, 0)))
+    gap: Array = field(default_factory=lambda: np.zeros(3))
+    gap_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    used: int = 0
+    marks: dict[str, int] = field(default_factory=dict)
+
+
+class Bridge:
+    """A Kalman filter of the pose and the anchors' biases that lives as long as a gap."""
+
+    def __init__(self) -> None:
+        self.state = BridgeState()
+
+    @property
+    def lives(self) -> bool:
+        return len(self.state.mean) > 0
+
+    @property
+    def helps(self) -> bool:
+        """Whether its pose is more than prediction."""
+        return self.state.used >= FEWEST or bool(self.state.marks)
+
+    @property
+    def pose(self) -> tuple[Pose, Array]:
+        return Pose(self.state.mean[:3].copy()), self.state.cov[:3, :3].copy()
+
+    def end(self) -> None:
+        self.state = BridgeState()
+
+    def move(self, pose: Array, cov: Array, gap: Motion, table: AnchorTable, tag_m: Array) -> None:
+        """Go as far as a gap's prediction has come since the pose (3,) with covariance (3, 3) at its beginning."""
+        if not self.lives:
+            self._begin(pose, cov, table, tag_m)
+        s = self.state
+        step = Displacement(se2.between(s.gap, gap.prev_from_curr))
+        f = _lever(s.gap, gap.prev_from_curr)
+        fresh = gap.cov - f @ s.gap_cov @ f.T
+        back = np.eye(3)
+        back[:2, :2] = se2.rotation(-float(s.gap[2]))
+        values, vectors = np.linalg.eigh(0.5 * back @ (fresh + fresh.T) @ back.T)
+        noise = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        before = s.mean[:3].copy()
+        s.mean[:3] = se2.compose(before, step)
+        f = _lever(before, s.mean[:3])
+        s.cov[:3] = f @ s.cov[:3]
+        s.cov[:, :3] = s.cov[:, :3] @ f.T
+        g = np.eye(3)
+        g[:2, :2] = se2.rotation(float(before[2]))
+        s.cov[:3, :3] += g @ noise @ g.T
+        s.gap, s.gap_cov = np.array(gap.prev_from_curr), np.array(gap.cov)
+
+    def _begin(self, pose: Array, cov: Array, table: AnchorTable, tag_m: Array) -> None:
+        every = np.arange(len(table.names))
+        at = pose[:2] + se2.rotation(float(pose[2])) @ tag_m[:2]
+        distance, _ = table.distances(every, at, float(tag_m[2]))
+        full = np.zeros((3 + len(every), 3 + len(every)))
+        full[:3, :3] = cov
+        full[3:, 3:] = np.diag(table.bias_sigma(every, distance) ** 2)
+        self.state = BridgeState(np.concatenate([pose, np.zeros(len(every))]), full)
+
+    def hear(self, table: AnchorTable, tag_m: Array, which: Ints, range_m: Array, way_m: Array) -> None:
+        """Ranges (N,) to anchors (N,); way_m: (N, 2) by which the tag was elsewhere then, in map."""
+        s = self.state
+        for a, r, way in zip(which.tolist(), range_m.tolist(), way_m, strict=True):
+            arm = se2.rotation(float(s.mean[2])) @ tag_m[:2]
+            one = np.array([a])
+            d, unit = table.distances(one, (s.mean[:2] + arm + way)[None], float(tag_m[2]))
+            h = np.zeros(len(s.mean))
+            h[:2] = unit[0]
+            h[2] = unit[0] @ np.array([-arm[1], arm[0]])
+            h[3 + a] = 1.0
+            off = r - float(table.expected(one, d)[0]) - float(s.mean[3 + a])
+            spread = float(h @ s.cov @ h) + table.noise_m**2
+            direct = float(direct_share(np.array(off), np.sqrt(spread)))
+            if direct < LEAST_DIRECT:
+                continue
+            self._update(h[None], np.array([off]), np.array([[CORRELATED * table.noise_m**2 / direct]]))
+
+    def see(self, mark: MarkPose) -> None:
+        """A mark that is believed; its own place errs the same each time, so it says less each time."""
+        s, name = self.state, str(mark.number)
+        times = s.marks.get(name, 0) + 1
+        s.marks[name] = times
+        off = np.array(mark.pose - s.mean[:3])
+        off[2] = se2.wrap(float(off[2]))
+        h = np.zeros((3, len(s.mean)))
+        h[:, :3] = np.eye(3)
+        self._update(h, off, times * mark.cov)
+
+    def widen(self, mark: MarkPose) -> None:
+        """A mark that contradicts others: one of them is wrong, so the pose may be either."""
+        off = np.array(mark.pose - self.state.mean[:3])
+        off[2] = se2.wrap(float(off[2]))
+        most = np.diag(np.square(off))
+        self.state.cov[:3], self.state.cov[:, :3] = 0.0, 0.0
+        self.state.cov[:3, :3] = most + mark.cov
+
+    def _update(self, h: Array, off: Array, var: Array) -> None:
+        s = self.state
+        cross = s.cov @ h.T
+        gain = np.linalg.solve(h @ cross + var, cross.T).T
+        s.mean = s.mean + gain @ off
+        s.mean[2] = se2.wrap(float(s.mean[2]))
+        cov = s.cov - gain @ cross.T
+        s.cov = 0.5 * (cov + cov.T)
+        s.used += 1
+
+
+def _lever(before: Array, after: Array) -> Array:
+    """(3, 3) by which an error of a pose before goes on to one after, in the frame of both."""
+    f = np.eye(3)
+    f[0, 2], f[1, 2] = before[1] - after[1], after[0] - before[0]
+    return f

@@ -1,0 +1,103 @@
+"""Where a tag in the picture says that the robot is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.calibration import Calibration, in_base
+from ceilvo.senses.beacons import Mark
+from ceilvo.types import Array
+
+CORNER_PX = 0.5
+"""Standard deviation of a corner; chosen: OpenCV refines corners to some tenths of a pixel, a lens adds as much."""
+TILT_RAD = 0.006
+"""Standard deviation of a robot's tilt on an ordinary floor, a third of a degree; chosen. It moves what is seen."""
+SIZE_SHARE = 0.25
+"""A tag that seems larger or smaller by more is not what the file names; chosen: at half the ceiling's height it would
+seem twice as large."""
+SHAPE_SHARE = 0.1
+"""Of its side, that its corners may be off a square; chosen: one that hangs askew by 25 deg."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkPose:
+    """map_from_base (3,) that a mark says, with covariances (3, 3): seen, of the measurement; own, of its place."""
+
+    number: int
+    pose: Array
+    seen: Array
+    own: Array
+
+    @property
+    def cov(self) -> Array:
+        return np.asarray(self.seen + self.own)
+
+
+def corners(size_m: float) -> Array:
+    """(4, 2) of a tag in its own frame: x from its first corner to its second, z up like the map's."""
+    return 0.5 * size_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+def base_from_mark(calibration: Calibration, corners_px: Array, size_m: float) -> tuple[Array, float] | None:
+    """Pose (3,) of a tag in base and its side in pixels; None where what is seen is no such tag.
+
+    The side that it is known to have says how high it hangs: one below the ceiling seems larger.
+    """
+    at = in_base(calibration, corners_px)
+    if not np.all(np.isfinite(at)):
+        return None
+    own = corners(size_m)
+    middle = np.mean(at, axis=0)
+    off = at - middle
+    turn = complex(np.sum((own[:, 0] - 1j * own[:, 1]) * (off[:, 0] + 1j * off[:, 1])) / np.sum(own**2))
+    scale = abs(turn)
+    if abs(np.log(max(scale, 1e-9))) > np.log1p(SIZE_SHARE):
+        return None
+    theta = float(np.angle(turn))
+    askew = off - scale * own @ se2.rotation(theta).T
+    if np.max(np.abs(askew)) > SHAPE_SHARE * scale * size_m:
+        return None
+    foot = calibration.mount_xy_m
+    side_px = float(np.mean(np.hypot(*np.diff(corners_px, axis=0, append=corners_px[:1]).T)))
+    return np.array([*(foot + (middle - foot) / scale), theta]), side_px
+
+
+def mark_pose(calibration: Calibration, mark: Mark, corners_px: Array) -> MarkPose | None:
+    """What a mark in the picture says, None where it is not the one that is known."""
+    found = base_from_mark(calibration, corners_px, mark.size_m)
+    if found is None:
+        return None
+    seen, side_px = found
+    map_from_mark = np.array([mark.x_m, mark.y_m, mark.theta_rad])
+    pose = np.asarray(se2.compose(map_from_mark, se2.inverse(seen)))
+    px_m = mark.size_m / side_px
+    arm = seen[:2] - calibration.mount_xy_m
+    tilt_m = TILT_RAD * calibration.ceiling_height_m
+    # the height is taken from four corners, so what lies off the middle of the picture is off by its share
+    depth = 0.5 * CORNER_PX / side_px * np.outer(arm, arm) * CORNER_PX / side_px
+    cov_seen = np.diag([0.0, 0.0, (CORNER_PX / side_px) ** 2])
+    cov_seen[:2, :2] = (0.25 * (CORNER_PX * px_m) ** 2 + tilt_m**2) * np.eye(2) + depth
+    cov_mark = np.diag([mark.sigma_m**2, mark.sigma_m**2, mark.sigma_rad**2])
+    turn = float(pose[2])
+    return MarkPose(mark.number, pose, _turned(cov_seen, seen, turn), _about(cov_mark, pose, map_from_mark))
+
+
+def _turned(cov: Array, seen: Array, turn_rad: float) -> Array:
+    """Covariance of the tag in base as one of the base in map: an error of heading turns about the tag."""
+    r = se2.rotation(turn_rad)
+    g = np.eye(3)
+    g[:2, :2] = r
+    arm = r @ seen[:2]
+    g[:2, 2] = [-arm[1], arm[0]]
+    return np.asarray(g @ cov @ g.T)
+
+
+def _about(cov: Array, pose: Array, map_from_mark: Array) -> Array:
+    """Covariance of a mark's pose in map as one of the base, which turns about the mark."""
+    arm = pose[:2] - map_from_mark[:2]
+    g = np.eye(3)
+    g[:2, 2] = [-arm[1], arm[0]]
+    return np.asarray(g @ cov @ g.T)

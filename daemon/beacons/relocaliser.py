@@ -1,0 +1,322 @@
+"""Which place on the map, with ranges and marks: they weigh places and end searches, and hold the pose within gaps.
+
+While the place is sure and vision measures, they change nothing: ranges are learnt from, and marks are held against it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.calibration import Calibration
+from ceilvo.config import Config
+from ceilvo.daemon.beacons.anchors import AnchorTable
+from ceilvo.daemon.beacons.bridge import Bridge, BridgeState
+from ceilvo.daemon.beacons.mark_poses import MarkPose, mark_pose
+from ceilvo.daemon.beacons.range_window import Fix, RangeWindow, find, lever
+from ceilvo.daemon.beacons.trust import Trust, TrustState
+from ceilvo.daemon.odometry.dead_reckoning import DeadReckoningState, Track
+from ceilvo.daemon.relocalisation.doubts import JUMPED, Doubt
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.lattice import rival_poses
+from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.relocaliser import Relocaliser
+from ceilvo.daemon.slam.pose_filter import PoseFilter
+from ceilvo.senses.beacons import Beacons, MarkSeen, Range
+from ceilvo.senses.heard import Heard
+from ceilvo.types import Array, Crossings, Ints, Landmarks, Motion, Observations, Pose
+
+FEWEST_ANCHORS, FEWEST_RANGES = 3, 12
+"""That a fix is made of; chosen: two leave two places, and a second's worth tells what is obstructed."""
+SURE_FIX_M = 0.6
+"""Standard deviation of a fix that a search begins at, at most; chosen: rivals are then looked for within 2.4 m."""
+CONTRADICTED = 12.0
+"""By how much less likely than the fix the tracked place must be to begin there, as a logarithm; chosen."""
+FIX_PERIOD_NS = 500_000_000
+"""Between two searches for a fix, for time."""
+FIX_WRONG = 0.02
+"""Chance that the robot is elsewhere than where ranges say; chosen: all paths but two may be obstructed."""
+TURN_SIGMA_RAD = 2.0
+"""Of a fix's heading, which ranges from one spot do not know."""
+MARK_PICTURES = 2
+"""In a row that must show a mark before it ends a search: one may be a reflection; chosen."""
+MARK_AGAIN_NS = 500_000_000
+"""Pictures of a mark that lie further apart are not in a row."""
+BEYOND_M, BEYOND_CELL_M = 8.0, 1.0
+"""Unknown ground is looked for so far around, in such steps."""
+HELD_M = 0.15
+"""Standard deviation of the pose at the end of a gap, up to which a bridge says that nobody carried the robot off."""
+
+
+@dataclass(slots=True)
+class BeaconState:
+    """
+    Attributes:
+        anchors: as they are known; marks: of the file.
+        window: ranges since the doubt, or of late.
+        odom, stamp_ns: of the last frame; odom (3,).
+        fix_ns: when a fix was looked for last; located: places are searched for around one.
+        shown, shown_ns: the mark that the last pictures showed, how often, and when last.
+        settled: the mark that ended a search just now, -1 for none.
+        heard, taken: ranges that came, and those to anchors that the file has.
+    """
+
+    anchors: AnchorTable = field(default_factory=AnchorTable)
+    marks: Beacons = field(default_factory=Beacons)
+    window: RangeWindow = field(default_factory=RangeWindow)
+    odom: Array | None = None
+    stamp_ns: int = 0
+    fix_ns: int = 0
+    located: bool = False
+    wide: bool = False
+    shown: int = -1
+    shown_times: int = 0
+    shown_ns: int = 0
+    settled: int = -1
+    heard: int = 0
+    taken: int = 0
+    trust: TrustState = field(default_factory=TrustState)
+    bridge: BridgeState = field(default_factory=BridgeState)
+
+
+class BeaconRelocaliser(Relocaliser):
+    """A Relocaliser that is told of ranges and marks, or of none: then it is that one."""
+
+    def __init__(self, filter_: PoseFilter, calibration: Calibration, config: Config) -> None:
+        super().__init__(filter_, calibration, config)
+        self._tag_m = np.array([config.beacons.tag_x_m, config.beacons.tag_y_m, config.beacons.tag_z_m])
+        self._noise_m = config.beacons.noise_m
+        self._bridge, self._trust = Bridge(), Trust()
+        self._beacons = BeaconState()
+
+    @property
+    def beacons(self) -> BeaconState:
+        self._beacons.bridge, self._beacons.trust = self._bridge.state, self._trust.state
+        return self._beacons
+
+    @beacons.setter
+    def beacons(self, state: BeaconState) -> None:
+        self._beacons, self._bridge.state, self._trust.state = state, state.bridge, state.trust
+
+    # -- what it is told
+
+    def know(self, beacons: Beacons) -> None:
+        """From now on."""
+        self.beacons = BeaconState(AnchorTable.of(beacons.anchors, self._noise_m), Beacons(marks=beacons.marks))
+
+    def take_news(self) -> list[str]:
+        """What happened that somebody should read, each once."""
+        return self._trust.take_news()
+
+    # -- what happens to the robot
+
+    def start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, doubt: Doubt | None = None) -> None:
+        super().start_at(pose, cov, landmarks, doubt)
+        b = self._beacons
+        b.window.clear()
+        b.located, b.wide, b.fix_ns = False, True, 0
+        self._bridge.end()
+
+    def raise_doubt(self, doubt: Doubt) -> None:
+        super().raise_doubt(doubt)
+        if self.state.pending is not None:
+            self._beacons.window.clear()
+            self._beacons.located, self._beacons.wide = False, doubt.elsewhere >= JUMPED
+
+    def followed(self, path: DeadReckoningState, track: Track, crossings: int, heard: Heard) -> None:
+        """travelled(), with what was heard on that part of the way."""
+        b = self._beacons
+        self.travelled(track, crossings)
+        if not b.anchors.names and not b.marks.marks:
+            return
+        which, range_m, tags = self._placed(path, heard.ranges)
+        if track.gap is not None:
+            self._move_bridge(track)
+        elif self._bridge.lives:
+            self._end_bridge(track)
+        if len(which):
+            self._take_ranges(which, range_m, tags, path.odom)
+        self._take_marks(heard.marks, path.stamp_ns or 0, track.gap)
+        b.odom, b.stamp_ns = np.array(path.odom), path.stamp_ns or 0
+
+    def _placed(self, path: DeadReckoningState, heard: tuple[Range, ...]) -> tuple[Ints, Array, Array]:
+        """Rows of anchors (N,), ranges (N,) and where the tag was then in odom (N, 2), of what was heard."""
+        b = self._beacons
+        b.heard += len(heard)
+        row = {name: i for i, name in enumerate(b.anchors.names)}
+        known = [r for r in heard if r.anchor in row]
+        b.taken += len(known)
+        now_ns, before = path.stamp_ns or 0, path.odom if b.odom is None else b.odom
+        span_ns = max(now_ns - b.stamp_ns, 1) if b.odom is not None else 1
+        step = se2.between(before, path.odom)
+        tags = np.empty((len(known), 2))
+        for i, r in enumerate(known):
+            share = float(np.clip((r.stamp_ns - b.stamp_ns) / span_ns, 0.0, 1.0))
+            tags[i] = lever(np.asarray(se2.compose(before, share * step)), self._tag_m[:2])
+        which = np.array([row[r.anchor] for r in known], np.int64)
+        return which, np.array([r.range_m for r in known], np.float64), tags
+
+    # -- within a gap
+
+    def _move_bridge(self, track: Track) -> None:
+        assert track.gap is not None
+        pose, cov, _ = self.filter.estimate()
+        self._bridge.move(pose, cov, track.gap, self._beacons.anchors, self._tag_m)
+
+    def _end_bridge(self, track: Track) -> None:
+        """Where vision did not tie the end of the gap to its beginning, the bridge's pose is the better one."""
+        final, s = track.final, self.state
+        if final is not None and final.restarted and self._bridge.helps:
+            pose, cov, _ = self.filter.estimate()
+            start = np.asarray(se2.compose(pose, se2.inverse(final.prev_from_curr)))
+            self._bridge.move(start, cov, final, self._beacons.anchors, self._tag_m)
+            pose, cov = self._bridge.pose
+            self.filter.jump(pose, cov)
+            if s.pending is not None:
+                sure = float(np.sqrt(se2.greatest_variance(cov[:2, :2]))) < HELD_M
+                elsewhere = min(s.pending.elsewhere, FIX_WRONG if sure else 1.0)
+                s.pending = replace(s.pending, cov=cov, elsewhere=elsewhere)
+        self._bridge.end()
+
+    def carry(self, track: Track, pose: Pose, cov: Array) -> tuple[Pose, Array]:
+        """The filter's pose (3,) with covariance (3, 3), moved over a gap."""
+        if self._bridge.lives and self._bridge.helps and track.gap is not None:
+            return self._bridge.pose
+        return track.carry(pose, cov)
+
+    # -- ranges
+
+    def _take_ranges(self, which: Ints, range_m: Array, tags_odom_m: Array, odom: Array) -> None:
+        b = self._beacons
+        b.window.add(tags_odom_m, which, range_m)
+        pose = self.filter.estimate()[0]
+        if self._bridge.lives:
+            here = lever(odom, self._tag_m[:2])
+            turn = se2.rotation(se2.wrap(float(self._bridge.state.mean[2] - odom[2])))
+            self._bridge.hear(b.anchors, self._tag_m, which, range_m, (tags_odom_m - here) @ turn.T)
+        elif self.sure:
+            tags = se2.transform(Pose(se2.compose(pose, se2.inverse(odom))), tags_odom_m)
+            b.anchors.learn(which, tags, float(self._tag_m[2]), range_m)
+
+    def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
+        b, s = self._beacons, self.state
+        if len(b.window) and not self.sure and b.odom is not None and stamp_ns - b.fix_ns >= FIX_PERIOD_NS:
+            b.fix_ns = stamp_ns
+            headings = np.arange(8) * 0.25 * np.pi
+            if s.map_axis_rad is not None and crossings.directed:
+                headings = s.map_axis_rad - crossings.psi_rad + np.arange(4) * 0.5 * np.pi
+            self._begin_at_fix(headings)
+        view = super().look(stamp_ns, crossings)
+        if b.settled >= 0 and view is not None:
+            self._trust.after_search(b.settled, s.surprised)
+            b.settled = -1
+        return view
+
+    def _begin_at_fix(self, headings: Array) -> None:
+        """Search around where ranges say that the robot is, unless the search is there already."""
+        b = self._beacons
+        if len(b.window.anchors) < FEWEST_ANCHORS or len(b.window) < FEWEST_RANGES:
+            return
+        tracked = self.filter.estimate()[0]
+        places = rival_poses(self.state.belief.places, tracked)
+        best = float(np.max(self._range_likelihood(places)))
+        assert b.odom is not None
+        fix = find(b.window, b.anchors, float(self._tag_m[2]), b.odom, headings)
+        if fix is None or np.sqrt(np.max(np.diagonal(fix.cov))) > SURE_FIX_M:
+            return
+        belief, lost = self.state.belief, b.wide and not b.located
+        if not lost and not belief.cut and best > fix.log_likelihood - CONTRADICTED:
+            return
+        self._claim(fix)
+
+    def _claim(self, fix: Fix) -> None:
+        s = self.state
+        reason = s.reason if s.pending is None else s.pending.reason
+        cov = np.diag([0.0, 0.0, TURN_SIGMA_RAD**2])
+        cov[:2, :2] = fix.cov
+        self._put(np.asarray(fix.pose))
+        s.belief, s.views = PlaceBelief(), 0
+        s.pending, s.reason = Doubt(reason, cov, FIX_WRONG), reason
+        self._beacons.located = True
+
+    def _range_likelihood(self, poses: Array) -> Array:
+        b = self._beacons
+        assert b.odom is not None
+        return b.window.log_likelihood(b.anchors, float(self._tag_m[2]), b.odom, poses)
+
+    def _search(self, view: Observations, pose: Array) -> None:
+        if not self._beacons.located:
+            super()._search(view, pose)
+
+    def _decided(self, pose: Array) -> bool:
+        b, s = self._beacons, self.state
+        if len(b.window) and b.odom is not None and (len(s.belief) > 1 or not self.sure):
+            places = self._range_likelihood(rival_poses(s.belief.places, pose))
+            top = float(np.max(places))
+            s.belief.tell(places - top, self._beyond(pose) - top)
+        decided = super()._decided(pose)
+        if self.sure:
+            b.located = False
+        return decided
+
+    def _beyond(self, pose: Array) -> float:
+        """Log-likelihood of the ranges at the best place on ground that the map does not know."""
+        axis = np.arange(-BEYOND_M, BEYOND_M + BEYOND_CELL_M, BEYOND_CELL_M)
+        at = pose[:2] + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        at = at[~self.state.survey.coverage.knows(at)]
+        turns = pose[2] + 0.5 * np.pi * np.arange(4)
+        poses = np.column_stack([np.repeat(at, 4, axis=0), np.tile(turns, len(at))])
+        if not len(poses):
+            edge = pose[:2] + BEYOND_M * np.column_stack([np.cos(turns), np.sin(turns)])
+            poses = np.column_stack([np.repeat(edge, 4, axis=0), np.tile(turns, 4)])
+        return float(np.max(self._range_likelihood(poses)))
+
+    # -- marks
+
+    def _take_marks(self, seen: tuple[MarkSeen, ...], stamp_ns: int, gap: Motion | None) -> None:
+        known = {m.number: m for m in self._beacons.marks.marks} if seen else {}
+        for one in seen:
+            mark = known.get(one.number)
+            said = None if mark is None else mark_pose(self._calibration, mark, one.corners_px)
+            if said is not None:
+                self._take_mark(said, stamp_ns, gap)
+
+    def _take_mark(self, mark: MarkPose, stamp_ns: int, gap: Motion | None) -> None:
+        b = self._beacons
+        in_a_row = b.shown == mark.number and stamp_ns - b.shown_ns <= MARK_AGAIN_NS
+        b.shown, b.shown_ns, b.shown_times = mark.number, stamp_ns, b.shown_times + 1 if in_a_row else 1
+        if self.sure and not self._bridge.lives:
+            pose, cov, _ = self.filter.estimate()
+            self._trust.hold(mark, pose, cov)
+        elif not self._trust.believed(mark):
+            return
+        elif self.sure:
+            if self._trust.fits(mark, *self._bridge.pose) or not self._bridge.state.marks:
+                self._bridge_mark(mark)
+            else:
+                self._trust.contradict(mark, list(self._bridge.state.marks))
+                self._bridge.widen(mark)
+        elif b.shown_times >= MARK_PICTURES and not self._trust.doubted(mark):
+            self._settle_at(mark, gap)
+
+    def _bridge_mark(self, mark: MarkPose) -> None:
+        if self._trust.hold(mark, *self._bridge.pose):
+            self._bridge.see(mark)
+
+    def _settle_at(self, mark: MarkPose, gap: Motion | None) -> None:
+        """One mark in view ends a search."""
+        b, s = self._beacons, self.state
+        moved = np.zeros(3) if gap is None else gap.prev_from_curr
+        start = np.asarray(se2.compose(mark.pose, se2.inverse(moved)))
+        self._put(start)
+        self.filter.jump(Pose(start), mark.cov)
+        s.belief, s.pending, s.reason, s.began, s.surprised = PlaceBelief(), None, "", 0.0, False
+        s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
+        b.window.clear()
+        b.located, b.settled = False, mark.number
+        self._bridge.end()
+        if gap is not None:
+            self._bridge.move(start, mark.cov, gap, b.anchors, self._tag_m)
+            self._bridge.see(mark)
