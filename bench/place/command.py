@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from ceilvo.bench.place import study_tables, tables
+from ceilvo.bench.place import radio, study_tables, tables
 from ceilvo.bench.place.case import SIZES, Case, as_key, cases, from_key, run_case
 from ceilvo.bench.place.ceiling.eye_check import compare
 from ceilvo.bench.place.faults.changes import SHARE
@@ -30,7 +30,7 @@ from ceilvo.files import write_atomic
 from ceilvo.tasks.workers import Workers, add_options
 
 _FILES = (
-    *(f"place/{name}.py" for name in ("case", "studies")),
+    *(f"place/{name}.py" for name in ("case", "radio", "studies")),
     *(f"place/faults/{name}.py" for name in ("carried", "changes", "claims", "kinds", "pictures", "script", "signals")),
     *(f"place/robot/{name}.py" for name in ("drive", "driver", "sights", "tally")),
     *(f"place/ceiling/{name}.py" for name in ("eye", "truth", "worlds")),
@@ -65,6 +65,10 @@ def _parser() -> argparse.ArgumentParser:
     laps.add_argument("--hours", type=float, default=10.0)
     start = _command(commands, "start", "start anywhere in a hall whose map is known", 200)
     start.add_argument("--room", default=SIZES[-1], choices=SIZES, help="the bars are for 150: 150 m x 100 m")
+    radios = _command(commands, "radio", "start anywhere under lamps on a perfect raster, with radio anchors", 100)
+    radios.add_argument("--room", default="20", choices=SIZES)
+    radios.add_argument("--anchors", type=int, default=3, choices=range(9))
+    radios.add_argument("--noise", type=float, default=0.3, help="m, of one range (%(default)s)")
     _command(
         commands, "renovated", "30 per cent of the ceiling new over night in every other run, all of it in the rest", 40
     )
@@ -154,6 +158,12 @@ def _start(a: argparse.Namespace) -> None:
     _told(a, study_tables.start(results), study_tables.start_bars(results), results, ())
 
 
+def _radio(a: argparse.Namespace) -> None:
+    runs = [Run("radio", a.seed, i, size=a.room, anchors=a.anchors, noise_m=a.noise) for i in range(a.count)]
+    results = _studied(a, runs)
+    _told(a, radio.table(results), radio.bars(results), results, ())
+
+
 def _renovated(a: argparse.Namespace) -> None:
     results = _studied(a, [Run("renovated", a.seed, i, (SHARE, 1.0)[i % 2]) for i in range(a.count)])
     _told(a, study_tables.renovated(results), study_tables.renovated_bars(results), results, ())
@@ -190,6 +200,7 @@ _WORK: dict[str, Callable[[argparse.Namespace], None]] = {
     "restart": _restart,
     "laps": _laps,
     "start": _start,
+    "radio": _radio,
     "renovated": _renovated,
     "rides": _rides,
     "case": _case,

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ceilvo import se2
+from ceilvo.bench.place import radio
 from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
@@ -43,6 +44,7 @@ class Run:
         share: of the ceiling that is renovated.
         seconds: of a leg of laps.
         size: of the hall of a start.
+        anchors, noise_m: of a start with radio.
     """
 
     study: str
@@ -51,11 +53,15 @@ class Run:
     share: float = 0.0
     seconds: float = LEG_S
     size: str = "150"
+    anchors: int = 0
+    noise_m: float = 0.0
 
 
 def run_study(run: Run) -> dict[str, Any]:
     """The figures of a run, as JSON can hold them."""
     cv2.setNumThreads(1)
+    if run.study == "radio":
+        return radio.start(run.seed, run.number, run.size, run.anchors, run.noise_m)
     if run.study == "rides":
         return ride(run.seed, run.number)
     return {"laps": _laps, "start": _start, "renovated": _renovated}[run.study](run)

@@ -27,6 +27,7 @@ from ceilvo.daemon.replay.plausible import (
 from ceilvo.daemon.replay.snapshot import read_value, restore, value_json
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
+from ceilvo.senses.beacons import Beacons
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import (
     MAX_ANGLE_RAD,
@@ -96,6 +97,13 @@ class Reset:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownBeacons:
+    """Anchors and marks, from now on."""
+
+    beacons: Beacons
+
+
+@dataclass(frozen=True, slots=True)
 class Sighting:
     """What vision had found in a frame, where the frame itself is not at hand."""
 
@@ -112,7 +120,7 @@ class Continuation:
     state: Any
 
 
-Input = FrameInput | Sighting | Silence | LoadMap | SetPose | Reset | Continuation
+Input = FrameInput | Sighting | Silence | LoadMap | SetPose | Reset | Continuation | KnownBeacons
 
 
 def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore) -> Estimate | None:
@@ -130,6 +138,8 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
         pipeline.set_pose(given.pose, given.cov, given.why, given.floor)
     elif isinstance(given, Continuation):
         restore(pipeline, given.state)
+    elif isinstance(given, KnownBeacons):
+        pipeline.relocaliser.know(given.beacons)
     else:
         pipeline.reset(given.keep_map)
     return None
@@ -162,6 +172,8 @@ def input_json(given: Input, number: int) -> bytes:
     elif isinstance(given, SetPose):
         body = {"input": "assumption", "why": given.why, **_belief(given.pose, given.cov)}
         body |= {"floor": given.floor} if given.floor else {}
+    elif isinstance(given, KnownBeacons):
+        body = {"input": "beacons", "beacons": json.loads(value_json(given.beacons))}
     elif isinstance(given, Continuation):
         body = {"input": "continuation", "state": given.state}
     elif isinstance(given, Sighting):
@@ -265,6 +277,10 @@ def _read_continuation(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     return Continuation(body["state"])
 
 
+def _read_beacons(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
+    return KnownBeacons(read_value(json.dumps(body["beacons"]).encode("ascii"), Beacons) or Beacons())
+
+
 _READERS: Mapping[str, Callable[[Mapping[str, Any], FrameOf], Input]] = {
     "frame": _read_frame,
     "silence": _read_silence,
@@ -272,6 +288,7 @@ _READERS: Mapping[str, Callable[[Mapping[str, Any], FrameOf], Input]] = {
     "assumption": _read_assumption,
     "reset": _read_reset,
     "continuation": _read_continuation,
+    "beacons": _read_beacons,
 }
 
 

@@ -14,8 +14,9 @@ from ceilvo.sim.ceiling.panels import Panel, PanelKind, Rect
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.types import Array, Landmarks
 
-Lamps = Literal["raster", "sparse", "bare stretch"]
+Lamps = Literal["raster", "sparse", "bare stretch", "perfect"]
 LAMPS: tuple[Lamps, ...] = ("raster", "sparse", "bare stretch")
+"""That rooms are drawn with; a perfect raster has neither gaps nor vents, so that the eye cannot tell places apart."""
 SIZES_M = {"5": (5.0, 5.0), "20": (20.0, 20.0), "60": (60.0, 60.0), "150": (150.0, 100.0)}
 """Of the rooms and halls, issue's."""
 TILES_M = (0.3, 0.6, 0.625, 1.25)
@@ -25,7 +26,7 @@ _GAPS = (0.1, 0.2)
 """Share of the raster's lamps that are missing, from and to."""
 _SPARSE = 1.0 / 40.0
 """Lamps a tile where they hang at random; chosen: one in 14 m^2 of 0.6 m tiles."""
-_VENTS: dict[Lamps, float] = {"raster": 1.0 / 150.0, "sparse": 1.0 / 60.0, "bare stretch": 1.0 / 150.0}
+_VENTS: dict[Lamps, float] = {"raster": 1.0 / 150.0, "sparse": 1.0 / 60.0, "bare stretch": 1.0 / 150.0, "perfect": 0.0}
 """Vents a tile; chosen: one in some 20 to 50 m^2 of 0.6 m tiles."""
 _DIFFUSERS = 0.4
 """Of them, as in sim/ceiling/arrangement.py; slatted vents have hardly a crossing."""
@@ -112,7 +113,8 @@ def hang(spec: WorldSpec, x: Array, y: Array, rng: np.random.Generator) -> tuple
             free[i : i + wide, j] = False
             panels.append(Panel("lamp", _rect(spec.tile_m, x[i], y[j], wide), 0))
     where = np.argwhere(free)
-    for i, j in where[rng.permutation(len(where))[: max(1, round(free.size * _VENTS[spec.lamps]))]]:
+    vents = max(1, round(free.size * _VENTS[spec.lamps])) if _VENTS[spec.lamps] else 0
+    for i, j in where[rng.permutation(len(where))[:vents]]:
         kind: PanelKind = "diffuser" if rng.random() < _DIFFUSERS else "vent"
         panels.append(Panel(kind, _rect(spec.tile_m, x[i], y[j], 1), int(rng.integers(2))))
     return tuple(panels)
@@ -124,7 +126,7 @@ def _lamp_places(spec: WorldSpec, tiles: tuple[int, ...], rng: np.random.Generat
         return list(
             zip(rng.integers(tiles[0], size=count).tolist(), rng.integers(tiles[1], size=count).tolist(), strict=True)
         )
-    missing = rng.uniform(*_GAPS)
+    missing = rng.uniform(*_GAPS) if spec.lamps == "raster" else 0.0
     first = [int(rng.integers(min(e, n))) for e, n in zip(_LAMP_EVERY, tiles, strict=True)]
     places = [
         (i, j) for i in range(first[0], tiles[0], _LAMP_EVERY[0]) for j in range(first[1], tiles[1], _LAMP_EVERY[1])

@@ -20,6 +20,7 @@ from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.inputs import Silence
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Estimate, Landmarks, Pose, State, WheelMotion
 
 SILENT = "the camera gives no frames"
@@ -57,7 +58,11 @@ class Conditions:
 
 
 class Drive:
-    """One robot. tick() after tick(): motion, picture, estimate, and what it was worth."""
+    """One robot. tick() after tick(): motion, picture, estimate, and what it was worth.
+
+    Attributes:
+        senses: what other senses hear of a frame at a stamp.
+    """
 
     def __init__(
         self,
@@ -82,6 +87,7 @@ class Drive:
         self.kept: deque[Seen] = deque(maxlen=_KEPT)
         self.estimate: Estimate | None = None
         self.step_ms: list[float] = []
+        self.senses: Callable[[int], Heard] | None = None
         self._calibration = calibration
         self._ns = self._stamp_ns = 10**9
         self._before_ns: int | None = None
@@ -171,11 +177,12 @@ class Drive:
             return None
         seen = self._seen()
         wheels = self._wheels()
+        heard = NOTHING if self.senses is None else self.senses(self._stamp_ns)
         begun = time.thread_time()
         if c.silent:
-            estimate = estimated(self.pipeline, Silence(self._stamp_ns, SILENT, wheels))
+            estimate = estimated(self.pipeline, Silence(self._stamp_ns, SILENT, wheels, heard))
         else:
-            estimate = self.camera.give(self.pipeline, self._stamp_ns, seen, wheels)
+            estimate = self.camera.give(self.pipeline, self._stamp_ns, seen, wheels, heard)
         self.step_ms.append(1e3 * (time.thread_time() - begun))
         self._before_ns = self._stamp_ns
         self.estimate = estimate

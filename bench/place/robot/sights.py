@@ -16,6 +16,7 @@ from ceilvo.crossing_types import crossing_type_of, quarter_turns, turned_type
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.inputs import FrameInput, Sighting, Silence, apply
 from ceilvo.se2 import rotation
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.sim.renderer import Renderer
 from ceilvo.types import Array, Crossings, Estimate, Frame, WheelMotion
 
@@ -47,7 +48,9 @@ class Camera(Protocol):
     def again(self, seen: Seen) -> Seen:
         """The same picture with a bit of noise."""
 
-    def give(self, pipeline: Pipeline, stamp_ns: int, seen: Seen, wheels: WheelMotion | None) -> Estimate: ...
+    def give(
+        self, pipeline: Pipeline, stamp_ns: int, seen: Seen, wheels: WheelMotion | None, heard: Heard = NOTHING
+    ) -> Estimate: ...
 
 
 class CrossingSight:
@@ -100,8 +103,15 @@ class CrossingSight:
             return None
         return self._moved(seen, seen.xy_base_m + _JITTER_M * self._rng.standard_normal(seen.xy_base_m.shape))
 
-    def give(self, pipeline: Pipeline, stamp_ns: int, seen: Crossings | None, wheels: WheelMotion | None) -> Estimate:
-        return estimated(pipeline, Sighting(stamp_ns, seen, wheels))
+    def give(
+        self,
+        pipeline: Pipeline,
+        stamp_ns: int,
+        seen: Crossings | None,
+        wheels: WheelMotion | None,
+        heard: Heard = NOTHING,
+    ) -> Estimate:
+        return estimated(pipeline, Sighting(stamp_ns, seen, wheels, heard))
 
     def _moved(self, seen: Crossings, xy_base_m: Array) -> Crossings:
         s = np.column_stack([xy_base_m, np.ones(len(xy_base_m))]) @ self._calibration.level_from_ceiling.T
@@ -132,6 +142,13 @@ class PictureSight:
     def again(self, seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return np.asarray(seen ^ self._rng.integers(0, 2, self._size), np.uint8)
 
-    def give(self, pipeline: Pipeline, stamp_ns: int, seen: NDArray[np.uint8], wheels: WheelMotion | None) -> Estimate:
+    def give(
+        self,
+        pipeline: Pipeline,
+        stamp_ns: int,
+        seen: NDArray[np.uint8],
+        wheels: WheelMotion | None,
+        heard: Heard = NOTHING,
+    ) -> Estimate:
         self._seq += 1
-        return estimated(pipeline, FrameInput(Frame(self._seq, stamp_ns, seen), wheels))
+        return estimated(pipeline, FrameInput(Frame(self._seq, stamp_ns, seen), wheels, heard))
