@@ -69,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     radios.add_argument("--room", default="20", choices=SIZES)
     radios.add_argument("--anchors", type=int, default=3, choices=range(9))
     radios.add_argument("--noise", type=float, default=0.3, help="m, of one range (%(default)s)")
+    radios.add_argument("--obstructed", type=float, default=0.0, help="share of the floor where an anchor is hidden")
     _command(
         commands, "renovated", "30 per cent of the ceiling new over night in every other run, all of it in the rest", 40
     )
@@ -159,7 +160,8 @@ def _start(a: argparse.Namespace) -> None:
 
 
 def _radio(a: argparse.Namespace) -> None:
-    runs = [Run("radio", a.seed, i, size=a.room, anchors=a.anchors, noise_m=a.noise) for i in range(a.count)]
+    radio_of = {"size": a.room, "anchors": a.anchors, "noise_m": a.noise, "obstructed": a.obstructed}
+    runs = [Run("radio", a.seed, i, **radio_of) for i in range(a.count)]
     results = _studied(a, runs)
     _told(a, radio.table(results), radio.bars(results), results, ())
 

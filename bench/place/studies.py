@@ -44,7 +44,7 @@ class Run:
         share: of the ceiling that is renovated.
         seconds: of a leg of laps.
         size: of the hall of a start.
-        anchors, noise_m: of a start with radio.
+        anchors, noise_m, obstructed: of a start with radio, see RadioSpec.
     """
 
     study: str
@@ -55,13 +55,14 @@ class Run:
     size: str = "150"
     anchors: int = 0
     noise_m: float = 0.0
+    obstructed: float = 0.0
 
 
 def run_study(run: Run) -> dict[str, Any]:
     """The figures of a run, as JSON can hold them."""
     cv2.setNumThreads(1)
     if run.study == "radio":
-        return radio.start(run.seed, run.number, run.size, run.anchors, run.noise_m)
+        return radio.start(run.seed, run.number, run.size, run.anchors, run.noise_m, run.obstructed)
     if run.study == "rides":
         return ride(run.seed, run.number)
     return {"laps": _laps, "start": _start, "renovated": _renovated}[run.study](run)

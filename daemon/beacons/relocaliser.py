@@ -21,7 +21,7 @@ from ceilvo.daemon.odometry.dead_reckoning import DeadReckoningState, Track
 from ceilvo.daemon.relocalisation.doubts import JUMPED, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.lattice import rival_poses
-from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.place_belief import LEAD_M, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser import Relocaliser
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.senses.beacons import Beacons, MarkSeen, Range
@@ -250,15 +250,41 @@ class BeaconRelocaliser(Relocaliser):
         if not self._beacons.located:
             super()._search(view, pose)
 
+    def _weigh(self, view: Observations) -> bool:
+        changed = super()._weigh(view)
+        self._tell()
+        return changed
+
+    def _arrive(self) -> None:
+        """Places that are found now are weighed among what was seen; what ranges say is added to all of them again."""
+        super()._arrive()
+        belief = self.state.belief
+        if not self.sure and np.any(belief.told):
+            belief.tell(np.zeros(len(belief)), 0.0)
+
+    def _tell(self) -> None:
+        b, belief = self._beacons, self.state.belief
+        if not len(b.window) or b.odom is None or self.sure or np.any(belief.told):
+            return
+        pose = self.filter.estimate()[0]
+        places = self._range_likelihood(rival_poses(belief.places, pose))
+        top = float(np.max(places))
+        belief.tell(places - top, self._beyond(pose) - top)
+
     def _decided(self, pose: Array) -> bool:
-        b, s = self._beacons, self.state
-        if len(b.window) and b.odom is not None and (len(s.belief) > 1 or not self.sure):
-            places = self._range_likelihood(rival_poses(s.belief.places, pose))
-            top = float(np.max(places))
-            s.belief.tell(places - top, self._beyond(pose) - top)
+        self._tell()
+        belief = self.state.belief
+        best = int(np.argmax(belief.weights()[0]))
+        if belief.told[best] - belief.told[0] > CONTRADICTED:
+            # the tracked place is out of the question, so nothing that passes by speaks against it
+            belief.leader, belief.led_m = belief.places[best].copy(), LEAD_M
+        doubtful = not self.sure
         decided = super()._decided(pose)
-        if self.sure:
-            b.located = False
+        if self.sure and doubtful:
+            # what the ranges have said is settled
+            belief.told, belief.told_unknown = np.zeros(len(belief)), 0.0
+            self._beacons.window.clear()
+            self._beacons.located = False
         return decided
 
     def _beyond(self, pose: Array) -> float:

@@ -183,7 +183,12 @@ class PlaceBelief:
         self._settle()
 
     def _settle(self) -> None:
+        raw = self._weighed(self.seen + self._of_spot)
+        top, unknown = max(float(np.max(raw)), self.unknown), self.unknown
         weight, self.unknown = self.weights()
+        # What other senses say anew each time is not bounded: only what was seen falls no further.
+        self.told = self.told + np.minimum(weight - (raw - top), np.maximum(-self.told, 0.0))
+        self.told_unknown += min(self.unknown - (unknown - top), max(-self.told_unknown, 0.0))
         self.seen = self.seen + self._of_spot if len(self) > 1 else np.zeros((1, 2))
         likeliest = self.seen[np.argmax(weight)]
         # One that has fallen no further than LEAST was given some of its weight: not for what it has shown itself.
