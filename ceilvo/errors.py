@@ -68,6 +68,10 @@ class BaseLinkError(CeilvoError):
     pass
 
 
+class RangingError(CeilvoError):
+    pass
+
+
 class BusError(CeilvoError):
     pass
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ceilvo.types import Array
 
-OBSTRUCTED, OBSTRUCTED_M = 0.2, 0.7
+OBSTRUCTED, OBSTRUCTED_M = 0.25, 1.0
 """Share of paths that go around something, and how much longer they are in the mean; chosen: 5 to 30 % and 0.2 to 2 m
 are what halls show (issue 18). An exponential tail on a normal error is the usual model (B. Alavi and K. Pahlavan,
 "Modeling of the TOA-based distance measurement error using UWB indoor radio measurements", 2006)."""

@@ -7,7 +7,8 @@ single ranges is beside that. Without it fifty ranges from one spot would count 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -109,11 +110,19 @@ def _with_bias(error_m: Array, noise_m: float, sigma_m: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A pose (3,) in map that ranges alone say, with the covariance (2, 2) of its position and log-likelihood."""
+    """What ranges alone say.
+
+    Attributes:
+        pose: (3,) in map.
+        cov: (2, 2) of its position.
+        log_likelihood: there.
+        reach_m: how far off the farthest place is that is nearly as likely.
+    """
 
     pose: Array
     cov: Array
     log_likelihood: float
+    reach_m: float = 0.0
 
 
 MARGIN_M = 2.0
@@ -124,14 +133,14 @@ _STARTS = 12
 """Best cells that are refined."""
 _STEPS_M = (1.0, 0.5, 0.25, 0.12)
 """Of the refinement."""
-_APART_M, _SURER = 1.5, 8.0
-"""Another place so far off must be less likely by so much, as a logarithm, or there is no fix; chosen."""
+_SURER = 10.0
+"""A place that is less likely by no more, as a logarithm, is nearly as likely; chosen: two obstructed paths cost it."""
 _FINE, _SPREAD = 11, 2.0
 """Side of the grid that the covariance is measured on, and how many cells of it are a sigma at most."""
 
 
 def find(window: RangeWindow, table: AnchorTable, tag_z_m: float, odom: Array, headings: Array) -> Fix | None:
-    """Where the ranges say that the base is, at (3,) in odom; None where they leave several places.
+    """Where the ranges say that the base is, at (3,) in odom; None where they bound no place.
 
     Args:
         headings: (H,) in map that the base may have now.
@@ -153,15 +162,13 @@ def find(window: RangeWindow, table: AnchorTable, tag_z_m: float, odom: Array, h
         best = trial.reshape(len(best), -1, 3)[np.arange(len(best)), np.argmax(value, axis=1)]
         top = np.max(value, axis=1)
     first = int(np.argmax(top))
-    off = np.hypot(*(best - best[first])[:, :2].T)
-    if np.any((off > _APART_M) & (top > top[first] - _SURER)):
-        return None
-    return _measured(best[first], float(top[first]), weigh, headings)
+    near = top > top[first] - _SURER
+    fix = _measured(best[first], float(top[first]), weigh)
+    return replace(fix, reach_m=float(np.max(np.hypot(*(best[near] - fix.pose)[:, :2].T))))
 
 
-def _measured(pose: Array, top: float, weigh: object, headings: Array) -> Fix:
+def _measured(pose: Array, top: float, weigh: Callable[[Array], Array]) -> Fix:
     """Mean and covariance of the position around the best pose, at its own heading."""
-    assert callable(weigh)
     step = _STEPS_M[-1]
     for _ in range(4):
         axis = step * (np.arange(_FINE) - _FINE // 2)

@@ -20,9 +20,11 @@ from ceilvo.daemon.beacons.trust import Trust, TrustState
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoningState, Track
 from ceilvo.daemon.relocalisation.doubts import JUMPED, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.lattice import rival_poses
+from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAD_M, PlaceBelief
-from ceilvo.daemon.relocalisation.relocaliser import Relocaliser
+from ceilvo.daemon.relocalisation.relocaliser import JUMP_SIGMA, Relocaliser
+from ceilvo.daemon.relocalisation.submap import rest_of
+from ceilvo.daemon.relocalisation.survey import MEASURED_M
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.senses.beacons import Beacons, MarkSeen, Range
 from ceilvo.senses.heard import Heard
@@ -30,8 +32,8 @@ from ceilvo.types import Array, Crossings, Ints, Landmarks, Motion, Observations
 
 FEWEST_ANCHORS, FEWEST_RANGES = 3, 12
 """That a fix is made of; chosen: two leave two places, and a second's worth tells what is obstructed."""
-SURE_FIX_M = 0.6
-"""Standard deviation of a fix that a search begins at, at most; chosen: rivals are then looked for within 2.4 m."""
+REACH_LEAST_M, REACH_MOST_M = 2.0, 6.0
+"""Places are listed so far around a fix, and it must bound them so well; chosen: more take too long."""
 CONTRADICTED = 12.0
 """By how much less likely than the fix the tracked place must be to begin there, as a logarithm; chosen."""
 FIX_PERIOD_NS = 500_000_000
@@ -203,42 +205,51 @@ class BeaconRelocaliser(Relocaliser):
     def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
         b, s = self._beacons, self.state
         if len(b.window) and not self.sure and b.odom is not None and stamp_ns - b.fix_ns >= FIX_PERIOD_NS:
-            b.fix_ns = stamp_ns
             headings = np.arange(8) * 0.25 * np.pi
             if s.map_axis_rad is not None and crossings.directed:
                 headings = s.map_axis_rad - crossings.psi_rad + np.arange(4) * 0.5 * np.pi
-            self._begin_at_fix(headings)
+            self._begin_at_fix(stamp_ns, headings, crossings)
         view = super().look(stamp_ns, crossings)
         if b.settled >= 0 and view is not None:
             self._trust.after_search(b.settled, s.surprised)
             b.settled = -1
         return view
 
-    def _begin_at_fix(self, headings: Array) -> None:
+    def _begin_at_fix(self, stamp_ns: int, headings: Array, crossings: Crossings) -> None:
         """Search around where ranges say that the robot is, unless the search is there already."""
         b = self._beacons
         if len(b.window.anchors) < FEWEST_ANCHORS or len(b.window) < FEWEST_RANGES:
             return
+        b.fix_ns = stamp_ns
         tracked = self.filter.estimate()[0]
         places = rival_poses(self.state.belief.places, tracked)
         best = float(np.max(self._range_likelihood(places)))
         assert b.odom is not None
         fix = find(b.window, b.anchors, float(self._tag_m[2]), b.odom, headings)
-        if fix is None or np.sqrt(np.max(np.diagonal(fix.cov))) > SURE_FIX_M:
+        if fix is None:
+            return
+        reach_m = max(REACH_LEAST_M, fix.reach_m + 1.0, 4.0 * float(np.sqrt(np.max(np.diagonal(fix.cov)))))
+        if reach_m > REACH_MOST_M:
             return
         belief, lost = self.state.belief, b.wide and not b.located
         if not lost and not belief.cut and best > fix.log_likelihood - CONTRADICTED:
             return
-        self._claim(fix)
+        self._claim(fix, reach_m, crossings)
 
-    def _claim(self, fix: Fix) -> None:
+    def _claim(self, fix: Fix, reach_m: float, crossings: Crossings) -> None:
+        """The robot is around a fix, with tiles on tiles; how likely each place there is the ranges say later."""
         s = self.state
         reason = s.reason if s.pending is None else s.pending.reason
-        cov = np.diag([0.0, 0.0, TURN_SIGMA_RAD**2])
-        cov[:2, :2] = fix.cov
         self._put(np.asarray(fix.pose))
+        view = self.observed(crossings)
+        near = rest_of(self.filter.landmarks_near(fix.pose[None, :2], reach_m + MEASURED_M)[1], s.submap_from)
+        lattice = Lattice.of(near, s.map_axis_rad or 0.0)
+        if lattice is not None:
+            self.filter.jump(Pose(lattice.aligned(fix.pose, view)), np.diag(JUMP_SIGMA**2))
+        sigma = 0.25 * reach_m
         s.belief, s.views = PlaceBelief(), 0
-        s.pending, s.reason = Doubt(reason, cov, FIX_WRONG), reason
+        s.pending = Doubt(reason, np.diag([sigma**2, sigma**2, TURN_SIGMA_RAD**2]), FIX_WRONG)
+        s.reason = reason
         self._beacons.located = True
 
     def _range_likelihood(self, poses: Array) -> Array:
@@ -275,10 +286,12 @@ class BeaconRelocaliser(Relocaliser):
         self._tell()
         belief = self.state.belief
         best = int(np.argmax(belief.weights()[0]))
-        if belief.told[best] - belief.told[0] > CONTRADICTED:
+        if self._beacons.located and belief.told[best] - belief.told[0] > CONTRADICTED:
             # the tracked place is out of the question, so nothing that passes by speaks against it
             belief.leader, belief.led_m = belief.places[best].copy(), LEAD_M
         doubtful = not self.sure
+        if self._beacons.wide and not self._beacons.located and self._beacons.fix_ns == 0 and np.any(belief.told):
+            return False  # ranges have begun to come: first they say where to look
         decided = super()._decided(pose)
         if self.sure and doubtful:
             # what the ranges have said is settled

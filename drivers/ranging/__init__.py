@@ -1,0 +1,1 @@
+"""Radio modules that measure distances: their wires, and a topic on Zenoh."""
