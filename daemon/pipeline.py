@@ -14,7 +14,6 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.beacons.relocaliser import BeaconRelocaliser, BeaconState
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Severity, Suspicions
@@ -23,6 +22,7 @@ from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.stage import HeightsState
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.relocalisation.beacons.relocaliser import BeaconRelocaliser, BeaconState
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState

@@ -38,6 +38,7 @@ _ABOUT = {
     "senses": "motion beside the camera: time, wheels, gyro (docs/fusion.md); all off by default",
     "states": "when a pose is called good, degraded or lost",
     "base": "the base controller, Modbus RTU",
+    "beacons": "radio ranges and marks (docs/ranges.md, docs/marks.md); off without a file",
     "zenoh": "the bus",
     "ros2": "ROS 2 without ROS, docs/ros2.md; on by zenoh.wire, or by dds or fleet_tf here",
     "vda5050": "what `ceilvod vda5050` tells a fleet manager, docs/fleets.md",

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("ceilvo", "daemon", "drivers", "calib", "sim", "bench")
 FLOORS = (
     *("ceilvo", "vision", "odometry", "slam", "slam/paper", "relocalisation"),
-    *("beacons", "integrity", "pipeline", "replay", "refinement", "editing", "fleet", "shelf"),
+    *("integrity", "pipeline", "replay", "refinement", "editing", "fleet", "shelf"),
     *("app", "doctor", "building", "cli", "start"),
 )
 """From the ground up; all but the first are in daemon/. A floor imports itself and what lies below."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.beacons.mark_poses import MarkPose
+from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose
 from ceilvo.se2 import wrap
 from ceilvo.types import Array
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.daemon.beacons.anchors import AnchorTable
-from ceilvo.daemon.beacons.mark_poses import MarkPose
-from ceilvo.daemon.beacons.range_errors import direct_share
+from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
+from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose
+from ceilvo.daemon.relocalisation.beacons.range_errors import direct_share
 from ceilvo.types import Array, Displacement, Ints, Motion, Pose
 
 CORRELATED = 4.0

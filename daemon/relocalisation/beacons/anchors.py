@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.beacons.range_errors import direct_share
+from ceilvo.daemon.relocalisation.beacons.range_errors import direct_share
 from ceilvo.senses.beacons import Anchor
 from ceilvo.types import Array, Ints
 

@@ -5,19 +5,20 @@ While the place is sure and vision measures, they change nothing: ranges are lea
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
-from ceilvo.daemon.beacons.anchors import AnchorTable
-from ceilvo.daemon.beacons.bridge import Bridge, BridgeState
-from ceilvo.daemon.beacons.mark_poses import MarkPose, mark_pose
-from ceilvo.daemon.beacons.range_window import Fix, RangeWindow, find, lever
-from ceilvo.daemon.beacons.trust import Trust, TrustState
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoningState, Track
+from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
+from ceilvo.daemon.relocalisation.beacons.bridge import Bridge
+from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, mark_pose
+from ceilvo.daemon.relocalisation.beacons.range_window import Fix, find, lever
+from ceilvo.daemon.relocalisation.beacons.state import BeaconState
+from ceilvo.daemon.relocalisation.beacons.trust import Trust
 from ceilvo.daemon.relocalisation.doubts import JUMPED, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
@@ -52,37 +53,6 @@ HELD_M = 0.15
 """Standard deviation of the pose at the end of a gap, up to which a bridge says that nobody carried the robot off."""
 
 
-@dataclass(slots=True)
-class BeaconState:
-    """
-    Attributes:
-        anchors: as they are known; marks: of the file.
-        window: ranges since the doubt, or of late.
-        odom, stamp_ns: of the last frame; odom (3,).
-        fix_ns: when a fix was looked for last; located: places are searched for around one.
-        shown, shown_ns: the mark that the last pictures showed, how often, and when last.
-        settled: the mark that ended a search just now, -1 for none.
-        heard, taken: ranges that came, and those to anchors that the file has.
-    """
-
-    anchors: AnchorTable = field(default_factory=AnchorTable)
-    marks: Beacons = field(default_factory=Beacons)
-    window: RangeWindow = field(default_factory=RangeWindow)
-    odom: Array | None = None
-    stamp_ns: int = 0
-    fix_ns: int = 0
-    located: bool = False
-    wide: bool = False
-    shown: int = -1
-    shown_times: int = 0
-    shown_ns: int = 0
-    settled: int = -1
-    heard: int = 0
-    taken: int = 0
-    trust: TrustState = field(default_factory=TrustState)
-    bridge: BridgeState = field(default_factory=BridgeState)
-
-
 class BeaconRelocaliser(Relocaliser):
     """A Relocaliser that is told of ranges and marks, or of none: then it is that one."""
 
@@ -92,6 +62,7 @@ class BeaconRelocaliser(Relocaliser):
         self._noise_m = config.beacons.noise_m
         self._bridge, self._trust = Bridge(), Trust()
         self._beacons = BeaconState()
+        self._crossings: Crossings
 
     @property
     def beacons(self) -> BeaconState:
@@ -202,46 +173,37 @@ class BeaconRelocaliser(Relocaliser):
             tags = se2.transform(Pose(se2.compose(pose, se2.inverse(odom))), tags_odom_m)
             b.anchors.learn(which, tags, float(self._tag_m[2]), range_m)
 
-    def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
-        b, s = self._beacons, self.state
-        if len(b.window) and not self.sure and b.odom is not None and stamp_ns - b.fix_ns >= FIX_PERIOD_NS:
-            headings = np.arange(8) * 0.25 * np.pi
-            if s.map_axis_rad is not None and crossings.directed:
-                headings = s.map_axis_rad - crossings.psi_rad + np.arange(4) * 0.5 * np.pi
-            self._begin_at_fix(stamp_ns, headings, crossings)
-        view = super().look(stamp_ns, crossings)
-        if b.settled >= 0 and view is not None:
-            self._trust.after_search(b.settled, s.surprised)
-            b.settled = -1
-        return view
+    def observed(self, crossings: Crossings) -> Observations:
+        self._crossings = crossings
+        return super().observed(crossings)
 
-    def _begin_at_fix(self, stamp_ns: int, headings: Array, crossings: Crossings) -> None:
+    def _begin_at_fix(self) -> None:
         """Search around where ranges say that the robot is, unless the search is there already."""
-        b = self._beacons
-        if len(b.window.anchors) < FEWEST_ANCHORS or len(b.window) < FEWEST_RANGES:
+        b, seen = self._beacons, self._crossings
+        if len(b.window.anchors) < FEWEST_ANCHORS or len(b.window) < FEWEST_RANGES or b.odom is None:
             return
-        b.fix_ns = stamp_ns
-        tracked = self.filter.estimate()[0]
-        places = rival_poses(self.state.belief.places, tracked)
-        best = float(np.max(self._range_likelihood(places)))
-        assert b.odom is not None
+        b.fix_ns = b.stamp_ns
+        headings = np.arange(8) * 0.25 * np.pi
+        if self.state.map_axis_rad is not None and seen.directed:
+            headings = self.state.map_axis_rad - seen.psi_rad + np.arange(4) * 0.5 * np.pi
         fix = find(b.window, b.anchors, float(self._tag_m[2]), b.odom, headings)
         if fix is None:
             return
         reach_m = max(REACH_LEAST_M, fix.reach_m + 1.0, 4.0 * float(np.sqrt(np.max(np.diagonal(fix.cov)))))
         if reach_m > REACH_MOST_M:
             return
+        best = float(np.max(self._range_likelihood(rival_poses(self.state.belief.places, self.filter.estimate()[0]))))
         belief, lost = self.state.belief, b.wide and not b.located
         if not lost and not belief.cut and best > fix.log_likelihood - CONTRADICTED:
             return
-        self._claim(fix, reach_m, crossings)
+        self._claim(fix, reach_m, seen)
 
     def _claim(self, fix: Fix, reach_m: float, crossings: Crossings) -> None:
         """The robot is around a fix, with tiles on tiles; how likely each place there is the ranges say later."""
         s = self.state
         reason = s.reason if s.pending is None else s.pending.reason
         self._put(np.asarray(fix.pose))
-        view = self.observed(crossings)
+        view = super().observed(crossings)
         near = rest_of(self.filter.landmarks_near(fix.pose[None, :2], reach_m + MEASURED_M)[1], s.submap_from)
         lattice = Lattice.of(near, s.map_axis_rad or 0.0)
         if lattice is not None:
@@ -262,8 +224,18 @@ class BeaconRelocaliser(Relocaliser):
             super()._search(view, pose)
 
     def _weigh(self, view: Observations) -> bool:
-        changed = super()._weigh(view)
+        b, s = self._beacons, self.state
+        before = self.filter.estimate()[0]
+        if len(b.window) and not self.sure and b.stamp_ns - b.fix_ns >= FIX_PERIOD_NS:
+            self._begin_at_fix()
+        moved = bool(np.any(self.filter.estimate()[0] != before))
+        if moved:
+            view = super().observed(self._crossings)
+        changed = super()._weigh(view) or moved
         self._tell()
+        if b.settled >= 0:
+            self._trust.after_search(b.settled, s.surprised)
+            b.settled = -1
         return changed
 
     def _arrive(self) -> None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ceilvo.daemon.beacons.anchors import AnchorTable
-from ceilvo.daemon.beacons.range_errors import direct_share, log_density
+from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
+from ceilvo.daemon.relocalisation.beacons.range_errors import direct_share, log_density
 from ceilvo.se2 import inverse, rotation, transform
 from ceilvo.types import Array, Ints, Pose
 

@@ -1,0 +1,43 @@
+"""All that ranges and marks leave behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
+from ceilvo.daemon.relocalisation.beacons.bridge import BridgeState
+from ceilvo.daemon.relocalisation.beacons.range_window import RangeWindow
+from ceilvo.daemon.relocalisation.beacons.trust import TrustState
+from ceilvo.senses.beacons import Beacons
+from ceilvo.types import Array
+
+
+@dataclass(slots=True)
+class BeaconState:
+    """
+    Attributes:
+        anchors: as they are known; marks: of the file.
+        window: ranges since the doubt, or of late.
+        odom, stamp_ns: of the last frame; odom (3,).
+        fix_ns: when a fix was looked for last; located: places are searched for around one.
+        shown, shown_ns: the mark that the last pictures showed, how often, and when last.
+        settled: the mark that ended a search just now, -1 for none.
+        heard, taken: ranges that came, and those to anchors that the file has.
+    """
+
+    anchors: AnchorTable = field(default_factory=AnchorTable)
+    marks: Beacons = field(default_factory=Beacons)
+    window: RangeWindow = field(default_factory=RangeWindow)
+    odom: Array | None = None
+    stamp_ns: int = 0
+    fix_ns: int = 0
+    located: bool = False
+    wide: bool = False
+    shown: int = -1
+    shown_times: int = 0
+    shown_ns: int = 0
+    settled: int = -1
+    heard: int = 0
+    taken: int = 0
+    trust: TrustState = field(default_factory=TrustState)
+    bridge: BridgeState = field(default_factory=BridgeState)
