@@ -1,0 +1,123 @@
+"""Radio anchors and marks of the bench's hall."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.bench.fusion.robot import TICK_S, Moment
+from ceilvo.bench.fusion.said import Said
+from ceilvo.bench.place.ceiling.worlds import World
+from ceilvo.calibration import Calibration
+from ceilvo.config import Config
+from ceilvo.daemon.relocalisation.beacons.mark_poses import corners
+from ceilvo.senses.beacons import Anchor, Beacons, Mark, MarkSeen, Range
+from ceilvo.sim.radio import Radio, RadioSpec, in_corners, surveyed
+from ceilvo.sim.rig import simulated_calibration
+from ceilvo.types import Array
+
+TAG_M = np.array([0.2, 0.1, 0.5])
+"""Of the radio module in base."""
+_ANCHORS, _SURVEY_M = 4, 0.05
+_ROUND_TICKS = 10
+"""10 Hz."""
+_EVERY_M, _SIZE_M = 4.0, 0.2
+"""Marks hang on a square grid, every so far, and are so large; chosen: one is in view for half of the time."""
+_PLACE_M, _TURN_RAD = 0.01, 0.01
+"""Standard deviations of where they hang against the file."""
+_CORNER_PX, _MARGIN_PX = 0.3, 10.0
+_TILT_RAD, _TILT_M = float(np.radians(0.2)), 1.5
+"""The floor tilts the robot by so much, changing over so much of the way; chosen: an ordinary floor."""
+_EVERY_FRAMES = 3
+"""beacons.marks_every."""
+
+
+class RangesDevice:
+    """A module on the robot and anchors in the hall's corners."""
+
+    def __init__(self, world: World, rng: np.random.Generator) -> None:
+        low, high = np.array(world.room[:2]), np.array(world.room[2:])
+        anchors = tuple(_moved(a, world.map_from_ceiling) for a in in_corners(low, high, _ANCHORS, rng))
+        self._radio = Radio(anchors, RadioSpec(), rng)
+        self.beacons = Beacons(anchors=surveyed(anchors, _SURVEY_M, rng))
+        self._waiting: tuple[Range, ...] = ()
+        self._ticks = 0
+
+    def live(self, moment: Moment) -> None:
+        self._ticks += 1
+        if self._ticks % _ROUND_TICKS == 0:
+            at = moment.pose[:2] + se2.rotation(float(moment.pose[2])) @ TAG_M[:2]
+            self._waiting += self._radio.ranges(moment.ns, np.array([*at, TAG_M[2]]))
+
+    def tell(self, before_ns: int, stamp_ns: int, said: Said) -> None:
+        said.heard, self._waiting = replace(said.heard, ranges=self._waiting), ()
+
+
+class RangesSense:
+    """Of the table of senses."""
+
+    def configured(self, config: Config, world: World) -> Config:
+        x, y, z = TAG_M.tolist()
+        return replace(config, beacons=replace(config.beacons, tag_x_m=x, tag_y_m=y, tag_z_m=z))
+
+    def device(self, world: World, config: Config, rng: np.random.Generator) -> RangesDevice:
+        return RangesDevice(world, rng)
+
+
+class MarksDevice:
+    """Tags on the ceiling, seen whole or not at all."""
+
+    def __init__(self, world: World, calibration: Calibration, rng: np.random.Generator) -> None:
+        self._rng, self._calibration = rng, calibration
+        x, y = (np.arange(rng.uniform(1.0, _EVERY_M), world.room[k], _EVERY_M) for k in (2, 3))
+        at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        at = at + rng.uniform(-0.3, 0.3, at.shape)
+        poses = np.column_stack([se2.transform(world.map_from_ceiling, at), rng.uniform(-np.pi, np.pi, len(at))])
+        self._true = poses
+        off = np.array([_PLACE_M, _PLACE_M, _TURN_RAD]) * rng.standard_normal(poses.shape)
+        file = [Mark(k, _SIZE_M, *p, _PLACE_M, _TURN_RAD) for k, p in enumerate((poses + off).tolist())]
+        self.beacons = Beacons(marks=tuple(file))
+        self._moment: Moment | None = None
+        self._way_m, self._frames = float(rng.uniform(0.0, 100.0)), 0
+
+    def live(self, moment: Moment) -> None:
+        self._moment = moment
+        self._way_m += float(np.hypot(*moment.moved[:2]))
+
+    def tell(self, before_ns: int, stamp_ns: int, said: Said) -> None:
+        self._frames += 1
+        m = self._moment
+        if m is None or m.dark or self._frames % _EVERY_FRAMES:
+            return
+        near = np.flatnonzero(np.hypot(*(self._true[:, :2] - m.pose[:2]).T) < _EVERY_M)
+        seen = [(k, self._corners(m.pose, self._true[k])) for k in near.tolist()]
+        said.heard = replace(said.heard, marks=tuple(MarkSeen(k, c) for k, c in seen if c is not None))
+
+    def _corners(self, pose: Array, mark: Array) -> Array | None:
+        """(4, 2) raw pixels of a mark's corners, None where one is not in the picture."""
+        c, camera = self._calibration, self._calibration.camera
+        in_base = se2.transform(np.asarray(se2.compose(se2.inverse(pose), mark)), corners(_SIZE_M))  # type: ignore[arg-type]
+        phase = self._way_m / _TILT_M
+        in_base = in_base + c.ceiling_height_m * _TILT_RAD * np.array([np.sin(phase), np.cos(1.3 * phase)])
+        s = np.column_stack([in_base, np.ones(4)]) @ c.level_from_ceiling.T
+        raw = c.level_view.to_raw(s[:, :2] / s[:, 2:]) + _CORNER_PX * self._rng.standard_normal((4, 2))
+        size = np.array([camera.width_px, camera.height_px])
+        inside = np.all((raw > _MARGIN_PX) & (raw < size - _MARGIN_PX))
+        return np.asarray(raw) if inside else None
+
+
+class MarksSense:
+    """Of the table of senses."""
+
+    def configured(self, config: Config, world: World) -> Config:
+        return config
+
+    def device(self, world: World, config: Config, rng: np.random.Generator) -> MarksDevice:
+        return MarksDevice(world, simulated_calibration(tile_m=world.spec.tile_m), rng)
+
+
+def _moved(anchor: Anchor, map_from_room: Array) -> Anchor:
+    x, y = se2.transform(map_from_room, np.array([[anchor.x_m, anchor.y_m]]))[0].tolist()
+    return replace(anchor, x_m=x, y_m=y)
