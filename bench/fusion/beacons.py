@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.bench.fusion.robot import TICK_S, Moment
+from ceilvo.bench.fusion.robot import Moment
 from ceilvo.bench.fusion.said import Said
 from ceilvo.bench.place.ceiling.worlds import World
 from ceilvo.calibration import Calibration

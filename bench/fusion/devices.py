@@ -14,6 +14,7 @@ from ceilvo.config import Config
 from ceilvo.drivers.base.protocol import ANGLE_UNIT_RAD, GYRO_UNIT_RAD, LENGTH_UNIT_M, wrap_int32
 from ceilvo.drivers.base.wheel_track import WheelTrack
 from ceilvo.drivers.telegrams import WITH_MOTION, BaseStatus
+from ceilvo.senses.beacons import Beacons
 from ceilvo.types import Array
 
 _TICKS = 5
@@ -34,6 +35,8 @@ a robot, temperature-compensated; chosen."""
 
 class WheelsDevice:
     """Differential drive: two wheels of unknown scales, reckoned with as the base was built."""
+
+    beacons = Beacons()
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng, self.track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
@@ -69,6 +72,8 @@ class WheelsDevice:
 
 class GyroDevice:
     """Its integral comes with the base's telegrams, as its wheels' counts do."""
+
+    beacons = Beacons()
 
     def __init__(self, rng: np.random.Generator, config: Config) -> None:
         self._rng, self._track = rng, WheelTrack(samples=_SAMPLES, seamless=True)

@@ -20,6 +20,7 @@ from ceilvo.bench.place.ceiling.worlds import WorldSpec, landmarks_of, make_worl
 from ceilvo.bench.place.robot.tally import CLAIMED, WRONG_M, WRONG_RAD
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.senses.beacons import Beacons
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Crossings, Estimate, Pose
 
@@ -80,6 +81,10 @@ class Drive:
         self._eye = SyntheticEye(world.features, calibration, self._rng("eye"))
         self._ride = Ride(world.room, world.map_from_ceiling, self._condition, self._rng("ride"))
         self.pipeline = Pipeline(calibration, config, self._rng("pipeline"))
+        told = [d.beacons for d in self.devices]
+        anchors, marks = (tuple(b for t in told for b in getattr(t, name)) for name in ("anchors", "marks"))
+        if anchors or marks:
+            self.pipeline.relocaliser.know(Beacons(anchors, marks))
         self._known = landmarks_of(world.features, self._eye.missed, self._rng("map")), world.features.axis_rad
 
     def _rng(self, name: str) -> np.random.Generator:

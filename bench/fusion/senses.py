@@ -7,15 +7,24 @@ from typing import Protocol
 
 import numpy as np
 
+from ceilvo.bench.fusion.beacons import MarksSense, RangesSense
 from ceilvo.bench.fusion.devices import GyroSense, WheelsSense
 from ceilvo.bench.fusion.robot import Moment
 from ceilvo.bench.fusion.said import Said
 from ceilvo.bench.place.ceiling.worlds import World
 from ceilvo.config import Config
+from ceilvo.senses.beacons import Beacons
 
 
 class Device(Protocol):
-    """A sense in one drive, with randomness of its own: outfits with and without it are alike otherwise."""
+    """A sense in one drive, with randomness of its own: outfits with and without it are alike otherwise.
+
+    Attributes:
+        beacons: things of known place that the robot is told of.
+    """
+
+    @property
+    def beacons(self) -> Beacons: ...
 
     def live(self, moment: Moment) -> None:
         """Every step of the simulation, robot.TICK_S, in order."""
@@ -33,7 +42,20 @@ class Sense(Protocol):
     def device(self, world: World, config: Config, rng: np.random.Generator) -> Device: ...
 
 
-SENSES: Mapping[str, Sense] = {"wheels": WheelsSense(), "gyro": GyroSense()}
+SENSES: Mapping[str, Sense] = {
+    "wheels": WheelsSense(),
+    "gyro": GyroSense(),
+    "ranges": RangesSense(),
+    "marks": MarksSense(),
+}
 """By name."""
-OUTFITS: Mapping[str, tuple[str, ...]] = {"vision": (), "+ wheels": ("wheels",), "+ gyro": ("wheels", "gyro")}
-"""What is compared, each with one sense more than the one before."""
+OUTFITS: Mapping[str, tuple[str, ...]] = {
+    "vision": (),
+    "+ wheels": ("wheels",),
+    "+ gyro": ("wheels", "gyro"),
+    "+ ranges": ("wheels", "gyro", "ranges"),
+    "+ marks": ("wheels", "gyro", "ranges", "marks"),
+    "ranges only": ("ranges",),
+    "marks only": ("marks",),
+}
+"""What is compared, each with one sense more than the one before; and ranges and marks without wheels and gyro."""
