@@ -16,6 +16,8 @@ CORRELATED = 4.0
 """By which the variance of a range is raised within a gap: ranges of a second share part of their errors; chosen."""
 LEAST_DIRECT = 0.2
 """A range that came straight with less probability is left out."""
+TURNED_RAD = 0.4
+"""Standard deviation of the heading beyond which ranges do not correct it: its part in them is no straight line then."""
 FEWEST = 3
 """Ranges and marks after which the pose within a gap is worth more than prediction's, chosen."""
 
@@ -133,10 +135,13 @@ class Bridge:
     def _update(self, h: Array, off: Array, var: Array) -> None:
         s = self.state
         cross = s.cov @ h.T
-        gain = np.linalg.solve(h @ cross + var, cross.T).T
+        total = h @ cross + var
+        gain = np.linalg.solve(total, cross.T).T
+        if len(off) == 1 and s.cov[2, 2] > TURNED_RAD**2:
+            gain[2] = 0.0
         s.mean = s.mean + gain @ off
         s.mean[2] = se2.wrap(float(s.mean[2]))
-        cov = s.cov - gain @ cross.T
+        cov = s.cov - gain @ cross.T - cross @ gain.T + gain @ total @ gain.T
         s.cov = 0.5 * (cov + cov.T)
         s.used += 1
 
