@@ -17,7 +17,7 @@ CORRELATED = 4.0
 LEAST_DIRECT = 0.2
 """A range that came straight with less probability is left out."""
 TURNED_RAD = 0.4
-"""Standard deviation of the heading beyond which ranges do not correct it: its part in them is no straight line then."""
+"""Standard deviation of the heading beyond which ranges do not correct it: they are not linear in it then."""
 FEWEST = 3
 """Ranges and marks after which the pose within a gap is worth more than prediction's, chosen."""
 
