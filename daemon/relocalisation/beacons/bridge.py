@@ -14,6 +14,9 @@ from ceilvo.types import Array, Displacement, Ints, Motion, Pose
 
 CORRELATED = 4.0
 """By which the variance of a range is raised within a gap: ranges of a second share part of their errors; chosen."""
+WANDER_M2PM = 0.1**2 / 2.0
+"""Variance that an anchor's bias gains in a metre of the way: a decimetre within two metres, what something small in
+the path makes of it; chosen by the covariance's test."""
 LEAST_DIRECT = 0.2
 """A range that came straight with less probability is left out."""
 TURNED_RAD = 0.4
@@ -84,6 +87,8 @@ class Bridge:
         g = np.eye(3)
         g[:2, :2] = se2.rotation(float(before[2]))
         s.cov[:3, :3] += g @ noise @ g.T
+        every = np.arange(3, len(s.mean))
+        s.cov[every, every] += WANDER_M2PM * float(np.hypot(step[0], step[1]))
         s.gap, s.gap_cov = np.array(gap.prev_from_curr), np.array(gap.cov)
 
     def _begin(self, pose: Array, cov: Array, table: AnchorTable, tag_m: Array) -> None:
