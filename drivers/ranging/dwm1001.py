@@ -27,7 +27,7 @@ with the anchors' places."""
 _HEADER = 2
 _STATUSES = {1: "unknown command or broken frame", 2: "internal error", 3: "invalid parameter", 4: "busy"}
 _STATUSES |= {5: "operation not permitted; the module is no tag"}
-_LES = re.compile(r"([0-9A-Fa-f]{4,16})\[[-0-9.,]*\]=([-0-9.]+)")
+_LES = re.compile(r"([0-9A-Fa-f]{4,16})\[[-0-9.,]*\]=(\S+)")
 _LES_ANY = re.compile(r"le_us=|est\[|[0-9A-Fa-f]{4}\[")
 _TAG_ENTRY = struct.Struct("<HIB iiiB")
 """Of 0x49: address, distance in mm, its quality in per cent, then x, y, z in mm and their quality."""
