@@ -16,15 +16,17 @@ from ceilvo.daemon.odometry.senses.learnt import learnt
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
 from ceilvo.daemon.relocalisation.floors import Floors
-from ceilvo.daemon.replay.inputs import FrameInput, Input, LoadMap, Reset, SetPose, Silence, apply
+from ceilvo.daemon.replay.inputs import FrameInput, Input, KnownBeacons, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
 from ceilvo.errors import CeilvoError
+from ceilvo.senses.beacons import Beacons, MarkSeen
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 Clock = Callable[[], int]
 Wheels = Callable[[int, int], WheelMotion | None]
 Hears = Callable[[int, int], Heard]
+Finds = Callable[[Frame, bool], tuple[MarkSeen, ...]]
 InputListener = Callable[[Input, Estimate | None, Pipeline], None]
 """Gets every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
@@ -50,6 +52,11 @@ def no_wheels(stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
 def hears_nothing(stamp0_ns: int, stamp1_ns: int) -> Heard:
     """For robots with no other senses than camera and wheels."""
     return NOTHING
+
+
+def finds_nothing(frame: Frame, sure: bool) -> tuple[MarkSeen, ...]:
+    """For ceilings without marks."""
+    return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +92,13 @@ class Estimator:
         listener: InputListener = no_listener,
         session: str | None = None,
         hears: Hears = hears_nothing,
+        finds: Finds = finds_nothing,
     ) -> None:
         """session: names the drive that key poses are of; None: none are taken."""
         self._pipeline = pipeline
         self._taker = None if session is None else KeyPoseTaker(session, MOST_KEY_POSES)
         self._clock = clock
-        self._wheels, self._hears = wheels, hears
+        self._wheels, self._hears, self._finds = wheels, hears, finds
         self._listener = listener
         self._lock = threading.Lock()
         self._last: Estimate | None = None
@@ -138,6 +146,8 @@ class Estimator:
                 return None
             wheels = None if before_ns is None else self._wheels(before_ns, frame.stamp_ns)
             heard = NOTHING if before_ns is None else self._hears(before_ns, frame.stamp_ns)
+            marks = self._finds(frame, self._pipeline.relocaliser.sure)
+            heard = replace(heard, marks=marks) if marks else heard
             estimate = self._do(FrameInput(frame, wheels, heard), on_stage_done)
         if estimate is None:
             return None
@@ -258,13 +268,21 @@ class Estimator:
             return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults}
 
     def noticed(self) -> tuple[tuple[str, str], ...]:
-        """Name and reason of what senses of motion noticed in the last frame for the first time."""
-        return tuple((s.kind.value, s.reason) for s in self._pipeline.checks.begun)
+        """Name and reason of what senses noticed in the last frame for the first time."""
+        marks = tuple(("mark", text) for text in self._pipeline.relocaliser.take_news())
+        return tuple((s.kind.value, s.reason) for s in self._pipeline.checks.begun) + marks
+
+    def know(self, beacons: Beacons) -> None:
+        """Of these anchors and marks, if there are any."""
+        if beacons != Beacons():
+            with self._lock:
+                self._do(KnownBeacons(beacons))
 
     def senses(self) -> Mapping[str, object]:
         """What was learnt of wheels, gyro and delays; nothing where none of it is switched on."""
         with self._lock:
-            return learnt(self._pipeline.checks.senses, self._pipeline.config.senses)
+            motion = learnt(self._pipeline.checks.senses, self._pipeline.config.senses)
+            return {**motion, **self._pipeline.relocaliser.beacons_learnt()}
 
     def map(self) -> tuple[Landmarks, float | None]:
         """Of all floors, in their common frame."""

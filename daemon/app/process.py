@@ -110,12 +110,13 @@ class Daemon:
         self._recording = recording_of(
             config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
         )
-        hearing = Hearing(config, self._port, clock, self._crash)
+        self._hearing = hearing = Hearing(config, self._port, clock, self._crash)
         self._base = hearing.base
         listener = no_listener if self._recording is None else self._recording.input
-        given = hearing.wheels, listener, self._store.session, hearing.between
+        given = hearing.wheels, listener, self._store.session, hearing.between, hearing.marks
         rng = np.random.default_rng(config.service.seed)
         self._estimator = Estimator(Pipeline(plan.calibration, config, rng), clock, *given)
+        self._estimator.know(hearing.known)
         period_s, tell = config.service.state_period_s, lambda *said: self._outputs.event(*said)
         self._keeper = Keeper(self._estimator, self._store, period_s, tell)
         answers = handlers(config, plan.calibration, self._estimator, self._store, self._keeper.save, hearing.ahead)
@@ -163,8 +164,8 @@ class Daemon:
                 self._bus.open()
             ending.callback(self._end)
             self._capture.start()
-            if self._base is not None:
-                self._base.start()
+            ending.callback(self._hearing.stop)
+            self._hearing.start()
             self._thread.start()
             self._notifier.ready("waiting for the camera")
             with _screen() if self._plan.screen else nullcontext() as screen:

@@ -1,4 +1,4 @@
-"""Ranges over Zenoh: `ceilvo.ranges.1` on `<prefix>_in/<robot>/ranges` (docs/ranges.md)."""
+"""Ranges over Zenoh: `ceilvo.ranges.1` on `<prefix>/<robot>/ranges` (docs/ranges.md)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from ceilvo.drivers.bus.messages import decode, robot_key
+from ceilvo.drivers.bus.messages import decode
 from ceilvo.drivers.ports import Clock
 from ceilvo.drivers.ranging.dwm1001 import FARTHEST_M
 from ceilvo.drivers.ranging.mailbox import Mailbox
@@ -27,11 +27,6 @@ _MOST_RANGES = 64
 _OLDEST_MS = 1000.0
 """A range that is older is useless; the robot is elsewhere."""
 _LOGGED_PER_S, _LOG_BURST = 0.2, 5
-
-
-def ranges_key(prefix: str, robot: str) -> str:
-    """Beside the robot's own keys, on which nobody but the robot speaks."""
-    return f"{robot_key(f'{prefix}_in', robot)}/{NAME}"
 
 
 def decode_ranges(payload: bytes) -> tuple[tuple[tuple[str, float], float], ...]:
@@ -67,7 +62,7 @@ class RangesTopic:
     """A speaker of the bus that only listens. What cannot be used is counted and said in one line."""
 
     def __init__(self, key: str, mailbox: Mailbox, clock: Clock = time.monotonic_ns) -> None:
-        self._key, self._mailbox, self._clock = key, mailbox, clock
+        self.key, self._mailbox, self._clock = key, mailbox, clock
         self._quiet = QuietLog(log, _LOGGED_PER_S, _LOG_BURST, clock)
         self._lock = threading.Lock()
         self._counts = {"messages": 0, "malformed": 0}
@@ -79,7 +74,7 @@ class RangesTopic:
 
     def declare(self, session: zenoh.Session) -> None:
         """On a session that has just opened."""
-        self._held.append(session.declare_subscriber(self._key, lambda s: self.take(s.payload.to_bytes())))
+        self._held.append(session.declare_subscriber(self.key, lambda s: self.take(s.payload.to_bytes())))
 
     def take(self, payload: bytes) -> None:
         """Never raises."""
@@ -88,7 +83,7 @@ class RangesTopic:
             rows = decode_ranges(payload)
         except BusError as e:
             self._count("malformed")
-            self._quiet.warning(f"{self._key}: {e}; nothing was done with it")
+            self._quiet.warning(f"{self.key}: {e}; nothing was done with it")
             return
         self._count("messages")
         for measured, age_s in rows:

@@ -9,12 +9,14 @@ import numpy as np
 import zenoh
 
 from ceilvo.config import Config
+from ceilvo.daemon.app.senses.beacons import BeaconSenses
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus.imu_topic import NAME, ImuTopic
 from ceilvo.drivers.ports import Base, Clock
+from ceilvo.senses.beacons import Beacons, MarkSeen
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.senses.prediction import predicted
-from ceilvo.types import Estimate, WheelMotion
+from ceilvo.types import Estimate, Frame, WheelMotion
 
 
 class Hearing:
@@ -37,6 +39,7 @@ class Hearing:
         self._base = self.base if config.senses.gyro == "base" else None
         self._topic = ImuTopic(clock, self._noise) if config.senses.gyro == "topic" else None
         self._stem = f"{config.zenoh.prefix}/{config.robot.name}"
+        self._beacons = BeaconSenses(config, self._stem, clock, on_crash)
 
     def wheels(self, stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
         """What the base's wheels did between two frames."""
@@ -44,9 +47,32 @@ class Hearing:
 
     def between(self, stamp0_ns: int, stamp1_ns: int) -> Heard:
         """What they say of the time between two frames."""
+        heard = NOTHING
         if self._base is not None:
-            return Heard(self._base.wheels.turn_between(stamp0_ns, stamp1_ns, self._noise))
-        return NOTHING if self._topic is None else Heard(self._topic.turn_between(stamp0_ns, stamp1_ns))
+            heard = Heard(self._base.wheels.turn_between(stamp0_ns, stamp1_ns, self._noise))
+        elif self._topic is not None:
+            heard = Heard(self._topic.turn_between(stamp0_ns, stamp1_ns))
+        ranges = self._beacons.ranges(stamp1_ns)
+        return replace(heard, ranges=ranges) if ranges else heard
+
+    @property
+    def known(self) -> Beacons:
+        """Anchors and marks of the file."""
+        return self._beacons.known
+
+    def marks(self, frame: Frame, sure: bool) -> tuple[MarkSeen, ...]:
+        """In a frame; sure: whether the place is."""
+        return self._beacons.marks(frame, sure)
+
+    def start(self) -> None:
+        """Talk to the base and to a radio module."""
+        if self.base is not None:
+            self.base.start()
+        self._beacons.start()
+
+    def stop(self) -> None:
+        """But for the base, which is told the end first."""
+        self._beacons.stop()
 
     def ahead(self, estimate: Estimate, ahead_ms: float) -> tuple[Estimate, float]:
         """The estimate with the pose of so long after now, and by how many ms it was moved on; from any thread."""
@@ -58,13 +84,16 @@ class Hearing:
     @property
     def keys(self) -> tuple[str, ...]:
         """Of the robot's own keys, those where others speak."""
-        return () if self._topic is None else (f"{self._stem}/{NAME}",)
+        own = () if self._topic is None else (f"{self._stem}/{NAME}",)
+        return own + self._beacons.keys
 
-    def counters(self) -> Mapping[str, int]:
-        """Samples that were taken and refused."""
-        return {} if self._topic is None else {"imu_samples": self._topic.taken, "imu_refused": self._topic.refused}
+    def counters(self) -> Mapping[str, object]:
+        """What was taken and refused."""
+        own = {} if self._topic is None else {"imu_samples": self._topic.taken, "imu_refused": self._topic.refused}
+        return own | self._beacons.counters()
 
     def declare(self, session: zenoh.Session) -> None:
         """Listen on Zenoh."""
         if self._topic is not None:
             self._topic.declare(session, self.keys[0])
+        self._beacons.declare(session)

@@ -5,6 +5,7 @@ While the place is sure and vision measures, they change nothing: ranges are lea
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -78,6 +79,16 @@ class BeaconRelocaliser(Relocaliser):
     def know(self, beacons: Beacons) -> None:
         """From now on."""
         self.beacons = BeaconState(AnchorTable.of(beacons.anchors, self._noise_m), Beacons(marks=beacons.marks))
+
+    def beacons_learnt(self) -> Mapping[str, object]:
+        """For people, by name; nothing where there are no beacons."""
+        b, out = self._beacons, dict[str, object]()
+        if b.anchors.names:
+            anchors = {a.name: {"offset_m": a.offset_m, "sigma_m": a.offset_sigma_m} for a in b.anchors.anchors()}
+            out["ranges"] = {"heard": b.heard, "taken": b.taken, "noise_m": b.anchors.noise_m, "anchors": anchors}
+        if b.marks.marks:
+            out["marks"] = {"ignored": sorted(self._trust.state.wrong)}
+        return out
 
     def take_news(self) -> list[str]:
         """What happened that somebody should read, each once."""

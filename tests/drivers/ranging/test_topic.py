@@ -12,9 +12,10 @@ from patience import until
 from ceilvo.config import Zenoh
 from ceilvo.drivers.bus.zenoh_session import session_config
 from ceilvo.drivers.ranging.mailbox import Mailbox
-from ceilvo.drivers.ranging.topic import RangesTopic, decode_ranges, ranges_key
+from ceilvo.drivers.ranging.topic import RangesTopic, decode_ranges
 from ceilvo.errors import BusError
 
+KEY = "here/r/ranges"
 GOOD = {
     "schema": "ceilvo.ranges.1",
     "ranges": [{"anchor": "0c14", "range_m": 3.25, "age_ms": 40}, {"anchor": "0CA8", "range_m": 7, "more": 1}],
@@ -23,10 +24,6 @@ GOOD = {
 
 def test_the_golden_message() -> None:
     assert decode_ranges(json.dumps(GOOD).encode()) == ((("0C14", 3.25), 0.04), (("0CA8", 7.0), 0.0))
-
-
-def test_the_key_is_beside_the_robots_own() -> None:
-    assert ranges_key("ceilvo", "robot1") == "ceilvo_in/robot1/ranges"
 
 
 def changed(**row: Any) -> bytes:
@@ -62,10 +59,10 @@ def test_what_is_wrong_is_said_in_one_line_and_counted(payload: bytes, says: str
 def test_it_comes_over_the_wire_with_its_age() -> None:
     now_ns = 10**10
     mailbox = Mailbox()
-    topic = RangesTopic(ranges_key("here", "r"), mailbox, lambda: now_ns)
+    topic = RangesTopic(KEY, mailbox, lambda: now_ns)
     with zenoh.open(session_config(Zenoh(multicast=False, listen=("tcp/127.0.0.1:0",)))) as session:
         topic.declare(session)
-        session.put(ranges_key("here", "r"), json.dumps(GOOD).encode())
+        session.put(KEY, json.dumps(GOOD).encode())
         until(lambda: topic.counters()["messages"] == 1)
     assert [(r.anchor, r.stamp_ns, r.range_m) for r in mailbox.take(now_ns)] == [
         ("0C14", now_ns - 40_000_000, 3.25),
