@@ -21,6 +21,25 @@ def add(words: Commands, default_config: Path) -> None:
     _add_refine(words, default_config)
     _add_build(words, default_config)
     _add_join(words)
+    _add_anchors(words)
+
+
+def _add_anchors(words: Commands) -> None:
+    text = "find where radio anchors are, from ranges along recorded drives on a map"
+    p = command(words, "anchors", text, "ceilvod map anchors drive.mcap --into beacons.yaml")
+    p.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="MCAP file, or a folder of runs")
+    p.add_argument("--into", type=Path, metavar="FILE", required=True, help="beacons.file; its other entries are kept")
+    p.add_argument("--height", type=float, default=2.0, metavar="M", help="of the anchors above the floor, about (2)")
+    p.add_argument("--dry-run", action="store_true", help="write nothing")
+    p.set_defaults(do=_locate_anchors)
+
+
+def _locate_anchors(options: argparse.Namespace) -> int:
+    from ceilvo.daemon.building.radio.anchoring import locate_anchors
+
+    text, code = locate_anchors(options.recordings, options.into, options.height, options.dry_run)
+    print(text, end="")
+    return code
 
 
 def _add_refine(words: Commands, default_config: Path) -> None:

@@ -34,9 +34,8 @@ class BeaconSenses:
         c = config.beacons
         self.known = read_beacons(Path(c.file)) if c.file else Beacons()
         self._mailbox = Mailbox()
-        heard = c.ranges if self.known.anchors else "off"
-        self._link = RangingLink(c, self._mailbox, clock, on_crash) if heard == "serial" else None
-        self._topic = RangesTopic(f"{stem}/{NAME}", self._mailbox, clock) if heard == "zenoh" else None
+        self._link = RangingLink(c, self._mailbox, clock, on_crash) if c.ranges == "serial" else None
+        self._topic = RangesTopic(f"{stem}/{NAME}", self._mailbox, clock) if c.ranges == "zenoh" else None
         numbers = frozenset(m.number for m in self.known.marks)
         self._finder = MarkFinder(c.family, numbers) if numbers and c.marks else None
         self._every, self._frames = c.marks_every, 0

@@ -1,0 +1,1 @@
+"""Radio anchors of a building."""
