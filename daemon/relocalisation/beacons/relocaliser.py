@@ -46,6 +46,9 @@ TURN_SIGMA_RAD = 2.0
 """Of a fix's heading, which ranges from one spot do not know."""
 MARK_PICTURES = 2
 """In a row that must show a mark before it ends a search: one may be a reflection; chosen."""
+MARK_WRONG = 3e-5
+"""Chance that a mark which two pictures show hangs elsewhere; chosen, below states.false_place_rate, so that it ends a
+search; a lamp that contradicts it outweighs it."""
 MARK_AGAIN_NS = 500_000_000
 """Pictures of a mark that lie further apart are not in a row."""
 BEYOND_M, BEYOND_CELL_M = 8.0, 1.0
@@ -334,7 +337,9 @@ class BeaconRelocaliser(Relocaliser):
         start = np.asarray(se2.compose(mark.pose, se2.inverse(moved)))
         self._put(start)
         self.filter.jump(Pose(start), mark.cov)
-        s.belief, s.pending, s.reason, s.began, s.surprised = PlaceBelief(), None, "", 0.0, False
+        s.belief, s.reason, s.began, s.surprised = PlaceBelief(), "", 0.0, False
+        # what the ceiling shows may still speak against it
+        s.pending = Doubt(f"mark {mark.number}", mark.cov, MARK_WRONG) if gap is None else None
         s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
         b.window.clear()
         b.located, b.settled = False, mark.number
