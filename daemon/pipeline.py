@@ -22,7 +22,8 @@ from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.stage import HeightsState
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
-from ceilvo.daemon.relocalisation.beacons.relocaliser import BeaconRelocaliser, BeaconState
+from ceilvo.daemon.relocalisation.beacons.relocaliser import BeaconRelocaliser
+from ceilvo.daemon.relocalisation.beacons.state import BeaconState
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState

@@ -83,7 +83,9 @@ def in_corners(low_m: Array, high_m: Array, count: int, rng: np.random.Generator
     """Anchors high on the walls of a room from low (2,) to high (2,): in its corners first, then along its sides."""
     share = np.array([[0, 0], [1, 0.1], [0.4, 1], [1, 1], [0, 1], [0.5, 0], [1, 0.5], [0, 0.5]], np.float64)
     at = low_m + share[:count] * (high_m - low_m)
-    return tuple(Anchor(f"{0xA000 + i:04X}", *map(float, xy), float(rng.uniform(1.8, 2.4))) for i, xy in enumerate(at))
+    return tuple(
+        Anchor(f"{0xA000 + i:04X}", x, y, float(rng.uniform(1.8, 2.4))) for i, (x, y) in enumerate(at.tolist())
+    )
 
 
 def surveyed(anchors: tuple[Anchor, ...], sigma_m: float, rng: np.random.Generator) -> tuple[Anchor, ...]:

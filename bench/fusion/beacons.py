@@ -77,7 +77,7 @@ class MarksDevice:
         poses = np.column_stack([se2.transform(world.map_from_ceiling, at), rng.uniform(-np.pi, np.pi, len(at))])
         self._true = poses
         off = np.array([_PLACE_M, _PLACE_M, _TURN_RAD]) * rng.standard_normal(poses.shape)
-        file = [Mark(k, _SIZE_M, *p, _PLACE_M, _TURN_RAD) for k, p in enumerate((poses + off).tolist())]
+        file = [Mark(k, _SIZE_M, x, y, t, _PLACE_M, _TURN_RAD) for k, (x, y, t) in enumerate((poses + off).tolist())]
         self.beacons = Beacons(marks=tuple(file))
         self._moment: Moment | None = None
         self._way_m, self._frames = float(rng.uniform(0.0, 100.0)), 0
@@ -98,7 +98,7 @@ class MarksDevice:
     def _corners(self, pose: Array, mark: Array) -> Array | None:
         """(4, 2) raw pixels of a mark's corners, None where one is not in the picture."""
         c, camera = self._calibration, self._calibration.camera
-        in_base = se2.transform(np.asarray(se2.compose(se2.inverse(pose), mark)), corners(_SIZE_M))  # type: ignore[arg-type]
+        in_base = se2.transform(np.asarray(se2.compose(se2.inverse(pose), mark)), corners(_SIZE_M))
         phase = self._way_m / _TILT_M
         in_base = in_base + c.ceiling_height_m * _TILT_RAD * np.array([np.sin(phase), np.cos(1.3 * phase)])
         s = np.column_stack([in_base, np.ones(4)]) @ c.level_from_ceiling.T

@@ -143,16 +143,16 @@ class RangingLink:
 
     def _answer(self, port: serial.Serial) -> bytes:
         """A whole answer, or what came of one in the time that it has."""
-        got, end_s = b"", time.monotonic() + _ANSWER_S
+        got, end_s = bytearray(), time.monotonic() + _ANSWER_S
         while time.monotonic() < end_s:
             got += port.read(max(1, port.in_waiting))
             try:
-                size = dwm1001.tlv_size(got)
+                size = dwm1001.tlv_size(bytes(got))
             except RangingError:
-                return got
+                return bytes(got)
             if size is not None and len(got) >= size:
-                return got[:size]
-        return got
+                return bytes(got[:size])
+        return bytes(got)
 
     def _take(self, parse: Callable[[], dwm1001.Measured | None], size: int) -> bool:
         """Whether it was a round; what is damaged is counted and told."""

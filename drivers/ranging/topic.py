@@ -51,11 +51,15 @@ def _row(row: Any, k: int) -> tuple[tuple[str, float], float]:
     name, metres, age = row.get("anchor"), row.get("range_m"), row.get("age_ms", 0.0)
     if not isinstance(name, str) or not 0 < len(name) <= NAME_CHARS:
         raise BusError(f"{at}.anchor is {one_line(repr(name), 60)}, expected a name of up to {NAME_CHARS} characters")
-    for key, value, most in (("range_m", metres, FARTHEST_M), ("age_ms", age, _OLDEST_MS)):
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or not 0.0 <= value <= most:
-            raise BusError(f"{at}.{key} is {one_line(repr(value), 60)}, expected 0 to {most:g}")
-    return (name.upper(), float(metres)), 1e-3 * float(age)
+    metres, age = _number(metres, f"{at}.range_m", FARTHEST_M), _number(age, f"{at}.age_ms", _OLDEST_MS)
+    return (name.upper(), metres), 1e-3 * age
+
+
+def _number(value: Any, where: str, most: float) -> float:
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not number or not 0.0 <= value <= most:
+        raise BusError(f"{where} is {one_line(repr(value), 60)}, expected 0 to {most:g}")
+    return float(value)
 
 
 class RangesTopic:

@@ -68,8 +68,10 @@ class AnchorTable:
         """As a file has them, with what was learnt."""
         sigma = np.sqrt(np.maximum(np.diagonal(self.cov, axis1=1, axis2=2), 0.0))
         return tuple(
-            Anchor(n, *map(float, xyz), float(s), float(f[0]), float(o[0]), float(f[1]), float(o[1]))
-            for n, xyz, s, f, o in zip(self.names, self.xyz_m, self.sigma_m, self.fit, sigma, strict=True)
+            Anchor(n, x, y, z, float(s), float(f[0]), float(o[0]), float(f[1]), float(o[1]))
+            for n, (x, y, z), s, f, o in zip(
+                self.names, self.xyz_m.tolist(), self.sigma_m, self.fit, sigma, strict=True
+            )
         )
 
     def distances(self, which: Ints, xy_m: Array, z_m: float) -> tuple[Array, Array]:

@@ -42,7 +42,7 @@ class MarkFinder:
     def __call__(self, gray: NDArray[np.uint8]) -> tuple[MarkSeen, ...]:
         """The marks in a raw picture (H, W), by number."""
         corners, ids, _ = self._detector.detectMarkers(gray)
-        if ids is None:
+        if not len(corners):  # ids is None then
             return ()
         found = zip(np.ravel(ids).tolist(), corners, strict=True)
         known = [(n, np.asarray(c, np.float64).reshape(4, 2)) for n, c in found if n in self._numbers]

@@ -149,7 +149,8 @@ def find(window: RangeWindow, table: AnchorTable, tag_z_m: float, odom: Array, h
     if not np.all(np.isfinite(low + high)):
         return None
     cell = max(_STEPS_M[0], float(np.sqrt(np.prod(np.maximum(high - low, 1.0)) / _MOST_CELLS)))
-    poses = _grid(*(np.arange(a, b + cell, cell) for a, b in zip(low, high, strict=True)), headings)
+    x, y = (np.arange(a, b + cell, cell) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+    poses = _grid(x, y, headings)
 
     def weigh(at: Array) -> Array:
         return window.log_likelihood(table, tag_z_m, odom, at)
@@ -171,7 +172,7 @@ def _measured(pose: Array, top: float, weigh: Callable[[Array], Array]) -> Fix:
     """Mean and covariance of the position around the best pose, at its own heading."""
     step = _STEPS_M[-1]
     for _ in range(4):
-        axis = step * (np.arange(_FINE) - _FINE // 2)
+        axis = np.asarray(step * (np.arange(_FINE) - _FINE // 2), np.float64)
         at = pose + _grid(axis, axis, np.zeros(1))
         weight = np.exp(weigh(at) - top)
         weight /= np.sum(weight)

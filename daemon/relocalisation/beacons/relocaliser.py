@@ -197,9 +197,9 @@ class BeaconRelocaliser(Relocaliser):
         if len(b.window.anchors) < FEWEST_ANCHORS or len(b.window) < FEWEST_RANGES or b.odom is None:
             return
         b.fix_ns = b.stamp_ns
-        headings = np.arange(8) * 0.25 * np.pi
+        headings = np.linspace(0.0, 1.75 * np.pi, 8)
         if self.state.map_axis_rad is not None and seen.directed:
-            headings = self.state.map_axis_rad - seen.psi_rad + np.arange(4) * 0.5 * np.pi
+            headings = self.state.map_axis_rad - seen.psi_rad + np.linspace(0.0, 1.5 * np.pi, 4)
         fix = find(b.window, b.anchors, float(self._tag_m[2]), b.odom, headings)
         if fix is None:
             return

@@ -112,7 +112,7 @@ def _refined(
             break
     error = r - _expected(place, at, tag_z_m)
     value = float(np.sum(log_density(error, sigma)) - 0.5 * np.sum(prior * (place - begun) ** 2))
-    return place, np.linalg.inv(normal + 1e-9 * np.eye(4)), value
+    return place, np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(4)), np.float64), value
 
 
 def _expected(place: Array, at: Array, tag_z_m: float) -> Array:
