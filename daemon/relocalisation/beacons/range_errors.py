@@ -12,6 +12,8 @@ are what halls show (issue 18). An exponential tail on a normal error is the usu
 "Modeling of the TOA-based distance measurement error using UWB indoor radio measurements", 2006)."""
 NONSENSE, NONSENSE_M = 0.02, 50.0
 """Share of ranges that say nothing, and over what length those are spread; chosen: a module's reach."""
+MOVED = 0.001
+"""Share of anchors that hang elsewhere than the file says: all their ranges are nonsense; chosen."""
 _SQRT2 = float(np.sqrt(2.0))
 _SQRT_2PI = float(np.sqrt(2.0 * np.pi))
 _FAR = 6.0
@@ -20,10 +22,10 @@ _ERFC = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429, 0.32
 """Coefficients of formula 7.1.26 of Abramowitz and Stegun, "Handbook of Mathematical Functions": to 1.5e-7."""
 
 
-def log_density(error_m: Array, sigma_m: Array | float) -> Array:
+def log_density(error_m: Array, sigma_m: Array | float, nonsense: float = NONSENSE) -> Array:
     """Logarithm of the density 1/m of errors (any shape) of a measured range less the expected one."""
-    direct, obstructed, nonsense = _parts(error_m, sigma_m)
-    return np.asarray(np.log(direct + obstructed + nonsense))
+    direct, obstructed, _ = _parts(error_m, sigma_m)
+    return np.asarray(np.log(direct + obstructed + nonsense / NONSENSE_M))
 
 
 def direct_share(error_m: Array, sigma_m: Array | float) -> Array:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
-from ceilvo.daemon.relocalisation.beacons.range_errors import direct_share, log_density
+from ceilvo.daemon.relocalisation.beacons.range_errors import MOVED, direct_share, log_density
 from ceilvo.se2 import inverse, rotation, transform
 from ceilvo.types import Array, Ints, Pose
 
@@ -103,7 +103,7 @@ def _with_bias(error_m: Array, noise_m: float, sigma_m: Array) -> Array:
         precision = np.sum(weight, axis=1, keepdims=True) / noise_m**2
         bias = np.sum(weight * error_m, axis=1, keepdims=True) / noise_m**2 / (precision + 1.0 / free)
     own = np.sum(log_density(error_m - bias, noise_m), axis=1)
-    prior = log_density(bias[:, 0], sigma_m)
+    prior = log_density(bias[:, 0], sigma_m, MOVED)
     width = 0.5 * np.log(2.0 * np.pi / (precision[:, 0] + 1.0 / free[:, 0]))
     return np.asarray(own + prior + width)
 

@@ -20,7 +20,7 @@ from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, mark_pose
 from ceilvo.daemon.relocalisation.beacons.range_window import Fix, find, lever
 from ceilvo.daemon.relocalisation.beacons.state import BeaconState
 from ceilvo.daemon.relocalisation.beacons.trust import Trust
-from ceilvo.daemon.relocalisation.doubts import JUMPED, Doubt
+from ceilvo.daemon.relocalisation.doubts import JUMPED, UNLIKELY, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAD_M, PlaceBelief
@@ -108,9 +108,10 @@ class BeaconRelocaliser(Relocaliser):
 
     def raise_doubt(self, doubt: Doubt) -> None:
         super().raise_doubt(doubt)
-        if self.state.pending is not None:
-            self._beacons.window.clear()
-            self._beacons.located, self._beacons.wide = False, doubt.elsewhere >= JUMPED
+        b = self._beacons
+        if self.state.pending is not None and doubt.elsewhere >= UNLIKELY:
+            b.window.clear()
+            b.located, b.wide = False, b.wide or doubt.elsewhere >= JUMPED
 
     def followed(self, path: DeadReckoningState, track: Track, crossings: int, heard: Heard) -> None:
         """travelled(), with what was heard on that part of the way."""
@@ -283,7 +284,7 @@ class BeaconRelocaliser(Relocaliser):
             # what the ranges have said is settled
             belief.told, belief.told_unknown = np.zeros(len(belief)), 0.0
             self._beacons.window.clear()
-            self._beacons.located = False
+            self._beacons.located = self._beacons.wide = False
         return decided
 
     def _beyond(self, pose: Array) -> float:
@@ -342,7 +343,7 @@ class BeaconRelocaliser(Relocaliser):
         s.pending = Doubt(f"mark {mark.number}", mark.cov, MARK_WRONG) if gap is None else None
         s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
         b.window.clear()
-        b.located, b.settled = False, mark.number
+        b.located, b.wide, b.settled = False, False, mark.number
         self._bridge.end()
         if gap is not None:
             self._bridge.move(start, mark.cov, gap, b.anchors, self._tag_m)
