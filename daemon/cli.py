@@ -19,7 +19,7 @@ from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.config.arguments import check_word, command, from_up
 from ceilvo.config.checks import cross_check
-from ceilvo.config.reader import calibration_path, load_config
+from ceilvo.config.reader import beside, calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
 from ceilvo.errors import CeilvoError, ConfigError, FileFormatError
@@ -218,7 +218,7 @@ def _run(options: argparse.Namespace) -> int:
             f"{path}: no such file; name a configuration with --config FILE, or try it without any hardware: "
             "ceilvod run --simulate"
         )
-    config = load_config(path, options.set)
+    config = beside(load_config(path, options.set), path)
     file = options.calibration or calibration_path(config, path)
     calibration = _checked(config, read_calibration(file), path)
     _log_to_stderr(config.service.log_level)

@@ -55,6 +55,7 @@ def conflicts(config: Config, calibration: Calibration | None = None) -> list[Co
         *_states(config),
         *_base(config.base),
         *_senses(config),
+        *_beacons(config),
         *_zenoh(config.zenoh),
         *_ros2(config.ros2),
         *_vda5050(config),
@@ -211,6 +212,16 @@ def _senses(config: Config) -> Iterator[Conflict]:
         yield Conflict(
             ("senses.wheels", "base.use_wheels"), "found true, expected wheels to learn of; set base.use_wheels: true"
         )
+
+
+def _beacons(config: Config) -> Iterator[Conflict]:
+    beacons, base = config.beacons, config.base
+    if beacons.ranges == "zenoh" and not config.zenoh.enabled:
+        text = "zenoh comes by Zenoh, which zenoh.enabled: false switches off; switch it on, or choose serial"
+        yield Conflict(("beacons.ranges", "zenoh.enabled"), text)
+    if beacons.ranges == "serial" and base.enabled and beacons.port == base.port:
+        text = f"{beacons.port} is base.port, too; each needs a port of its own, see /dev/serial/by-id/"
+        yield Conflict(("beacons.port", "base.port"), text)
 
 
 def _zenoh(zenoh: Zenoh) -> Iterator[Conflict]:

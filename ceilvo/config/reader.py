@@ -72,6 +72,13 @@ def calibration_path(config: Config, config_path: Path) -> Path:
     return Path(config_path).parent / config.calibration.file
 
 
+def beside(config: Config, config_path: Path) -> Config:
+    """With beacons.file where it is: relative names count from the configuration's folder."""
+    name = config.beacons.file
+    path = str(Path(config_path).parent / name) if name else ""
+    return dataclasses.replace(config, beacons=dataclasses.replace(config.beacons, file=path))
+
+
 class _Reader:
     """Collects values and problems, first from a file, then from overrides."""
 

@@ -9,7 +9,7 @@ from ceilvo.config.sections.keys import key
 
 @dataclass(frozen=True)
 class Beacons:
-    file: str = key("", "anchors and marks of known place; empty = none are used")
+    file: str = key("", "anchors and marks of known place, relative to this file's folder; empty = none are used")
     ranges: str = key(
         "off",
         "where ranges to anchors come from: serial = a DWM1001 or alike, zenoh = <prefix>/<robot>/ranges",
