@@ -20,7 +20,9 @@ OFFSET_SIGMA_M = 0.15
 """Of an anchor's ranges before anything is known; chosen: an antenna's delay as delivered."""
 HEIGHT_SIGMA_M = 0.5
 """Of an anchor's height above the floor around what was told; chosen."""
-WORST_M = 1.0
+TWO_M, SURER = 0.5, 8.0
+"""Another place so far off must be less likely by so much, as a logarithm: from one straight line there are two."""
+WORST_M = 0.3
 """A place that is not known to so much, one standard deviation, is none: the drive was too short or too straight."""
 _CELLS, _ROUNDS, _STARTS = 25, 30, 8
 _STEP = 1e-6
@@ -64,8 +66,13 @@ def locate(name: str, tags_m: Array, ranges_m: Array, tag_z_m: float, height_m: 
     if len(at) < FEWEST:
         return Located(name, None, len(at), problem=f"heard from {len(at)} spots, {FEWEST} are needed; drive further")
     sigma = float(np.hypot(noise_m, BIAS_M))
-    best = max((_refined(s, at, r, tag_z_m, height_m, sigma) for s in _starts(at, r, sigma)), key=lambda f: f[2])
-    place, cov, _ = best
+    found = [_refined(s, at, r, tag_z_m, height_m, sigma) for s in _starts(at, r, sigma)]
+    place, cov, value = max(found, key=lambda f: f[2])
+    others = [f for f in found if np.hypot(*(f[0] - place)[:2]) > TWO_M and f[2] > value - SURER]
+    if others:
+        x, y = others[0][0][:2].tolist()
+        why = f"({place[0]:.1f}, {place[1]:.1f}) and ({x:.1f}, {y:.1f}) fit as well; drive on more than one line"
+        return Located(name, None, len(at), problem=why)
     plane = float(np.sqrt(np.max(np.linalg.eigvalsh(cov[:2, :2]))))
     if plane > WORST_M:
         why = f"its place is known to {plane:.1f} m only; drive on more than one line, and around it"
@@ -87,7 +94,13 @@ def _starts(at: Array, r: Array, sigma: float) -> list[Array]:
     d = np.hypot(*(grid[:, None] - at).transpose(2, 0, 1))
     cell = 2.0 * reach / _CELLS
     value = np.sum(log_density(r - d, float(np.hypot(sigma, 0.5 * cell))), axis=1)
-    return list(grid[np.argsort(-value)[:_STARTS]])
+    out: list[Array] = []
+    for k in np.argsort(-value).tolist():
+        if all(np.hypot(*(grid[k] - other)) > 2.0 * cell for other in out):
+            out.append(grid[k])
+        if len(out) == _STARTS:
+            break
+    return out
 
 
 def _refined(

@@ -32,7 +32,7 @@ MARK = Mark(3, 0.2, 1.0, 1.0, 0.0)
 def driven(seconds: float, ranges: bool) -> list[Input]:
     """What a pipeline was given on a drive in a room of 5 m; ranges carry stamps between the frames."""
     world = make_world(WorldSpec("5", 0.6, "sparse", 4))
-    drive = drive_in(world, np.random.default_rng(4), False, 10.0, True, 0.5)
+    drive = drive_in(world, np.random.default_rng(4), False, 5.0, True, 0.5)
     landmarks = load_known(drive, world, np.random.default_rng(4))
     start = Pose(drive.pose)
     radio = Radio(ANCHORS, RadioSpec(noise_m=0.05, obstructed=0.1), np.random.default_rng(1))
@@ -67,13 +67,17 @@ def recorded(monkeypatch: pytest.MonkeyPatch, inputs: list[Input]) -> None:
 
 
 def test_anchors_are_found_and_written_beside_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorded(monkeypatch, driven(24.0, ranges=True))
+    recorded(monkeypatch, driven(38.0, ranges=True))
     into = tmp_path / "beacons.yaml"
     write_beacons(into, Beacons((replace(ANCHORS[0], x_m=9.0), Anchor("OLD", 1.0, 2.0, 3.0)), (MARK,)))
     text, code = anchoring.locate_anchors([Path("drive.mcap")], into, 2.0, dry_run=False)
     print(text)
     found = read_beacons(into)
-    assert code == 0 and [m.number for m in found.marks] == [3] and [a.name for a in found.anchors] == ["A000", "B000", "OLD"]
+    assert (
+        code == 0
+        and [m.number for m in found.marks] == [3]
+        and [a.name for a in found.anchors] == ["A000", "B000", "OLD"]
+    )
     for a, true in zip(found.anchors, ANCHORS, strict=False):
         off = float(np.hypot(a.x_m - true.x_m, a.y_m - true.y_m))
         assert off < 0.25, (a, off)
