@@ -217,10 +217,10 @@ def _senses(config: Config) -> Iterator[Conflict]:
 def _beacons(config: Config) -> Iterator[Conflict]:
     beacons, base = config.beacons, config.base
     if beacons.ranges == "zenoh" and not config.zenoh.enabled:
-        text = "zenoh comes by Zenoh, which zenoh.enabled: false switches off; switch it on, or choose serial"
+        text = "found zenoh, expected zenoh.enabled: true to hear it; switch it on, or choose serial"
         yield Conflict(("beacons.ranges", "zenoh.enabled"), text)
     if beacons.ranges == "serial" and base.enabled and beacons.port == base.port:
-        text = f"{beacons.port} is base.port, too; each needs a port of its own, see /dev/serial/by-id/"
+        text = f"found {beacons.port}, which is base.port, expected a port of its own; see /dev/serial/by-id/"
         yield Conflict(("beacons.port", "base.port"), text)
 
 

@@ -252,6 +252,12 @@ def test_notes_are_no_errors() -> None:
         (["senses.gyro=topic", "zenoh.enabled=false"], "senses.gyro: found topic, expected zenoh.enabled: true"),
         (["senses.wheels=true", "base.use_wheels=false"], "senses.wheels: found true, expected wheels to learn of"),
         (["senses.wheels=true", "senses.time=true", "senses.drive=omni"], ""),
+        (["beacons.ranges=zenoh", "zenoh.enabled=false"], "beacons.ranges: found zenoh, expected zenoh.enabled: true"),
+        (
+            ["beacons.ranges=serial", "beacons.port=/dev/ttyUSB0"],
+            "beacons.port: found /dev/ttyUSB0, which is base.port",
+        ),
+        (["beacons.ranges=serial"], ""),
     ],
 )
 def test_senses_need_what_they_listen_to(overrides: list[str], says: str) -> None:

@@ -98,6 +98,7 @@ CONFLICT_KEYS = (
     ": recorder.kept_bytes: ",
     ": senses.",
     ": base.predict: ",
+    ": beacons.",
     ": fleet.service: ",
     ": mapd.building: ",
     ": robot.name: ",
