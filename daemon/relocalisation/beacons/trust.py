@@ -58,7 +58,7 @@ class Trust:
     def hold(self, mark: MarkPose, pose: Array, cov: Array) -> bool:
         """Compare with a pose (3,) with covariance (3, 3) that is sure; False where they contradict each other."""
         fits, off = self.fits(mark, pose, cov), _off(mark, pose)
-        self._strike(mark.number, fits, f"{np.hypot(off[0], off[1]):.2f} m and {np.degrees(off[2]):.0f} deg")
+        self._strike(mark.number, fits, f"{np.hypot(off[0], off[1]):.2f} m and {abs(np.degrees(off[2])):.0f} deg")
         return fits
 
     def after_search(self, number: int, surprised: bool) -> None:
