@@ -21,6 +21,8 @@ LEAST_DIRECT = 0.2
 """A range that came straight with less probability is left out."""
 TURNED_RAD = 0.4
 """Standard deviation of the heading beyond which ranges do not correct it: they are not linear in it then."""
+ANY_RAD = float(np.pi / np.sqrt(3.0))
+"""Standard deviation of a heading that may be any: more would be a lever for the place of the antenna."""
 FEWEST = 3
 """Ranges and marks after which the pose within a gap is worth more than prediction's, chosen."""
 
@@ -87,6 +89,8 @@ class Bridge:
         g = np.eye(3)
         g[:2, :2] = se2.rotation(float(before[2]))
         s.cov[:3, :3] += g @ noise @ g.T
+        most = ANY_RAD / float(np.sqrt(max(s.cov[2, 2], ANY_RAD**2)))
+        s.cov[2], s.cov[:, 2] = most * s.cov[2], most * s.cov[:, 2]
         every = np.arange(3, len(s.mean))
         s.cov[every, every] += WANDER_M2PM * float(np.hypot(step[0], step[1]))
         s.gap, s.gap_cov = np.array(gap.prev_from_curr), np.array(gap.cov)
