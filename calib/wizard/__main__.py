@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from pathlib import Path
+from typing import NoReturn
 
 from ceilvo.calib.wizard.bench import Bench, Place
 from ceilvo.calib.wizard.tuning import Tuning
@@ -12,7 +14,16 @@ from ceilvo.calib.wizard.wire import Wire
 from ceilvo.config.reader import parse_config
 
 
-def main() -> int:
+def main() -> NoReturn:
+    try:
+        _work()
+    except BaseException:
+        traceback.print_exc()
+    sys.stderr.flush()
+    os._exit(1)  # the thread that reads commands cannot be woken
+
+
+def _work() -> None:
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what steps print is for the journal
     wire = Wire(out, sys.stdin.buffer)
@@ -36,4 +47,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

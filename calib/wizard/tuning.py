@@ -82,16 +82,19 @@ class Tuning:
 
     def __init__(self, place: Place, wire: Wire) -> None:
         self._place, self._wire = place, wire
+        self._error = self._note = ""
 
     def obey(self, command: Mapping[str, Any]) -> None:
-        """Run until stopped, or write what was chosen; what goes wrong is said."""
+        """Run until stopped, or until something else is to be done; what goes wrong is said."""
+        self._error = self._note = ""
         try:
             if command.get("do") == "save_camera":
                 self._save(command)
             else:
                 self._tune(command)
         except CeilvoError as e:
-            self._wire.say("tuning", on=False, error=one_line(str(e).split("\n")[0], 600), note="")
+            self._error, self._note = _line(e), ""
+        self._wire.say("tuning", on=False, error=self._error, note=self._note)
 
     def _save(self, command: Mapping[str, Any]) -> None:
         place, values = self._place, {f"camera.{k}": v for k, v in self._values(command).items()}
@@ -99,10 +102,9 @@ class Tuning:
             raise ConfigError("found no configuration file; start 'ceilvod web' with --config FILE")
         kept = change_config(place.config_file, values)
         said = ", ".join(f"{name}: {yaml_text(v)}" for name, v in values.items())
-        note = (
+        self._note = (
             f"{place.config_file}: {said}; the file as it was is {kept.name}; 'sudo systemctl restart ceilvod' takes it"
         )
-        self._wire.say("tuning", on=False, error="", note=note)
 
     def _values(self, command: Mapping[str, Any]) -> dict[str, float | None]:
         """Checked as the configuration's."""
@@ -127,23 +129,37 @@ class Tuning:
             shown_s = 0.0
             for picture in tuned.frames():
                 wanted = self._asked()
+                if wanted is not None and wanted.get("do") == "stop":
+                    break
                 if wanted is not None:
-                    if wanted.get("do") != "tune":
-                        break
-                    values = self._values(wanted)
-                    tuned.adjust(values["exposure_us"], values["gain"])
+                    values = self._chosen(wanted, tuned, values)
                     light.clear()
                 light.append((1e-9 * picture.stamp_ns, float(picture.gray.mean())))
                 if time.monotonic() - shown_s >= _SHOWN_S:
                     shown_s = time.monotonic()
                     self._show(picture, list(light), values, ranges, name)
-        self._wire.say("tuning", on=False, error="", note="")
+
+    def _chosen(
+        self, wanted: Mapping[str, Any], tuned: Tuned, values: dict[str, float | None]
+    ) -> dict[str, float | None]:
+        """What is set from now on; a value that the camera or the configuration refuses leaves the camera on."""
+        self._error = self._note = ""
+        try:
+            if wanted.get("do") == "save_camera":
+                self._save(wanted)
+                return values
+            new = self._values(wanted)
+            tuned.adjust(new["exposure_us"], new["gain"])
+        except CeilvoError as e:
+            self._error = _line(e)
+            return values
+        return new
 
     def _asked(self) -> dict[str, Any] | None:
         """The latest of what was asked for in between."""
         latest = None
         while (command := self._wire.command(wait=False)) is not None:
-            if command.get("do") in ("tune", "stop"):
+            if command.get("do") in ("tune", "stop", "save_camera"):
                 latest = command
         return latest
 
@@ -186,13 +202,17 @@ class Tuning:
         edge = edge_width_px(gray)
         found = flicker(light)
         self._wire.say(
-            "tuning", on=True, error="", note="", name=name, values=values, ranges=ranges,
+            "tuning", on=True, error=self._error, note=self._note, name=name, values=values, ranges=ranges,
             size=list(gray.shape[::-1]), histogram=np.histogram(gray, _BINS, (0, 256))[0], mean=float(gray.mean()),
             white=_white(gray), white_share=float(np.mean(gray >= _WHITE)), edge_px=edge if np.isfinite(edge) else None,
-            light=light_problem(gray), flicker=found.text, ripple=found.ripple, advice=found.exposures_us,
+            light=light_problem(gray), flicker=found.text, advice=found.exposures_us,
             enough=len(light) == _LIGHT,
         )  # fmt: skip
         self._wire.show(gray)
+
+
+def _line(error: CeilvoError) -> str:
+    return one_line(str(error).split("\n")[0], 600)
 
 
 def _white(gray: NDArray[np.uint8]) -> list[list[float]]:

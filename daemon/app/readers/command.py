@@ -37,7 +37,10 @@ def add(commands: Commands, config_options: Options, config_of: ConfigOf) -> Non
 
     p = command(commands, "web", "show a running robot in a browser", "ceilvod web --config /etc/ceilvo/config.yaml")
     config_options(p)
-    p.set_defaults(do=lambda options: _web(config_of(options)))
+    p.add_argument(
+        "--simulate", action="store_true", help="for the robot of 'ceilvod run --simulate': no camera needed"
+    )
+    p.set_defaults(do=lambda options: _web(options, config_of(options)))
 
     example = "ceilvod export drive.mcap drive_ros2.mcap --ros2"
     p = command(commands, "export", "write a recording for other tools", example)
@@ -78,7 +81,7 @@ def _vda5050(config: Config) -> int:
     return tell_fleet(config)
 
 
-def _web(config: Config) -> int:
+def _web(options: argparse.Namespace, config: Config) -> int:
     from ceilvo.config.checks import cross_check
 
     try:
@@ -88,4 +91,4 @@ def _web(config: Config) -> int:
             raise
         raise ConfigError("web: found no aiohttp, expected it; pip install 'ceilvo[web]'") from e
     cross_check(config)
-    return serve_pages(config)
+    return serve_pages(config, options.config, options.simulate)
