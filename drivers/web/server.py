@@ -23,6 +23,7 @@ from ceilvo.drivers.ports import ON_DEMAND, Topic
 from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.web.answers import expect_json, json_of, refused
 from ceilvo.drivers.web.guard import Guard
+from ceilvo.drivers.web.recordings import Recordings
 from ceilvo.drivers.web.robot import Robot
 from ceilvo.drivers.web.wizard.process import Place, WizardProcess
 from ceilvo.drivers.web.wizard.routes import WizardRoutes, send
@@ -92,6 +93,7 @@ class Server:
         self._files = {p.name: p.read_bytes() for p in sorted(PAGES.rglob("*.*")) if p.suffix in _TYPES}
         folder = Path(config.web.state_dir or os.environ.get("STATE_DIRECTORY") or ".").resolve()
         self._process = WizardProcess(Place(config, config_file, folder, simulate))
+        self._recordings = Recordings(config, folder / "recordings", simulate, lambda: robot.alive)
         self._wizard = WizardRoutes(self._process, config.web.read_only, self._hello())
         self._open: set[web.WebSocketResponse] = set()
         self._quiet = QuietLog(log, 0.2, 10)
@@ -102,6 +104,7 @@ class Server:
             [
                 *(web.get(path, partial(self._file, name)) for path, name in _PAGES.items()),
                 *self._wizard.routes(),
+                *self._recordings.routes(),
                 web.get("/login", partial(self._file, "login.html")),
                 web.get("/pages/{name}", self._named),
                 web.get("/live", self._live),
@@ -203,10 +206,15 @@ class Server:
         """The newest of everything at the page's pace: what a slow page misses is not kept for it."""
         await ws.send_json({"topic": "hello", "data": self._hello()})
         seen: dict[str, int] = {}
+        recordings = ""
         with contextlib.suppress(ConnectionError):
             while not ws.closed:
                 for message in self._robot.news(seen, topics):
                     await send(ws, message)
+                now = self._recordings.news()
+                if now != recordings:
+                    recordings = now
+                    await send(ws, now)
                 await asyncio.sleep(1.0 / self._web.rate_hz)
 
     def _hello(self) -> dict[str, object]:
@@ -216,6 +224,7 @@ class Server:
         for ws in list(self._open):
             await ws.close(code=1001, message=b"the server ends")
         await self._wizard.close()
+        await self._recordings.close()
 
 
 def _wanted(text: str) -> set[Topic] | None:

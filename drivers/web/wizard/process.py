@@ -153,7 +153,7 @@ class WizardProcess:
                     break
                 self._take(kind, await process.stdout.readexactly(length))
         code = await process.wait()
-        if code != 0:
+        if code != 0 and process is self._process:
             log.warning(_LOST.format(code=code))
             self._tell("lost", json.dumps({"topic": "lost", "data": {"text": _LOST.format(code=code)}}))
         self._busy = False

@@ -9,56 +9,21 @@ from pathlib import Path
 
 import pytest
 from chromium import PROGRAM, Chromium, Page
+from page_looks import PICTURES, SIZES, kept_to_itself, whole
 from patience import until
 from simulated_daemon import SimulatedDaemon
 from web_parts import config_for, served
 from zenoh_world import free_port
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="chromium is not installed: apt-get install chromium")
-PICTURES = Path(__file__).resolve().parents[3] / "build" / "web"
 LONG_INIT = "states.tracking_frames=40"
 """4 s of frames: a session that tries every second to connect is there in time."""
-SIZES = {"laptop": (1280, 900), "phone": (390, 844)}
-OVERFLOWING = """
-[...document.querySelectorAll('main *, header *')].filter(e => {
-  const box = e.getBoundingClientRect(), card = e.closest('.card, header').getBoundingClientRect();
-  const log = e.closest('.log');
-  return box.width && !e.closest('svg') && (box.right > card.right + 1 || box.left < card.left - 1
-    || (!log && box.bottom > card.bottom + 1)
-    || (e.clientWidth && e.scrollWidth > e.clientWidth + 1 && !e.matches('input')));
-}).map(e => e.id || e.className || e.tagName)
-"""
-OVERLAPPING = """
-(() => {
-  const cards = [...document.querySelectorAll('.card')].map(e => [e.className, e.getBoundingClientRect()]);
-  const buttons = [...document.querySelectorAll('button, input')].filter(e => e.offsetParent)
-    .map(e => [e.id, e.getBoundingClientRect()]);
-  const meet = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
-  return [cards, buttons].flatMap(all => all.flatMap(([n, a], i) =>
-    all.slice(i + 1).filter(([, b]) => meet(a, b)).map(([m]) => `${n} on ${m}`)));
-})()
-"""
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
     with Chromium(tmp_path_factory.mktemp("chromium")) as made:
         yield made
-
-
-def whole(page: Page) -> None:
-    """Nothing is cut, nothing lies on another."""
-    assert page.value("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
-    assert page.value(OVERFLOWING) == []
-    assert page.value(OVERLAPPING) == []
-
-
-def kept_to_itself(page: Page, address: str) -> None:
-    """No complaint in the console, nothing fetched from elsewhere."""
-    own = (address, address.replace("http", "ws", 1), f"blob:{address}", "about:")
-    assert len(page.asked) > 5
-    assert [url for url in page.asked if not url.startswith(own)] == []
-    assert page.complaints == []
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -1,6 +1,7 @@
 // The live page: one websocket in, three commands out.
 import { NisChart, showEvents, showHealth, showPose, showStates } from "./figures.js";
 import { MapView } from "./map.js";
+import { showRecordings } from "./recordings.js";
 import { follow as followRobot, link, post, say, shell } from "./shell.js";
 
 const byId = (id) => document.getElementById(id);
@@ -24,7 +25,7 @@ const handlers = {
     document.title = `${d.robot}: ceilvo`;
     readOnly = d.read_only;
     byId("read-only").hidden = !readOnly;
-    for (const id of ["set-pose", "relocalise", "save-map"]) byId(id).disabled = readOnly;
+    for (const id of ["set-pose", "relocalise", "save-map", "record"]) byId(id).disabled = readOnly;
     byId("leave").hidden = !d.signed_in;
   },
   link(d) {
@@ -55,6 +56,7 @@ const handlers = {
     map.particles = d;
     map.draw();
   },
+  recordings: (d) => showRecordings(d, readOnly),
   states: showStates,
   events: showEvents,
 };

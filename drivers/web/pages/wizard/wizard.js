@@ -120,6 +120,7 @@ function show() {
   byId("todo").textContent = now.todo;
   byId("go").textContent = now.done ? "Take more" : taken ? "Go on" : "Start";
   byId("go").hidden = Boolean(busy) || (now.done && !now.parts.length);
+  document.querySelector("main").classList.toggle("busy", Boolean(busy));
   const good = now.done && now.verdict === "PASS" && !now.outdated && !now.changed;
   const following = state.steps[state.steps.indexOf(now) + 1];
   byId("go").classList.toggle("main", !good);
