@@ -166,7 +166,10 @@ class Bench:
         cross_check(place.config, calibration, str(place.config_file))
         to = calibration_path(place.config, place.config_file)
         there = to.exists()
-        write_calibration(to, calibration, force=True)
+        try:
+            write_calibration(to, calibration, force=True)
+        except CalibrationError as e:
+            raise CalibrationError(f"{e}; or by hand: sudo cp {session.calibration_file} {to}") from None
         kept = f"; the old one is {to.name}.bak" if there else ""
         self._note = f"{to}: written{kept}; 'sudo systemctl restart ceilvod' takes it"
 

@@ -11,6 +11,7 @@ import os
 import queue
 import struct
 import threading
+from collections.abc import Callable
 from typing import Any, BinaryIO
 
 import cv2
@@ -29,8 +30,9 @@ _QUALITY = 80
 class Wire:
     """Messages may be sent from any thread; commands are for one."""
 
-    def __init__(self, out: BinaryIO, commands: BinaryIO) -> None:
-        self._out, self._commands = out, commands
+    def __init__(self, out: BinaryIO, commands: BinaryIO, on_end: Callable[[], object] = lambda: os._exit(0)) -> None:
+        """on_end: when the server has gone; all that counts is on disk."""
+        self._out, self._commands, self._on_end = out, commands, on_end
         self._lock = threading.Lock()
         self._inbox: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         threading.Thread(target=self._read, name="commands", daemon=True).start()
@@ -71,4 +73,4 @@ class Wire:
                 continue
             if isinstance(command, dict):
                 self._inbox.put(command)
-        os._exit(0)  # the server has gone; all that counts is on disk
+        self._on_end()

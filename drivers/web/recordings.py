@@ -22,7 +22,7 @@ from aiohttp import web
 from ceilvo.config import Config
 from ceilvo.config.rendering import render_config
 from ceilvo.drivers.bus.messages import short
-from ceilvo.drivers.web.answers import json_of, refused
+from ceilvo.drivers.web.wizard.answers import json_of, refused
 from ceilvo.errors import one_line
 from ceilvo.files import write_atomic
 

@@ -21,10 +21,10 @@ from ceilvo.drivers.bus.commands import MAX_COMMAND_BYTES, parse_command
 from ceilvo.drivers.bus.messages import load_object, short
 from ceilvo.drivers.ports import ON_DEMAND, Topic
 from ceilvo.drivers.rate_limit import QuietLog
-from ceilvo.drivers.web.answers import expect_json, json_of, refused
 from ceilvo.drivers.web.guard import Guard
 from ceilvo.drivers.web.recordings import Recordings
 from ceilvo.drivers.web.robot import Robot
+from ceilvo.drivers.web.wizard.answers import expect_json, json_of, refused
 from ceilvo.drivers.web.wizard.process import Place, WizardProcess
 from ceilvo.drivers.web.wizard.routes import WizardRoutes, send
 from ceilvo.errors import BusError, one_line

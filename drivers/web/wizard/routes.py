@@ -12,7 +12,7 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from ceilvo.drivers.bus.messages import short
-from ceilvo.drivers.web.answers import json_of, refused
+from ceilvo.drivers.web.wizard.answers import json_of, refused
 from ceilvo.drivers.web.wizard.process import Message, WizardProcess
 
 log = logging.getLogger(__name__)

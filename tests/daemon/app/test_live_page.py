@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from chromium import PROGRAM, Chromium, Page
+from mcap.reader import make_reader
 from page_looks import PICTURES, SIZES, kept_to_itself, whole
 from patience import until
 from simulated_daemon import SimulatedDaemon
@@ -32,7 +33,7 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
 ) -> None:
     port, state = free_port(), tmp_path / "state"
     state.mkdir()
-    with served(config_for(port)) as address:
+    with served(config_for(port, state_dir=str(tmp_path))) as address:
         page = browser.page()
         page.size(*SIZES[size], touch=size == "phone")
         page.go(f"{address}/")
@@ -59,8 +60,30 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
             page.click("#save-map")
             page.until("/^map saved: [0-9]+ landmarks/.test(document.querySelector('#reply').innerText)")
             assert (state / "map.db").exists()
+            if size == "laptop":
+                recorded(page, tmp_path)
         page.until("document.querySelector('#link').innerText === 'daemon not running'")
         kept_to_itself(page, address)
+
+
+def recorded(page: Page, tmp_path: Path) -> None:
+    """What is taken home is what the robot said."""
+    page.value("document.querySelector('#show-picture').click()")  # the recording's own pictures
+    page.click("#record")
+    page.until("/recording [1-9][0-9]* s/.test(document.querySelector('#recording').innerText)")
+    page.picture(PICTURES / "laptop-recording.png")
+    page.click("#record")
+    page.until("document.querySelectorAll('#recording-list a').length === 1")
+    page.value("document.querySelector('#recordings').open = true")
+    [file] = (tmp_path / "recordings").glob("*.mcap")
+    sizes = "fetch(document.querySelector('#recording-list a').href).then(r => r.arrayBuffer()).then(b => b.byteLength)"
+    assert page.value(sizes) == file.stat().st_size
+    with file.open("rb") as stream:
+        topics = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+    assert {"/pose/figures", "/health"} <= set(topics) and topics.count("/pose/figures") > 5
+    page.click("#recording-list button")
+    page.until("document.querySelector('#recordings').hidden")
+    assert not file.exists()
 
 
 def set_and_send(page: Page, daemon: SimulatedDaemon, state: Path, size: str) -> None:

@@ -2,6 +2,7 @@
 import { colour, follow, link, post, prepared, say, shell } from "./shell.js";
 
 const byId = (id) => document.getElementById(id);
+const EDGE_PX = 0.5; // narrower there is no edge, only noise or white
 const SOFT_PX = 5.5;
 const BLURRED_PX = 7;
 const SETTLE_MS = 120; // from the slider's last move to the camera
@@ -91,7 +92,7 @@ function show(d) {
     if (d.values.gain !== null) setGain(d.values.gain);
     else if (!byId("gain-value").value) setGain(gainRange ? gainRange[0] : 0);
   }
-  const edge = d.edge_px;
+  const edge = d.edge_px > EDGE_PX ? d.edge_px : null;
   const words = edge === null ? "none" : edge < SOFT_PX ? "sharp" : edge < BLURRED_PX ? "soft" : "blurred";
   meter("sharp", edge ?? 12, edge === null ? "no edges" : `${edge.toFixed(1)} px, ${words}`);
   meter("white", 100 * d.white_share, `${(100 * d.white_share).toFixed(1)} % of it`);
@@ -115,7 +116,7 @@ function hint() {
   const d = told;
   if (!d?.on) return ["", "the camera is off"];
   if (d.light) return ["no", d.light];
-  if (d.edge_px === null || d.edge_px > BLURRED_PX) return ["no", "blurred: turn the lens until edges are narrowest"];
+  if (!(d.edge_px > EDGE_PX) || d.edge_px > BLURRED_PX) return ["no", "blurred: turn the lens until edges are narrowest"];
   if (d.white_share > 0.05) return ["do", "much is white: shorten the exposure"];
   if (d.mean < 40) return ["do", "rather dark: lengthen the exposure, then raise the gain"];
   if (d.enough && d.advice.length) return ["do", `lamps flicker: expose for ${d.advice.join(" or ")} us`];

@@ -98,7 +98,7 @@ function curves(canvas, { curves: both }) {
     c.fillText(`sigma_${name}`, left + 12, 18 + 15 * n);
     mark(c, sign, left + 5, 14 + 15 * n);
   });
-  return "sigma(r) with its 95 % band, and what was measured (x: discs and a line, y: crosses and dashes)";
+  return "sigma(r) in mm with its 95 % band, and what was measured (x: discs and a line, y: crosses and dashes)";
 }
 
 function mark(c, sign, x, y) {
@@ -130,7 +130,6 @@ function axes(c, canvas, w, h, left, bottom, rMost, top) {
   }
   c.fillText("r, metres from below the camera", left + (w - left) / 2, h - 3);
   c.textAlign = "left";
-  c.fillText("mm", 2, 10);
 }
 
 function line(c, x0, y0, x1, y1) {

@@ -2,6 +2,7 @@
 import { prepared } from "./shell.js";
 
 const byId = (id) => document.getElementById(id);
+const EDGE_PX = 0.5; // narrower there is no edge, only noise or white
 const EDGES_FINE_PX = 5.5;
 const EDGES_SOFT_PX = 7;
 
@@ -12,6 +13,7 @@ export class View {
     this.look = null;
     this.corners = [];
     this.computing = "";
+    this.ended = false;
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
@@ -38,14 +40,16 @@ export class View {
   take(look) {
     this.look = look;
     this.computing = "";
-    const { edge_px: edge, motion_px: motion, area } = look;
+    this.ended = false;
+    const { edge_px: width, motion_px: motion, area } = look;
+    const edge = width > EDGE_PX ? width : null;
     const words = edge === null ? "none" : edge < EDGES_FINE_PX ? "sharp" : edge < EDGES_SOFT_PX ? "soft" : "blurred";
     meter("sharp", edge ?? 12, edge === null ? "no edges" : `${edge.toFixed(1)} px, ${words}`);
     const still = motion < 2 ? "still" : motion < 8 ? "moving" : "too fast";
     if (motion === null) meter("motion", 0, "single pictures");
     else meter("motion", motion, `${motion.toFixed(1)} px, ${still}`);
-    if (area === undefined) meter("covered", 0, "–");
-    else meter("covered", 100 * area, `${(100 * area).toFixed(0)} % of 70 %`);
+    for (const e of document.querySelectorAll("#covered, #covered-text, [for=covered]")) e.hidden = area === undefined;
+    if (area !== undefined) meter("covered", 100 * area, `${(100 * area).toFixed(0)} % of 70 %`);
     byId("progress").textContent = `${look.count} taken, ${look.rejected} not; ${look.text ?? look.name}`;
     items(byId("missing"), look.missing ?? []);
     this.draw();
@@ -56,6 +60,7 @@ export class View {
     if (this.computing) return ["do", `computing: ${this.computing}`];
     const look = this.look;
     if (!look) return ["", "no picture yet"];
+    if (this.ended) return ["", "the last picture of this step"];
     if (look.light) return ["no", look.light];
     if (look.reason && !/^(as one|board not seen)/.test(look.reason)) return ["no", look.reason];
     if (look.hint) return ["do", look.hint];

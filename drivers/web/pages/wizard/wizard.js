@@ -37,7 +37,10 @@ follow("/wizard", {
     state(d) {
       const worked = state?.busy && !d.busy;
       state = d;
-      if (worked) view.computing = "";
+      if (worked) {
+        view.computing = "";
+        view.ended = true;
+      }
       if (d.busy) {
         if (shown !== d.busy.step) showStep(d.busy.step);
         if (!worked) view.clear();
