@@ -18,8 +18,8 @@ from ceilvo.calib.practice.virtual_exposure import RANGES, RATE_HZ, VirtualExpos
 from ceilvo.calib.targets.quality import edge_width_px, light_problem
 from ceilvo.calib.targets.sources import Picture
 from ceilvo.calib.wizard.bench import Place
+from ceilvo.calib.wizard.configuration import change_config
 from ceilvo.calib.wizard.wire import Wire
-from ceilvo.config.edit import change_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.config.rendering import yaml_text
 from ceilvo.drivers.camera.v4l2_camera import V4l2Camera

@@ -22,6 +22,7 @@ from ceilvo.calib.wizard.wire import Wire
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
 from ceilvo.config.reader import load_config
+from ceilvo.drivers.host.machine import Machine
 from ceilvo.drivers.pictures import decoded
 
 Said = list[tuple[str, Any]]
@@ -258,6 +259,18 @@ def test_practice_does_not_get_into_a_robot(tmp_path: Path, projected: Path) -> 
 def test_wrong_answers_are_one_line(hand: Hand, command: dict[str, Any], says: str) -> None:
     state = hand.do("start", **command)
     assert says in state["error"] and "\n" not in state["error"]
+
+
+def test_who_has_the_camera_is_said_in_one_line(
+    tmp_path: Path, projected: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    projected_into(tmp_path / "commissioning", projected)
+    file = tmp_path / "config.yaml"
+    file.write_text("camera:\n  device: /dev/null\n  width_px: 480\n  height_px: 360\n")
+    monkeypatch.setattr(Machine, "holders", lambda self, node: ["ceilvod (pid 812)"] if node == "/dev/null" else [])
+    error = Hand(tmp_path, file, simulate=False).do("start", step="sigma")["error"]
+    assert "cannot be opened" in error and "\n" not in error
+    assert error.endswith("ceilvod (pid 812) has it: 'sudo systemctl stop ceilvod', and try again")
 
 
 def test_marks_are_clicked_on_the_page(hand: Hand) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from ceilvo.calib.wizard.configuration import change_config, with_values
 from ceilvo.config import Config
-from ceilvo.config.edit import change_config, with_values
 from ceilvo.config.reader import parse_config
 from ceilvo.config.rendering import render_config
 from ceilvo.errors import ConfigError
