@@ -94,6 +94,8 @@ def collect(
             progress.note(f"going on with {len(out.seen)} pictures of the run before")
 
         def tell(picture: Picture, reason: str, view: GridView | None, taken: bool = False) -> None:
+            if not watch.present:
+                return
             views = [(s.name, None) for s in out.seen]
             uv = np.zeros((0, 2)) if view is None else view.uv_px
             watch.looked(Look(step, picture, reason, taken, uv, views, {}, "" if enough(out) else ask))

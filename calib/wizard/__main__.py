@@ -40,8 +40,8 @@ def _work() -> None:
     while True:
         command = wire.command(wait=True) or {}
         if command.get("do") in ("tune", "save_camera"):
-            tuning.obey(command)
-            bench.tell()
+            left = tuning.obey(command)
+            bench.obey({"do": "look"} if left is None else left)
         else:
             bench.obey(command)
 

@@ -195,7 +195,7 @@ class Bench:
                     "words": results.verdict(page.step, result) if result else damaged,
                     "rows": self._rows(session, page.step, stamp_s) if done else [],
                     "outdated": done and stamp_s + _EARLIER_S < before_s,
-                    "changed": done and any(_modified_s(_samples(session, p)) > stamp_s + 1.0 for p in page.parts),
+                    "changed": done and any(_modified_s(_samples(session, p)) > stamp_s for p in page.parts),
                     "counts": {p: max(0, len(session.sample_lines(p)) - 1) for p in page.parts},
                 }
             )

@@ -83,10 +83,12 @@ class Tuning:
     def __init__(self, place: Place, wire: Wire) -> None:
         self._place, self._wire = place, wire
         self._error = self._note = ""
+        self._left: dict[str, Any] | None = None
 
-    def obey(self, command: Mapping[str, Any]) -> None:
-        """Run until stopped, or until something else is to be done; what goes wrong is said."""
+    def obey(self, command: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Run until stopped, or until something else is to be done, which is returned; what goes wrong is said."""
         self._error = self._note = ""
+        self._left = None
         try:
             if command.get("do") == "save_camera":
                 self._save(command)
@@ -95,6 +97,7 @@ class Tuning:
         except CeilvoError as e:
             self._error, self._note = _line(e), ""
         self._wire.say("tuning", on=False, error=self._error, note=self._note)
+        return self._left
 
     def _save(self, command: Mapping[str, Any]) -> None:
         place, values = self._place, {f"camera.{k}": v for k, v in self._values(command).items()}
@@ -161,6 +164,9 @@ class Tuning:
         while (command := self._wire.command(wait=False)) is not None:
             if command.get("do") in ("tune", "stop", "save_camera"):
                 latest = command
+            elif command.get("do") != "look":
+                self._left = command
+                return {"do": "stop"}
         return latest
 
     @contextmanager

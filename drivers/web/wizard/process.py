@@ -57,7 +57,7 @@ class WizardProcess:
         self._reader: asyncio.Task[None] | None = None
         self._told: dict[str, tuple[int, Message]] = {}
         self._number = 0
-        self._busy = False
+        self._busy = self._tuning = False
         self._pages = 0
         self._ending: asyncio.TimerHandle | None = None
         self.session: Path | None = None
@@ -73,7 +73,7 @@ class WizardProcess:
         """A page is closed: the camera's settings are of no use without one, a step goes on."""
         self._pages -= 1
         if self._pages == 0:
-            if '"on": true' in str(self._told.get("tuning", (0, ""))[1])[:60]:
+            if self._tuning:
                 self._write({"do": "stop"})
             self._end_later()
 
@@ -156,7 +156,7 @@ class WizardProcess:
         if code != 0 and process is self._process:
             log.warning(_LOST.format(code=code))
             self._tell("lost", json.dumps({"topic": "lost", "data": {"text": _LOST.format(code=code)}}))
-        self._busy = False
+        self._busy = self._tuning = False
 
     def _take(self, kind: bytes, payload: bytes) -> None:
         if kind != b"J":
@@ -171,6 +171,8 @@ class WizardProcess:
             if not self._busy:
                 for name in ("look", "computing", "click", "picture C"):
                     self._told.pop(name, None)
+        elif topic == "tuning":
+            self._tuning = bool(data["on"])
         elif topic == "clicked":
             for name in ("click", "picture C"):
                 self._told.pop(name, None)

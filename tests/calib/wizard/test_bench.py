@@ -7,6 +7,7 @@ import json
 import queue
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,11 @@ import pytest
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.session import common
 from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.watch import Look
 from ceilvo.calib.targets.sources import ListSource, Picture, Source, SourceInfo
 from ceilvo.calib.wizard.bench import Bench, Place
+from ceilvo.calib.wizard.onlooker import Onlooker
+from ceilvo.calib.wizard.tuning import Tuning
 from ceilvo.calib.wizard.wire import Wire
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
@@ -271,6 +275,30 @@ def test_who_has_the_camera_is_said_in_one_line(
     error = Hand(tmp_path, file, simulate=False).do("start", step="sigma")["error"]
     assert "cannot be opened" in error and "\n" not in error
     assert error.endswith("ceilvod (pid 812) has it: 'sudo systemctl stop ceilvod', and try again")
+
+
+def test_the_cameras_settings_give_way_to_a_step(hand: Hand) -> None:
+    tuning = Tuning(hand.bench._place, hand.wire)
+    hand.commands.give(do="start", step="sigma")
+    settle(hand)
+    assert tuning.obey({"do": "tune", "practice": True}) == {"do": "start", "step": "sigma"}
+    told = [data for topic, data in hand.said if topic == "tuning"]
+    assert told[-1] == {"on": False, "error": "", "note": ""}
+    assert tuning.obey({"do": "save_camera", "exposure_us": 1.0, "gain": None}) is None
+    assert "camera.exposure_us" in [data for topic, data in hand.said if topic == "tuning"][-1]["error"]
+
+
+@pytest.mark.parametrize("shift_px", [(0, 0), (8, 0), (-5, 12)])
+def test_motion_is_that_of_the_picture(hand: Hand, stock: dict[str, list[Picture]], shift_px: tuple[int, int]) -> None:
+    still = stock["places"][0]
+    moved = replace(still, gray=np.roll(still.gray, shift_px, axis=(1, 0)))
+    watch = Onlooker(hand.wire, lambda *_: None)
+    watch.opened(SourceInfo("camera", "", live=True))
+    for picture in (still, moved):
+        watch.looked(Look("check", picture, "", True, np.zeros((0, 2)), [], {}, ""))
+    first, second = hand.looks()
+    assert first["motion_px"] is None
+    assert second["motion_px"] == pytest.approx(np.hypot(*shift_px), abs=1.0)
 
 
 def test_marks_are_clicked_on_the_page(hand: Hand) -> None:
