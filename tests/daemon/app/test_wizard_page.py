@@ -137,6 +137,7 @@ def test_what_was_done_looks_well_at_the_other_size(browser: Chromium, robot: Pa
         page.size(*SIZES[size], dark=True, touch=size == "phone")
         engineer.look("check-dark")
         undone(engineer)
+        marked(engineer)
         kept_to_itself(page, address)
 
 
@@ -151,6 +152,28 @@ def undone(engineer: Engineer) -> None:
     page.click("#undo")
     page.until(f"document.querySelectorAll('#views li').length === {views}")
     page.until("/a view deleted$/.test(document.querySelector('#reply').innerText)")
+
+
+def marked(engineer: Engineer) -> None:
+    """Marks are set with keys, wherever, so that the step fails; it comes back as it was."""
+    page = engineer.page
+    page.value("document.querySelector('#answer-marks').value = 'x_m,y_m\\n0,0\\n1,0'")
+    page.click("#go")
+    page.until("document.querySelector('#marks').open && /1 of 6/.test(document.querySelector('#marks-ask').innerText)")
+    for k in range(6):
+        page.value("document.querySelector('#marks-canvas').focus()")
+        for name in [*["ArrowRight", "ArrowDown"][: k % 3], " "]:
+            page.key(name)
+    page.key("u")
+    page.until("/6 of 6/.test(document.querySelector('#marks-ask').innerText)")
+    page.key(" ")
+    engineer.look("marks")
+    assert page.value("document.querySelector('#marks').scrollWidth <= document.querySelector('#marks').clientWidth")
+    page.click("#marks-send")
+    page.until("!document.querySelector('#marks').open && !document.querySelector('main').classList.contains('busy')")
+    page.until("document.querySelector('#verdict').dataset.verdict !== 'PASS'")
+    page.click("#undo")
+    page.until("document.querySelector('#verdict').dataset.verdict === 'PASS'")
 
 
 @pytest.mark.parametrize("size", SIZES)
