@@ -93,7 +93,8 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
                 ok = estimate.motion.ok or not survey.path
                 survey.add(frame.gray, estimate, view.crossings if view else None, ok)
                 progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")
-                _tell(watch, survey, frame, np.zeros((0, 2)) if not ok or view is None else view.crossings.uv_px)
+                seen = None if view is None else view.crossings
+                _tell(watch, survey, frame, np.zeros((0, 2)) if seen is None else seen.uv_px)
                 if watch.ended:
                     break
             ended = watch.ended

@@ -49,7 +49,8 @@ def intrinsics_result(fit: Intrinsics, scores: Mapping[str, float], camera_id: s
 def vectors(uv_px: Array, residual_px: Array) -> list[list[float]]:
     """u, v and the residual there, px, of points spread evenly over all: for a plot."""
     every = max(1, len(uv_px) // _VECTORS)
-    return np.column_stack([uv_px, residual_px])[::every].round(4).tolist()
+    rows: list[list[float]] = np.column_stack([uv_px, residual_px])[::every].round(4).tolist()
+    return rows
 
 
 def radial_profile(fit: Intrinsics, rings: int = 8) -> list[dict[str, float]]:

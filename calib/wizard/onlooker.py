@@ -127,11 +127,16 @@ class Onlooker(Watch):
         self._wire.say("click", names=names, size=list(gray.shape[::-1]))
         self._wire.show_to_click(gray)
         self._clicks = None
-        while self._clicks is None or self._clicks.shape != (len(names), 2):
+        while (clicks := self._clicks_of(len(names))) is None:
             self._take(self._wire.command(wait=True))
-        off = None if true_px is None else np.hypot(*(self._clicks - true_px).T).round(2)
+        off = None if true_px is None else np.hypot(*(clicks - true_px).T).round(2)
         self._wire.say("clicked", off_px=off)
-        return self._clicks
+        return clicks
+
+    def _clicks_of(self, count: int) -> Array | None:
+        """Those that were sent, when they are as many as there are marks."""
+        clicks = self._clicks
+        return None if clicks is None or clicks.shape != (count, 2) else clicks
 
     def _obey(self) -> None:
         while (command := self._wire.command(wait=False)) is not None:

@@ -156,4 +156,4 @@ def lens_uncertainty_px(camera: CameraModel, cov: Array) -> Array:
         step[i] = _STEP * max(1.0, abs(p[i]))
         columns.append((make(p + step).pixels(rays) - make(p - step).pixels(rays)) / (2.0 * step[i]))
     jacobian = np.stack(columns, axis=-1)  # (N, 2, K)
-    return np.sqrt(np.einsum("nik,kl,nil->n", jacobian, cov, jacobian))
+    return np.asarray(np.sqrt(np.einsum("nik,kl,nil->n", jacobian, cov, jacobian)), np.float64)

@@ -179,7 +179,7 @@ class Tuning:
         settings = self._place.config.camera
         if settings.source != "v4l2":
             raise CameraError(f"camera.source: {settings.source}: a recording has no exposure that could be set")
-        camera = V4l2Camera(replace(settings, **values))
+        camera = V4l2Camera(replace(settings, exposure_us=values["exposure_us"], gain=values["gain"]))
         info = camera.open()
         try:
             yield _Real(camera), self._ranges(), info.name

@@ -185,11 +185,13 @@ def follow(
     stop: threading.Event,
     on_ready: Callable[[], None] = lambda: None,
     idle: Callable[[], None] = lambda: None,
+    at_end: Callable[[], None] = lambda: None,
 ) -> None:
     """Give all that a robot says to `log_to`, as View does, until `stop` is set.
 
     Args:
         idle: called several times a second, in the same thread as `log_to`.
+        at_end: called there when `stop` is set, before Zenoh is left, which may take a while.
 
     Raises:
         BusError: Zenoh cannot be used as configured.
@@ -220,3 +222,4 @@ def follow(
             idle()
 
         feed.each(stop, take, now_and_then)
+        at_end()

@@ -32,8 +32,7 @@ def keep(
         file.write(Message(channel, unix_ns - head.unix_minus_monotonic_ns, lambda _: data))
 
     try:
-        follow(config, robot, log_to, stop, on_ready, lambda: file.tick(time.monotonic_ns()))
-        file.close()
+        follow(config, robot, log_to, stop, on_ready, lambda: file.tick(time.monotonic_ns()), file.close)
     except OSError as e:
         raise FileFormatError(f"{path}: cannot be written ({e.strerror}); make room") from e
     finally:

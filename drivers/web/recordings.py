@@ -33,8 +33,8 @@ _LISTED = 20
 """The latest ones."""
 _LOOK_S = 0.5
 """From one look at the size to the next."""
-_END_S = 10.0
-"""That a recording may take to write its index."""
+_END_S = 60.0
+"""That a recording may take to write its index, on a computer with much else to do."""
 _SPARE = 2
 """Times the size of a recording that must be free on the disk."""
 

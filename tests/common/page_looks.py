@@ -10,7 +10,7 @@ PICTURES = Path(__file__).resolve().parents[2] / "build" / "web"
 """Screenshots, kept for whoever wants to look."""
 SIZES = {"laptop": (1280, 900), "phone": (390, 844)}
 OVERFLOWING = """
-[...document.querySelectorAll('main *, header *')].filter(e => {
+[...document.querySelectorAll('main *, header *')].filter(e => e.closest('.card, header')).filter(e => {
   const box = e.getBoundingClientRect(), card = e.closest('.card, header').getBoundingClientRect();
   const log = e.closest('.log, .view-list');
   return box.width && !e.closest('svg') && (box.right > card.right + 1 || box.left < card.left - 1

@@ -89,6 +89,11 @@ class WizardProcess:
         elif self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
 
+    @property
+    def works(self) -> bool:
+        """Whether a step goes on."""
+        return self._busy
+
     async def ready(self) -> None:
         """Start the process where there is none."""
         if self._process is not None and self._process.returncode is None:
@@ -112,10 +117,10 @@ class WizardProcess:
         """Pass a command on; a stop that is not heard ends the process, and another one takes over."""
         await self.ready()
         self._write(command)
-        if command.get("do") == "stop" and self._busy:
+        if command.get("do") == "stop" and self.works:
             for _ in range(round(10 * _STOP_S)):
                 await asyncio.sleep(0.1)
-                if not self._busy:
+                if not self.works:
                     return
             await self.end()
             await self.ready()
