@@ -89,7 +89,6 @@ class WizardProcess:
         elif self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
 
-    @property
     def works(self) -> bool:
         """Whether a step goes on."""
         return self._busy
@@ -117,10 +116,10 @@ class WizardProcess:
         """Pass a command on; a stop that is not heard ends the process, and another one takes over."""
         await self.ready()
         self._write(command)
-        if command.get("do") == "stop" and self.works:
+        if command.get("do") == "stop" and self.works():
             for _ in range(round(10 * _STOP_S)):
                 await asyncio.sleep(0.1)
-                if not self.works:
+                if not self.works():
                     return
             await self.end()
             await self.ready()
