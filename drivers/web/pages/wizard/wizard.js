@@ -126,7 +126,7 @@ function show() {
   document.querySelector("main").classList.toggle("busy", Boolean(busy));
   const good = now.done && now.verdict === "PASS" && !now.outdated && !now.changed;
   const following = state.steps[state.steps.indexOf(now) + 1];
-  byId("go").classList.toggle("main", !good);
+  byId("go").classList.toggle("main", !good && !now.changed);
   byId("next").hidden = Boolean(busy) || !good || !following;
   byId("next").textContent = following ? `Next: ${following.title}` : "";
   byId("enough").hidden = byId("stop").hidden = !busy;
