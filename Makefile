@@ -7,7 +7,7 @@ FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist test-robot clean
 .PHONY: bench-fusion soak bench-wires bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
-.PHONY: bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
+.PHONY: bench-wizard bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
 help:
@@ -23,6 +23,7 @@ help:
 	@echo "make bench-find-place time, memory and answers of the place index on halls of 150 m"
 	@echo "make bench-gaps        what odometry claims after gaps against the truth: SEED=901"
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
+	@echo "make bench-wizard      commissioning in Chromium, phone and laptop, from nothing to TRACKING, timed step by step"
 	@echo "make soak              the daemon with faults and floods for hours: HOURS=1; verdict, plot and JSON in build/bench/"
 	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
 	@echo "make bench-refine      maps of buildings before and after refinement"
@@ -73,6 +74,9 @@ bench-gaps: $(VENV)/.installed-bench
 
 bench-find-place: $(VENV)/.installed-bench
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.speed.find_place
+
+bench-wizard: $(VENV)/.installed-dev
+	WIZARD_SIZES=phone,laptop $(BIN)/python -m pytest -s tests/daemon/app/test_wizard_page.py
 
 bench-calib: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.calib.study sigma --count 100

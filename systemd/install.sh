@@ -28,6 +28,7 @@ RULES=/etc/udev/rules.d/60-ceilvo.rules
 SYSUSERS=/etc/sysusers.d/ceilvo.conf
 MAPD_UNIT=/etc/systemd/system/ceilvo-mapd.service
 MAPD_STATE=/var/lib/ceilvo-mapd
+WEB_STATE=/var/lib/ceilvo-web
 MAPD_SYSUSERS=/etc/sysusers.d/ceilvo-mapd.conf
 WEB_UNIT=/etc/systemd/system/ceilvo-web.service
 WEB_SYSUSERS=/etc/sysusers.d/ceilvo-web.conf
@@ -257,7 +258,7 @@ do_uninstall() {
   done
   rm -rf "$root$APP" "$root$APP.new" "$root$APP.old"
   if [ "$purge" = yes ]; then
-    rm -rf "$root$CONF" "$root$STATE" "$root$MAPD_STATE"
+    rm -rf "$root$CONF" "$root$STATE" "$root$MAPD_STATE" "$root$WEB_STATE"
   else
     say "kept: $CONF $STATE"
   fi
@@ -269,8 +270,7 @@ do_uninstall() {
 # Kept state goes to root, so that the next user with this number does not own it; systemd hands it back at a start.
 remove_user() {
   local state user
-  if grep -qs "^ceilvo-web:" "$root/etc/passwd"; then userdel ${root:+--prefix "$root"} ceilvo-web; fi
-  for state in "$STATE" "$MAPD_STATE"; do
+  for state in "$STATE" "$MAPD_STATE" "$WEB_STATE"; do
     user=${state##*/}
     [ ! -d "$root$state" ] || chown -R root:root "$root$state"
     if grep -qs "^$user:" "$root/etc/passwd"; then userdel ${root:+--prefix "$root"} "$user"; fi

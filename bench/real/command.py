@@ -31,7 +31,7 @@ from ceilvo.camera import CameraModel
 from ceilvo.config import Config, Features
 from ceilvo.config.rendering import render_config
 from ceilvo.daemon import cli
-from ceilvo.daemon.replay.overlay import draw_overlay
+from ceilvo.daemon.replay.drawing.overlay import draw_overlay
 from ceilvo.daemon.replay.trajectory import (
     Trajectory,
     TrajectoryError,

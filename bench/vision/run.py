@@ -18,7 +18,7 @@ from ceilvo.bench.vision.metrics import CrossingScore, MotionScore, TrackingScor
 from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.overlay import draw_overlay, previous_pixels
+from ceilvo.daemon.replay.drawing.overlay import draw_overlay, previous_pixels
 from ceilvo.errors import FileFormatError
 from ceilvo.types import Array, Frame
 

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     _, roll, pitch = mount_angles(calibration.camera_from_base)
     got = collect(
         args, session, STEP, calibration.camera, bench, tilt_rad=(roll, pitch), wanted=moved,
-        enough=lambda c: len(c.seen) >= _PICTURES,
+        enough=lambda c: len(c.seen) >= _PICTURES, ask="push the robot about under the tiled ceiling",
     )  # fmt: skip
     check_fits(calibration, "the camera", got.camera_id, calibration.camera.width_px, calibration.camera.height_px)
     found = check(calibration, stations(got))

@@ -21,7 +21,10 @@ from ceilvo.calib.session.common import (
     pictures,
     session_of,
 )
+from ceilvo.calib.session.lens_watch import LensWatch
 from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.views import ALIKE
+from ceilvo.calib.session.watch import watch_of
 from ceilvo.calib.solve.intrinsics import (
     MIN_SHOTS,
     MODELS,
@@ -97,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
             f"they are kept in {session.folder}: take more and run the same command to go on"
         )
     progress.tell("fitting lens models")
+    watch_of(args).told(f"{len(shots)} pictures: fitting lens models")
     fit, scores = fit_best(shots, size, args.model, keep_all=args.keep_all)
     progress.end()
     covered = coverage(shots, size, light)
@@ -136,7 +140,7 @@ def _collect(
     args: argparse.Namespace, session: Session, board: Board
 ) -> tuple[list[Shot], tuple[int, int], str, Progress, Light | None]:
     """Shots of this run and of the interrupted one before it, on disk as soon as they are found."""
-    progress, finder = Progress(STEP), BoardFinder(board, args.window_px)
+    progress, finder, watch = Progress(STEP), BoardFinder(board, args.window_px), LensWatch(watch_of(args), STEP)
     bench = bench_of(args).board(board, _SIMULATED) if args.simulate else None
     with pictures(args, bench) as source:
         subject = board.subject | {"source": source.info.name, "window_px": args.window_px}
@@ -148,6 +152,11 @@ def _collect(
         seen = rejected = alike = 0
         unseen: list[Picture] = []
         for picture in source:
+            for index in watch.dropped():
+                session.drop_sample(STEP, index)
+                del shots[index]
+            if watch.ended:
+                break
             seen += 1
             if picture.name in done and not source.info.live:
                 continue
@@ -159,12 +168,14 @@ def _collect(
                 if not new and not _is_new(board, shots, sighting.ids, sighting.uv_px, picture):
                     alike += 1
                     progress.tell(f"{len(shots)} taken; move the board")
+                    watch(picture, ALIKE, sighting.uv_px, shots, light)
                     continue
             if reason:
                 rejected += 1
                 if not source.info.live:
                     progress.note(f"{picture.name}: rejected, {reason}")
                 progress.tell(f"{len(shots)} taken; {reason}")
+                watch(picture, reason, None, shots, light)
                 if "not seen" in reason and len(unseen) < 3:
                     unseen.append(picture)
             else:
@@ -184,6 +195,7 @@ def _collect(
                 light = lighter(light, here) if light is not None or len(shots) == 1 else None
                 covered = coverage(shots, size, light)
                 progress.tell(f"{len(shots)} taken, {rejected} rejected; {covered.text}")
+                watch(picture, "", sighting.uv_px, shots, light, covered)
                 if source.info.live:
                     session.write("intrinsics/live.png", _png(coverage_picture(shots, size, picture.gray, light)))
                     if (len(shots) >= _LIVE_ENOUGH and not covered.missing()) or len(shots) >= _LIVE_MOST:

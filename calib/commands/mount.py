@@ -134,6 +134,7 @@ def _pictures(args: argparse.Namespace, session: Session, camera: CameraModel, l
                 wanted=partial(moved, fraction=_SMALL_FRACTION),
                 enough=_turned if part == SPIN else lambda c: _travelled(c) * level[2] >= _RUN_M,
                 wheels=wheels,
+                ask=_ASK[part],
             )
             out += [MountPicture(part, s.view, s.wheels) for s in got.seen]
     return out

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calib.evaluate import scale
-from ceilvo.calib.session.assemble import camera_from, update_file
+from ceilvo.calib.session.assemble import camera_from, update_file, vectors
 from ceilvo.calib.session.common import (
     Subcommands,
     add_step,
@@ -24,7 +24,8 @@ from ceilvo.calib.session.common import (
     session_of,
 )
 from ceilvo.calib.session.session import Session
-from ceilvo.calib.session.views import collect, moved
+from ceilvo.calib.session.views import Collection, collect, moved
+from ceilvo.calib.session.watch import watch_of
 from ceilvo.calib.solve.degeneracy import layout_problem
 from ceilvo.calib.solve.dlt import from_points_alone
 from ceilvo.calib.solve.grid import from_grid
@@ -32,7 +33,7 @@ from ceilvo.calib.solve.joint import Joint
 from ceilvo.calib.solve.projection import Mounting, from_points, plausible
 from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.targets.click_page import ClickPage
-from ceilvo.calib.targets.marks import clicked, detected, read_marks, together
+from ceilvo.calib.targets.marks import Click, clicked, detected, read_marks, together
 from ceilvo.calib.targets.points_file import ask_on_terminal, read_points
 from ceilvo.calibration_check import HEIGHTS_M, TILES_M
 from ceilvo.camera import CameraModel
@@ -132,13 +133,23 @@ def _grid(args: argparse.Namespace, session: Session, camera: CameraModel, cov: 
     tile_m = tile_of(args)
     spans = None if args.marks is None else _spans(args, (camera.width_px, camera.height_px))
     bench = bench_of(args).places(_PICTURES) if args.simulate else None
-    got = collect(args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES)
+    got = collect(
+        args, session, STEP, camera, bench, wanted=moved, enough=lambda c: len(c.seen) >= _PICTURES,
+        ask=f"put the robot elsewhere, turned differently, {_PICTURES} places in all",
+    )  # fmt: skip
     found, _ = from_grid(camera, got.views, tile_m, got.tilt_rad, cov, args.height_m)
     few = [f"{len(got.seen)} pictures, at least {_FEW} needed: other places, other headings"]
-    extra: dict[str, Any] = {"pictures": len(got.seen), "method": "grid", "spans": spans}
+    extra: dict[str, Any] = {"pictures": len(got.seen), "method": "grid", "spans": spans, "shots": _each(found, got)}
     if found.joint is not None and found.joint.agrees:
         extra["lens"] = _lens(found.joint, session.need("intrinsics", "the projection"))
     return found, extra | {"problems": few if len(got.seen) < _FEW else []}
+
+
+def _each(found: Mounting, got: Collection) -> list[dict[str, Any]]:
+    """rms of each picture that counts, px of one coordinate; the fit keeps the crossings' pixels as they were."""
+    mine = [np.isin(found.uv_px[:, 0], s.view.uv_px[:, 0]) for s in got.seen]
+    rms = [float(np.sqrt(np.mean(found.residual_px[m] ** 2))) if m.any() else None for m in mine]
+    return [{"name": s.name, "rms_px": r} for s, r in zip(got.seen, rms, strict=True) if r is not None]
 
 
 def _spans(args: argparse.Namespace, size: tuple[int, int]) -> Spans:
@@ -153,7 +164,7 @@ def _spans(args: argparse.Namespace, size: tuple[int, int]) -> Spans:
             some = itertools.islice(usable, _LOOKS) if source.info.live else usable
             return together(marks, some, args.dictionary), scale.MARKER_PX
         some = itertools.islice(usable, _LOOKS if source.info.live else 1)  # a robot that stands, or the first picture
-        xyz, uv, _ = clicked(marks, some, ClickPage(args.listen))
+        xyz, uv, _ = clicked(marks, some, _click(args))
     return [(xyz, uv)], scale.CLICK_PX
 
 
@@ -162,7 +173,11 @@ def _practised(args: argparse.Namespace) -> tuple[Array, Array]:
     gray, xyz, true_px = bench_of(args).marks()
     print(f"{STEP}: practice: the virtual bench's own marks, not those of {args.marks}", file=sys.stderr)
     names = [f"the disc at {x:+.2f}, {y:+.2f} m" for x, y, _ in xyz]
-    return xyz, ClickPage(args.listen)(gray, names, true_px)
+    return xyz, _click(args)(gray, names, true_px)
+
+
+def _click(args: argparse.Namespace) -> Click:
+    return watch_of(args).click() or ClickPage(args.listen)
 
 
 def _checked_height(height_m: float | None) -> None:
@@ -221,7 +236,7 @@ def _measured(args: argparse.Namespace, session: Session, size: tuple[int, int])
         usable = (p for p in source if not p.problem and not check_size(p, size, "the lens has"))
         some = itertools.islice(usable, _LOOKS) if source.info.live else usable
         if marks.ids is None:
-            xyz, uv, count = clicked(marks, some, ClickPage(args.listen))
+            xyz, uv, count = clicked(marks, some, _click(args))
         else:
             xyz, uv, count = detected(marks, some, args.dictionary, least=4)
     rows = "\n".join(",".join(f"{v:.4f}" for v in row) for row in np.column_stack([xyz, uv]))
@@ -293,6 +308,7 @@ def _result(m: Mounting) -> dict[str, Any]:
         "rms_px": m.rms_px,
         "tile_m": m.tile_m,
         "evidence": m.evidence,
+        "vectors": vectors(m.uv_px, m.residual_px),
     }
 
 

@@ -19,7 +19,7 @@ from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
 
 STEP = "report"
-_SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera", "lens")
+_SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera", "lens", "vectors")
 _STYLE = (
     "body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}"
     "table{border-collapse:collapse;margin:.5rem 0}"

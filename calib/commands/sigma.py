@@ -165,6 +165,7 @@ def _standing(args: argparse.Namespace, session: Session) -> tuple[Errors, str]:
         tilt_rad=mount_angles(calibration.camera_from_base)[1:],
         wanted=_wanted,
         enough=lambda c: len(stations(c)) > _STATIONS,
+        ask=f"let the robot stand for a second, turn it or put it elsewhere, {_STATIONS} places in all",
     )
     whole = [s for s in stations(got) if len(s.views) >= 2]
     return errors_against_grid(calibration, whole, calibration.tile_m), f"standing at {len(whole)} places"

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.calib.evaluate.survey import Survey, flicker
 from ceilvo.calib.session.assemble import identity, update_file
@@ -23,11 +24,14 @@ from ceilvo.calib.session.common import (
     session_of,
 )
 from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.watch import Look, Watch, watch_of
+from ceilvo.calib.targets.sources import Picture
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.integrity.staleness import STRETCH_S, worst_stretch
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.errors import CalibrationError
+from ceilvo.types import Frame
 
 STEP = "survey"
 _SIMULATED = 240
@@ -78,7 +82,7 @@ def _nis_text(mean: float | None, worst: float | None) -> str:
 
 def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, bool]:
     """All frames through the daemon's own pipeline; whether Ctrl-C ended it."""
-    progress, survey = Progress(STEP), Survey(calibration)
+    progress, survey, watch = Progress(STEP), Survey(calibration), watch_of(args)
     pipeline = Pipeline(calibration, Config(), np.random.default_rng(args.seed))
     bench = bench_of(args).drive(_SIMULATED) if args.simulate else None
     with pictures(args, bench) as source:
@@ -89,7 +93,11 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
                 ok = estimate.motion.ok or not survey.path
                 survey.add(frame.gray, estimate, view.crossings if view else None, ok)
                 progress.tell(f"{len(survey.path)} frames, {len(survey.cells)} places, {estimate.crossings} crossings")
-            ended = False
+                seen = None if view is None else view.crossings
+                _tell(watch, survey, frame, np.zeros((0, 2)) if seen is None else seen.uv_px)
+                if watch.ended:
+                    break
+            ended = watch.ended
         except KeyboardInterrupt:
             if not survey.path:
                 raise
@@ -98,6 +106,14 @@ def _drive(args: argparse.Namespace, calibration: Calibration) -> tuple[Survey, 
     if len(survey.path) < 10:
         raise CalibrationError(f"survey: found {len(survey.path)} usable frames, at least 10 needed; drive on")
     return survey, ended
+
+
+def _tell(watch: Watch, survey: Survey, frame: Frame, uv_px: NDArray[np.float64]) -> None:
+    if not watch.present:
+        return
+    picture = Picture(f"frame {frame.seq}", frame.stamp_ns, frame.gray)
+    facts = {"frames": len(survey.path), "places": len(survey.cells)}
+    watch.looked(Look(STEP, picture, "", True, uv_px, (), facts, "drive once through all of the room"))
 
 
 def _save(session: Session, survey: Survey, calibration: Calibration, light: str, bad: list[str]) -> None:

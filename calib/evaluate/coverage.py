@@ -69,13 +69,17 @@ class Coverage:
 
     def empty_places(self) -> str:
         rows, columns = ("top", "middle", "bottom"), ("left", "centre", "right")
-        empty = []
+        return ", ".join(f"{rows[i]} {columns[j]}" for i, j in self.empty_parts()) or "the corners"
+
+    def empty_parts(self) -> list[tuple[int, int]]:
+        """Row and column of each ninth of the picture that is not covered yet."""
+        out = []
         for i, row in enumerate(np.array_split(self.cells, 3, axis=0)):
             for j, part in enumerate(np.array_split(row, 3, axis=1)):
                 seen = part[self.lit_parts(i, j)]
                 if seen.size and np.mean(seen > 0) < self.GATE_AREA:
-                    empty.append(f"{rows[i]} {columns[j]}")
-        return ", ".join(empty) or "the corners"
+                    out.append((i, j))
+        return out
 
     def lit_parts(self, i: int, j: int) -> NDArray[np.bool_]:
         """Of the ninth of the picture in row i and column j, which of its parts are lit."""

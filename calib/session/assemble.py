@@ -23,6 +23,9 @@ from ceilvo.json_values import json_value
 
 Array = NDArray[np.float64]
 
+_VECTORS = 400
+"""Drawn at the most; chosen: more would cover one another."""
+
 UNMEASURED = NoiseCurves((0.010, 0.0, 0.006), (0.010, 0.0, 0.006), 0.01, 0.0, 2.5)
 """Noise until `calib sigma` has measured it: deliberately large."""
 
@@ -39,7 +42,15 @@ def intrinsics_result(fit: Intrinsics, scores: Mapping[str, float], camera_id: s
         "shots": [{"name": s.name, "rms_px": r} for s, r in zip(fit.shots, fit.shot_rms_px, strict=True)],
         "dropped": [{"name": n, "reason": r} for n, r in fit.dropped],
         "radial": radial_profile(fit),
+        "vectors": vectors(fit.uv_px, fit.residual_px),
     }
+
+
+def vectors(uv_px: Array, residual_px: Array) -> list[list[float]]:
+    """u, v and the residual there, px, of points spread evenly over all: for a plot."""
+    every = max(1, len(uv_px) // _VECTORS)
+    rows: list[list[float]] = np.column_stack([uv_px, residual_px])[::every].round(4).tolist()
+    return rows
 
 
 def radial_profile(fit: Intrinsics, rings: int = 8) -> list[dict[str, float]]:

@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.session.session import CALIBRATION, Session
+from ceilvo.calib.session.watch import watch_of
 from ceilvo.calib.targets.sources import ListSource, Picture, Source, open_source
 from ceilvo.calibration import Calibration
 from ceilvo.calibration_file import read_calibration
@@ -74,6 +75,17 @@ def pictures(args: argparse.Namespace, simulated: Iterable[Picture] | None) -> I
         CalibrationError: none or several were asked for.
         CameraError, FileFormatError: it cannot be used.
     """
+    watch = watch_of(args)
+    if watch.no_more:
+        yield ListSource(watch.no_more, iter(()))
+        return
+    with _pictures(args, simulated) as source:
+        watch.opened(source.info)
+        yield source
+
+
+@contextmanager
+def _pictures(args: argparse.Namespace, simulated: Iterable[Picture] | None) -> Iterator[Source]:
     chosen = [bool(args.simulate), args.images is not None, args.config is not None or args.device is not None]
     if sum(chosen) != 1:
         found = "none" if not any(chosen) else "several"
@@ -120,6 +132,7 @@ def conclude(
     then: str | None = None,
 ) -> int:
     """Print figures and verdict; 0 = PASS, 1 = FAIL. then: what to do about a FAIL, None = the step again."""
+    watch_of(args).concluded(step, rows, problems)
     print(f"\n{step}")
     width = max((len(name) for name, _ in rows), default=0) + 2
     for name, value in rows:

@@ -143,6 +143,27 @@ class Session:
         """Kept on disk before anything else happens to it."""
         self._append(self._samples_file(step), json_value(sample))
 
+    def drop_sample(self, step: str, index: int) -> None:
+        """Take one of the accepted samples out again.
+
+        Raises:
+            CalibrationError: there is none at that place in their order.
+        """
+        path = self._samples_file(step)
+        records = self.sample_lines(step)
+        if not 0 <= index < len(records) - 1:
+            raise CalibrationError(f"{path}: found {max(0, len(records) - 1)} samples, expected one at {index}")
+        del records[index + 1]
+        with self._writing(path):
+            write_atomic(path, "".join(json.dumps(record, allow_nan=False) + "\n" for record in records))
+
+    def sample_lines(self, step: str) -> list[dict[str, Any]]:
+        """What the samples are of, then the samples; [] where there are none or they cannot be read."""
+        try:
+            return list(_whole_lines(self._samples_file(step).read_text(encoding="utf-8").splitlines()))
+        except (OSError, ValueError):
+            return []
+
     def samples_age_s(self, step: str) -> float:
         """Since the last sample; infinite when there is none."""
         try:

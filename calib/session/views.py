@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calib.session.common import Progress, check_size, pictures
 from ceilvo.calib.session.session import Session
+from ceilvo.calib.session.watch import Look, watch_of
 from ceilvo.calib.session.wheels import Wheels, no_wheels
 from ceilvo.calib.targets.ceiling_view import CeilingReader, GridView
 from ceilvo.calib.targets.sources import Picture
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 
 _LIVE_FRAMES = 20_000
 """Frames looked at; 11 minutes at 30 Hz."""
+ALIKE = "as one that was taken before"
+"""Why a live view is not worth keeping."""
 MOVED, _TURNED_RAD = 0.04, float(np.radians(5.0))
 """Of the picture's width, and turn, between two live views; chosen: neighbours would repeat each other's errors."""
 
@@ -69,14 +72,18 @@ def collect(
     enough: Enough,
     label: Callable[[Picture], str] = lambda p: p.label,
     wheels: Wheels = no_wheels,
+    ask: str = "",
 ) -> Collection:
     """Read the source to its end, or a live one until there is enough.
+
+    Args:
+        ask: what to do with the robot while there is not enough.
 
     Raises:
         CalibrationError: no picture of the calibrated size, or the disk refuses; samples so far are kept.
         CameraError, FileFormatError: the source cannot be used.
     """
-    progress, reader = Progress(step), CeilingReader(camera, tilt_rad)
+    progress, reader, watch = Progress(step), CeilingReader(camera, tilt_rad), watch_of(args)
     out = Collection()
     with pictures(args, simulated) as source:
         subject = {"source": source.info.name, "size": [camera.width_px, camera.height_px]}
@@ -85,10 +92,21 @@ def collect(
         done, alike = {s.name for s in out.seen}, 0
         if out.seen:
             progress.note(f"going on with {len(out.seen)} pictures of the run before")
+
+        def tell(picture: Picture, reason: str, view: GridView | None, taken: bool = False) -> None:
+            if not watch.present:
+                return
+            views = [(s.name, None) for s in out.seen]
+            uv = np.zeros((0, 2)) if view is None else view.uv_px
+            watch.looked(Look(step, picture, reason, taken, uv, views, {}, "" if enough(out) else ask))
+
         for k, picture in enumerate(source):
+            for index in watch.dropped(step):
+                session.drop_sample(step, index)
+                del out.seen[index]
             if picture.name in done and not out.live:
                 continue
-            if (out.live and k >= _LIVE_FRAMES) or (out.live and enough(out)):
+            if watch.ended or (out.live and (k >= _LIVE_FRAMES or enough(out))):
                 break
             odometry = wheels(picture)
             reason = picture.problem or check_size(picture, (camera.width_px, camera.height_px), "the lens has")
@@ -98,16 +116,20 @@ def collect(
             if view is None or reason:
                 out.rejected.append((picture.name, reason))
                 (progress.tell if out.live else progress.note)(f"{picture.name}: rejected, {reason}")
+                tell(picture, reason, view)
                 continue
             choosy = out.live or (source.info.filmed and wanted is moved)
             if choosy and not wanted(out, view, picture):
                 alike += 1
                 progress.tell(f"{len(out.seen)} pictures; go on moving")
+                tell(picture, ALIKE, view)
                 continue
             seen = Seen(picture.name, label(picture), view, odometry, picture.stamp_ns)
             session.add_sample(step, _record(seen))
             out.seen.append(seen)
             progress.tell(f"{len(out.seen)} pictures, {len(out.rejected)} rejected")
+            tell(picture, "", view, taken=True)
+    watch.told(f"{len(out.seen)} pictures: computing")
     progress.end()
     out.tilt_rad = reader.tilt_rad
     if not out.seen:

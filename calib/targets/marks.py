@@ -16,8 +16,8 @@ from ceilvo.errors import CalibrationError
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
-Click = Callable[[Gray, list[str]], Array]
-"""A picture and the marks' names in order to (N, 2) pixels."""
+Click = Callable[..., Array]
+"""A picture, the marks' names in order and, for practice, their true pixels, to (N, 2) pixels."""
 
 _TWO = 2
 """Marks in one picture, between which there is a way."""

@@ -10,22 +10,26 @@ from collections.abc import Callable, Mapping, Sequence
 import cv2
 import numpy as np
 
+from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.app.requests import Ahead, as_it_is
-from ceilvo.daemon.replay.overlay import draw_overlay
+from ceilvo.daemon.replay.drawing.innovations import draw_innovations
+from ceilvo.daemon.replay.drawing.overlay import draw_overlay
 from ceilvo.daemon.replay.recording import RecordingTap
 from ceilvo.daemon.vision.finder.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.ports import ON_DEMAND, Publisher, Scene, Stamp, Topic, Wire
 from ceilvo.errors import CeilvoError
-from ceilvo.types import Estimate, State
+from ceilvo.types import Array, Estimate, Landmarks, State
 
 log = logging.getLogger("ceilvo")
 
 _EVENTS = 20
 """Latest events kept; chosen: the screen shows 3 of them."""
+_PREDICTIONS = 30
+"""Kept: a picture is made in another thread, a few frames later."""
 _JPEG_QUALITY = 80
 """Of 100, for pictures on the bus; chosen: as in recordings."""
 
@@ -62,12 +66,15 @@ class Outputs:
         self._wires, self._map_of = tuple(wires), map_of
         self._ahead, self._predict_ms = ahead, predict_ms
         self._reported: State | None = None
+        self._predicted: dict[int, Array] = {}
+        self._pose: Array | None = None
         self.events: deque[str] = deque(maxlen=_EVENTS)
 
     def publish(self, estimate: Estimate) -> None:
         """To the base, then to Zenoh, the other wires and the recorder; none of them blocks."""
         if self._base is not None:
             self._base.submit(estimate)
+        self._predict(estimate)
         now_ns = self._clock()
         stamp = Stamp(estimate.stamp_ns, time.time_ns() - (now_ns - estimate.stamp_ns))
         for wire in self._wires:
@@ -97,7 +104,15 @@ class Outputs:
         bus.offer(Topic.PARTICLES, lambda: messages.encode_particles(robot, seq, stamp, shown.particles, shown.weights))
         view = shown.view
         if view is not None:
-            bus.offer(Topic.IMAGE, lambda: self._jpeg(view))
+            bus.offer(Topic.IMAGE, lambda: self._jpeg(view, shown.landmarks))
+
+    def _predict(self, estimate: Estimate) -> None:
+        """Where the robot was thought to be before this frame was taken into account, for the latest frames."""
+        if self._pose is not None:
+            self._predicted[estimate.stamp_ns] = se2.compose(self._pose, estimate.motion.prev_from_curr)
+            while len(self._predicted) > _PREDICTIONS:
+                del self._predicted[next(iter(self._predicted))]
+        self._pose = np.asarray(estimate.pose, np.float64)
 
     def _scene(self) -> Scene:
         """Called by other wires, in their threads."""
@@ -105,10 +120,13 @@ class Outputs:
         view = shown.view
         if view is None:
             return Scene(shown.landmarks, shown.particles)
-        return Scene(shown.landmarks, shown.particles, view.frame.stamp_ns, lambda: self._jpeg(view))
+        return Scene(shown.landmarks, shown.particles, view.frame.stamp_ns, lambda: self._jpeg(view, shown.landmarks))
 
-    def _jpeg(self, view: View) -> bytes:
+    def _jpeg(self, view: View, landmarks: Landmarks) -> bytes:
         image = draw_overlay(view.frame.gray, view.lines, view.crossings, self._calibration.level_view)
+        predicted = self._predicted.get(view.frame.stamp_ns)
+        if predicted is not None and view.crossings is not None:
+            draw_innovations(image, view.crossings, landmarks, predicted, self._calibration)
         ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         if not ok:
             raise CeilvoError("the picture could not be encoded")

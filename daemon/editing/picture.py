@@ -11,7 +11,7 @@ import numpy as np
 from ceilvo.crossing_types import CORNER, LAMP, LINE_CROSSINGS, SPOT
 from ceilvo.daemon.editing.joining import Matches
 from ceilvo.daemon.map.database.content import MapContent
-from ceilvo.daemon.replay.overlay import (
+from ceilvo.daemon.replay.drawing.overlay import (
     BLUE,
     DARK,
     GREEN,

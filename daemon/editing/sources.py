@@ -14,7 +14,7 @@ from ceilvo.daemon.map.database.copies import copy_of, open_map
 from ceilvo.daemon.map.database.faults import MAGIC
 from ceilvo.daemon.map.document import content_bytes, content_of, parsed
 from ceilvo.daemon.map.map_file import load_map, save_map
-from ceilvo.daemon.replay.overlay import Image
+from ceilvo.daemon.replay.drawing.overlay import Image
 from ceilvo.errors import CeilvoError, FileFormatError
 from ceilvo.files import write_atomic
 

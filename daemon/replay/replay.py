@@ -13,8 +13,8 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.drawing.overlay import draw_overlay, draw_particles_panel, previous_pixels, side_by_side
 from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, apply
-from ceilvo.daemon.replay.overlay import draw_overlay, draw_particles_panel, previous_pixels, side_by_side
 from ceilvo.daemon.replay.trajectory import JsonlWriter, TumWriter, estimate_json, tum_line
 from ceilvo.errors import FileFormatError, one_line
 from ceilvo.types import Array, Estimate

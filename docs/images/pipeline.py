@@ -10,7 +10,7 @@ import numpy as np
 
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.replay.overlay import draw_overlay, draw_particles_panel, previous_pixels
+from ceilvo.daemon.replay.drawing.overlay import draw_overlay, draw_particles_panel, previous_pixels
 from ceilvo.sim.camera import SimCamera
 from ceilvo.sim.world import World, WorldSpec
 

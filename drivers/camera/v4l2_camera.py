@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -89,6 +90,17 @@ class V4l2Camera:
         frame = Frame(self._seq, stamp + (self._to_middle_ns if self._driver_stamps else 0), gray)
         self._seq += 1
         return frame
+
+    def adjust(self, exposure_us: float | None, gain: float | None) -> None:
+        """Set exposure and gain while it runs, as the configuration's keys do; for who chooses them.
+
+        Raises:
+            CameraError: the camera is not open, has no such control, or gives another value.
+        """
+        if self._capture is None:
+            raise CameraError(f"camera {self._name}: not open")
+        self._cfg = replace(self._cfg, exposure_us=exposure_us, gain=gain)
+        self._lock_exposure(self._capture, self._device.resolve(self._cfg.device))
 
     def close(self) -> None:
         capture, self._capture = self._capture, None

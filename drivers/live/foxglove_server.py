@@ -172,9 +172,33 @@ def serve(
             )
         channels[channel].log(data, log_time=unix_ns)
 
+    try:
+        follow(config, robot, log_to, stop, lambda: on_ready(server.port))
+    finally:
+        server.stop()
+
+
+def follow(
+    config: Zenoh,
+    robot: str,
+    log_to: Callable[[mcap_file.Channel, bytes, int], None],
+    stop: threading.Event,
+    on_ready: Callable[[], None] = lambda: None,
+    idle: Callable[[], None] = lambda: None,
+    at_end: Callable[[], None] = lambda: None,
+) -> None:
+    """Give all that a robot says to `log_to`, as View does, until `stop` is set.
+
+    Args:
+        idle: called several times a second, in the same thread as `log_to`.
+        at_end: called there when `stop` is set, before Zenoh is left, which may take a while.
+
+    Raises:
+        BusError: Zenoh cannot be used as configured.
+    """
     view, quiet, due = View(log_to), QuietLog(log, 0.2, 5), {"scene": 0.0, "calibration": 0.0}
     with Feed(config, robot, TOPICS) as feed:
-        on_ready(server.port)
+        on_ready()
 
         def take(topic: str, payload: bytes) -> None:
             if topic == ALIVE:
@@ -185,7 +209,7 @@ def serve(
             except BusError as e:
                 quiet.warning(str(e))
 
-        def idle() -> None:
+        def now_and_then() -> None:
             now = time.monotonic()
             if not view.has_calibration and now >= due["calibration"]:
                 due["calibration"] = now + _ASK_AGAIN_S
@@ -195,8 +219,7 @@ def serve(
             if now >= due["scene"]:
                 due["scene"] = now + _SCENE_S
                 view.scene()
+            idle()
 
-        try:
-            feed.each(stop, take, idle)
-        finally:
-            server.stop()
+        feed.each(stop, take, now_and_then)
+        at_end()

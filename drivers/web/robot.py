@@ -77,6 +77,11 @@ class Robot:
             on_ready()
             self._feed.each(stop, self._take, self._idle)
 
+    @property
+    def alive(self) -> bool:
+        """Whether its daemon is there."""
+        return self._alive
+
     def command(self, name: str, payload: bytes) -> tuple[bool, bytes] | None:
         """The daemon's reply to a command and whether it was done; None where nobody answers. Waits some seconds."""
         return self._feed.ask(f"cmd/{name}", payload, self._token)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
+import os
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +22,11 @@ from ceilvo.drivers.bus.messages import load_object, short
 from ceilvo.drivers.ports import ON_DEMAND, Topic
 from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.web.guard import Guard
-from ceilvo.drivers.web.robot import Message, Robot
+from ceilvo.drivers.web.recordings import Recordings
+from ceilvo.drivers.web.robot import Robot
+from ceilvo.drivers.web.wizard.answers import expect_json, json_of, refused
+from ceilvo.drivers.web.wizard.process import Place, WizardProcess
+from ceilvo.drivers.web.wizard.routes import WizardRoutes, send
 from ceilvo.errors import BusError, one_line
 
 log = logging.getLogger(__name__)
@@ -32,6 +36,7 @@ COMMANDS = ("initial_pose", "relocalise", "save_map")
 """Of the daemon's, those that a page has a button for."""
 _OPEN_TO_ALL = ("/login", "/pages/login.js", "/pages/style.css", "/pages/icon.svg")
 """Nothing of the robot is in them: they ask for the token."""
+_PAGES = {"/": "live.html", "/commission": "wizard.html", "/camera": "camera.html"}
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _MOST_PAGES = 16
 """Open at once; chosen: more than people beside a robot."""
@@ -74,14 +79,22 @@ class BadRequests(logging.Filter):
 class Server:
     """Its handlers run in one event loop."""
 
-    def __init__(self, config: Config, robot: Robot) -> None:
+    def __init__(self, config: Config, robot: Robot, config_file: Path | None = None, simulate: bool = False) -> None:
         """
+        Args:
+            config_file: where the configuration came from, None = the defaults.
+            simulate: the robot is the simulated one.
+
         Raises:
             ConfigError: a file cannot be used.
         """
         self.guard = Guard(config.web)
         self._robot, self._web = robot, config.web
-        self._files = {p.name: p.read_bytes() for p in sorted(PAGES.iterdir()) if p.suffix in _TYPES}
+        self._files = {p.name: p.read_bytes() for p in sorted(PAGES.rglob("*.*")) if p.suffix in _TYPES}
+        folder = Path(config.web.state_dir or os.environ.get("STATE_DIRECTORY") or ".").resolve()
+        self._process = WizardProcess(Place(config, config_file, folder, simulate))
+        self._recordings = Recordings(config, folder / "recordings", simulate, lambda: robot.alive)
+        self._wizard = WizardRoutes(self._process, config.web.read_only, self._hello())
         self._open: set[web.WebSocketResponse] = set()
         self._quiet = QuietLog(log, 0.2, 10)
 
@@ -89,7 +102,9 @@ class Server:
         app = web.Application(middlewares=[self._checked()], client_max_size=MAX_COMMAND_BYTES)
         app.add_routes(
             [
-                web.get("/", partial(self._file, "live.html")),
+                *(web.get(path, partial(self._file, name)) for path, name in _PAGES.items()),
+                *self._wizard.routes(),
+                *self._recordings.routes(),
                 web.get("/login", partial(self._file, "login.html")),
                 web.get("/pages/{name}", self._named),
                 web.get("/live", self._live),
@@ -110,7 +125,7 @@ class Server:
                 try:
                     self.guard.authorise(request)
                 except web.HTTPUnauthorized:
-                    if request.path == "/" and request.method == "GET":
+                    if request.path in _PAGES and request.method == "GET":
                         raise web.HTTPSeeOther("/login") from None
                     raise
             return await handler(request)
@@ -129,12 +144,12 @@ class Server:
     # -- commands
 
     async def _sign_in(self, request: web.Request) -> web.StreamResponse:
-        fields = await _json(request)
+        fields = await json_of(request)
         response = web.json_response({"ok": True})
         token = fields.get("token")
         if not isinstance(token, str) or not self.guard.sign_in(token, response):
             self._quiet.warning(f"{request.remote}: the wrong token for the pages")
-            return _refused(401, "found another token, expected the one of web.token_file")
+            return refused(401, "found another token, expected the one of web.token_file")
         return response
 
     async def _sign_out(self, request: web.Request) -> web.StreamResponse:
@@ -145,26 +160,26 @@ class Server:
     async def _command(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info["name"]
         if name not in COMMANDS:
-            return _refused(404, f"command {short(name)} is unknown here, expected one of {', '.join(COMMANDS)}")
+            return refused(404, f"command {short(name)} is unknown here, expected one of {', '.join(COMMANDS)}")
         if self._web.read_only:
-            return _refused(403, "web.read_only: pages may look and command nothing")
-        _expect_json(request)
+            return refused(403, "web.read_only: pages may look and command nothing")
+        expect_json(request)
         payload = await request.read()
         try:
             parse_command(name, payload)
         except BusError as e:
-            return _refused(400, str(e))
+            return refused(400, str(e))
         log.info("%s: command %s", request.remote, name)
         answer = await asyncio.to_thread(self._robot.command, name, payload)
         if answer is None:
-            return _refused(504, f"command {name}: the daemon does not answer; is it running?")
+            return refused(504, f"command {name}: the daemon does not answer; is it running?")
         return web.Response(body=answer[1], content_type="application/json", status=200 if answer[0] else 409)
 
     # -- what a page gets
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if len(self._open) >= _MOST_PAGES:
-            return _refused(503, f"{_MOST_PAGES} pages are open, close one")
+            return refused(503, f"{_MOST_PAGES} pages are open, close one")
         ws = web.WebSocketResponse(max_msg_size=MAX_COMMAND_BYTES, heartbeat=_HEARTBEAT_S)
         await ws.prepare(request)
         self._open.add(ws)
@@ -189,22 +204,27 @@ class Server:
 
     async def _tell(self, ws: web.WebSocketResponse, topics: set[Topic]) -> None:
         """The newest of everything at the page's pace: what a slow page misses is not kept for it."""
-        hello = {"robot": self._robot.name, "read_only": self._web.read_only, "signed_in": self.guard.needs_token}
-        await ws.send_json({"topic": "hello", "data": hello})
+        await ws.send_json({"topic": "hello", "data": self._hello()})
         seen: dict[str, int] = {}
+        recordings = ""
         with contextlib.suppress(ConnectionError):
             while not ws.closed:
                 for message in self._robot.news(seen, topics):
-                    await _send(ws, message)
+                    await send(ws, message)
+                now = self._recordings.news()
+                if now != recordings:
+                    recordings = now
+                    await send(ws, now)
                 await asyncio.sleep(1.0 / self._web.rate_hz)
+
+    def _hello(self) -> dict[str, object]:
+        return {"robot": self._robot.name, "read_only": self._web.read_only, "signed_in": self.guard.needs_token}
 
     async def _close_pages(self, app: web.Application) -> None:
         for ws in list(self._open):
             await ws.close(code=1001, message=b"the server ends")
-
-
-async def _send(ws: web.WebSocketResponse, message: Message) -> None:
-    await (ws.send_bytes(message) if isinstance(message, bytes) else ws.send_str(message))
+        await self._wizard.close()
+        await self._recordings.close()
 
 
 def _wanted(text: str) -> set[Topic] | None:
@@ -214,26 +234,6 @@ def _wanted(text: str) -> set[Topic] | None:
     except BusError:
         return None
     return {t for t in ON_DEMAND if t.value in names} if isinstance(names, list) else None
-
-
-def _expect_json(request: web.Request) -> None:
-    """No form of another site's page can send it."""
-    if request.content_type != "application/json":
-        raise web.HTTPUnsupportedMediaType(text="expected Content-Type: application/json\n")
-
-
-async def _json(request: web.Request) -> dict[str, object]:
-    _expect_json(request)
-    try:
-        return load_object(await request.read(), "request")
-    except BusError as e:
-        raise web.HTTPBadRequest(text=f"{one_line(e)}\n") from e
-
-
-def _refused(status: int, error: str) -> web.Response:
-    return web.Response(
-        body=json.dumps({"ok": False, "error": error}).encode(), status=status, content_type="application/json"
-    )
 
 
 async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
@@ -246,19 +246,23 @@ def serve(
     stop: threading.Event,
     on_ready: Callable[[str], None] = lambda address: None,
     alive: Callable[[], None] = lambda: None,
+    config_file: Path | None = None,
+    simulate: bool = False,
 ) -> None:
     """Serve pages of a robot until `stop` is set.
 
     Args:
         on_ready: is told the address for a browser.
         alive: called several times a second.
+        config_file: where the configuration came from, None = the defaults.
+        simulate: the robot is the simulated one, which may be commissioned without a camera.
 
     Raises:
         ConfigError: a file cannot be used.
         BusError: the port is taken, or Zenoh cannot be used as configured.
     """
     robot = Robot(config)
-    server = Server(config, robot)
+    server = Server(config, robot, config_file, simulate)
     ended: list[BaseException] = []
 
     def listen() -> None:

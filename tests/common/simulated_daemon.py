@@ -28,11 +28,17 @@ class SimulatedDaemon:
         environment: Mapping[str, str] | None = None,
         enter: Sequence[str] = (),
         port: int | None = None,
+        calibration: Path | None = None,
     ) -> None:
-        """enter: what to put before the command; the process that it starts must become the daemon. port: of Zenoh."""
+        """
+        enter: what to put before the command; the process that it starts must become the daemon. port: of Zenoh.
+        calibration: instead of the simulated truth.
+        """
         port = port or free_port()
         self.log = folder / "ceilvod.log"
         words = ["run", "--simulate", "--summary", str(folder / "summary.json")]
+        if calibration is not None:
+            words += ["--calibration", str(calibration)]
         for setting in (
             f"service.state_dir={state_dir}",
             "service.state_period_s=0.5",

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from patience import PATIENCE_S
@@ -26,7 +27,7 @@ def config_for(zenoh_port: int, **web: object) -> Config:
 
 
 @contextmanager
-def served(config: Config) -> Iterator[str]:
+def served(config: Config, config_file: Path | None = None, simulate: bool = False) -> Iterator[str]:
     """The address for a browser. Raises what the server ended with."""
     stop, ready = threading.Event(), threading.Event()
     address: list[str] = []
@@ -38,7 +39,7 @@ def served(config: Config) -> Iterator[str]:
 
     def body() -> None:
         try:
-            serve(config, stop, on_ready)
+            serve(config, stop, on_ready, config_file=config_file, simulate=simulate)
         except BaseException as e:
             ended.append(e)
             ready.set()

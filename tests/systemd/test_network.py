@@ -74,10 +74,12 @@ def test_pages_come_when_asked_for_stay_with_an_upgrade_and_go(kit: Path, tmp_pa
 
 def test_the_pages_are_closed_in_as_the_map_service_is() -> None:
     mapd, pages = unit_settings(MAPD_UNIT), unit_settings(WEB_UNIT)
-    assert mapd.keys() - pages.keys() == {"StateDirectory", "StateDirectoryMode"}
-    assert pages.keys() - mapd.keys() == {"SupplementaryGroups", "Nice", "CPUWeight"}
-    own = {"Description", "Documentation", "After", "ExecStart", "User", "Group", "WorkingDirectory", "MemoryMax"}
-    own |= {"WatchdogSec", "TimeoutStartSec", "TimeoutStopSec"}
+    assert mapd.keys() - pages.keys() == {"PrivateDevices"}, "the camera, for commissioning"
+    assert pages.keys() - mapd.keys() == {"SupplementaryGroups", "Nice", "CPUWeight", "DeviceAllow"}
+    assert pages["DevicePolicy"] == mapd["DevicePolicy"] == ["closed"]
+    assert pages["DeviceAllow"] == ["char-video4linux rw"]
+    own = {"Description", "Documentation", "After", "ExecStart", "User", "Group", "WorkingDirectory"}
+    own |= {"WatchdogSec", "TimeoutStartSec", "TimeoutStopSec", "StateDirectory"}
     assert {name for name in mapd.keys() & pages.keys() if mapd[name] != pages[name]} == own
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ceilvo.bench.real.marked.judging import TRUE_SHARE, Judged, mark_piece
 from ceilvo.bench.real.marked.reading import Marked
-from ceilvo.daemon.replay.overlay import GREEN, GREY, SKY, VERMILION, YELLOW, Colour, line_in_raw
+from ceilvo.daemon.replay.drawing.overlay import GREEN, GREY, SKY, VERMILION, YELLOW, Colour, line_in_raw
 from ceilvo.types import Array, Lines
 
 _SHIFT = 4

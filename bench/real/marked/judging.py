@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ceilvo.bench.real.marked.reading import JOINT, Marked
 from ceilvo.calibration import Calibration
-from ceilvo.daemon.replay.overlay import line_in_raw
+from ceilvo.daemon.replay.drawing.overlay import line_in_raw
 from ceilvo.types import Array, LineKind, Lines
 
 OFFSET_PX = 2.0

@@ -67,4 +67,10 @@ class Web:
     key_file: str = key("", "TLS: its private key (PEM)")
     behind_proxy: bool = key(False, "a proxy in front brings TLS and leaves the Host header as it was")
     read_only: bool = key(False, "pages may look and command nothing")
+    state_dir: str = key(
+        "", "where commissioning and recordings are kept; empty = $STATE_DIRECTORY, else the current folder"
+    )
+    recording_bytes: int = key(
+        500_000_000, "a recording that a page has started ends at this size", low=1_000_000, high=10**12
+    )
     rate_hz: float = key(10.0, "poses a second that a page gets", low=1.0, high=30.0)

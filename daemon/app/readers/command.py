@@ -29,7 +29,9 @@ def add(commands: Commands, config_options: Options, config_of: ConfigOf) -> Non
 
     p = command(commands, "view", "show a running robot in Foxglove", "ceilvod view --foxglove --robot robot1")
     config_options(p)
-    p.add_argument("--foxglove", action="store_true", required=True, help="by Foxglove's websocket")
+    how = p.add_mutually_exclusive_group(required=True)
+    how.add_argument("--foxglove", action="store_true", help="by Foxglove's websocket")
+    how.add_argument("--mcap", type=Path, metavar="FILE", help="into a new file that Foxglove opens, until Ctrl-C")
     p.add_argument("--robot", metavar="NAME", help="which one (default: robot.name)")
     p.add_argument("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: loopback only)")
     p.add_argument("--port", type=from_up(0), default=8765, metavar="N", help="0 = a free one (default: 8765)")
@@ -37,7 +39,10 @@ def add(commands: Commands, config_options: Options, config_of: ConfigOf) -> Non
 
     p = command(commands, "web", "show a running robot in a browser", "ceilvod web --config /etc/ceilvo/config.yaml")
     config_options(p)
-    p.set_defaults(do=lambda options: _web(config_of(options)))
+    p.add_argument(
+        "--simulate", action="store_true", help="for the robot of 'ceilvod run --simulate': no camera needed"
+    )
+    p.set_defaults(do=lambda options: _web(options, config_of(options)))
 
     example = "ceilvod export drive.mcap drive_ros2.mcap --ros2"
     p = command(commands, "export", "write a recording for other tools", example)
@@ -61,8 +66,10 @@ def _watch(options: argparse.Namespace, config: Config) -> int:
 
 
 def _view(options: argparse.Namespace, config: Config) -> int:
-    from ceilvo.daemon.app.readers.view import view_robot
+    from ceilvo.daemon.app.readers.view import keep_robot, view_robot
 
+    if options.mcap is not None:
+        return keep_robot(config.zenoh, options.robot or config.robot.name, options.mcap)
     return view_robot(config.zenoh, options.robot or config.robot.name, options.host, options.port)
 
 
@@ -78,7 +85,7 @@ def _vda5050(config: Config) -> int:
     return tell_fleet(config)
 
 
-def _web(config: Config) -> int:
+def _web(options: argparse.Namespace, config: Config) -> int:
     from ceilvo.config.checks import cross_check
 
     try:
@@ -88,4 +95,4 @@ def _web(config: Config) -> int:
             raise
         raise ConfigError("web: found no aiohttp, expected it; pip install 'ceilvo[web]'") from e
     cross_check(config)
-    return serve_pages(config)
+    return serve_pages(config, options.config, options.simulate)

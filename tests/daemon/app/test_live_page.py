@@ -9,35 +9,16 @@ from pathlib import Path
 
 import pytest
 from chromium import PROGRAM, Chromium, Page
+from mcap.reader import make_reader
+from page_looks import PICTURES, SIZES, kept_to_itself, whole
 from patience import until
 from simulated_daemon import SimulatedDaemon
 from web_parts import config_for, served
 from zenoh_world import free_port
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="chromium is not installed: apt-get install chromium")
-PICTURES = Path(__file__).resolve().parents[3] / "build" / "web"
 LONG_INIT = "states.tracking_frames=40"
 """4 s of frames: a session that tries every second to connect is there in time."""
-SIZES = {"laptop": (1280, 900), "phone": (390, 844)}
-OVERFLOWING = """
-[...document.querySelectorAll('main *, header *')].filter(e => {
-  const box = e.getBoundingClientRect(), card = e.closest('.card, header').getBoundingClientRect();
-  const log = e.closest('.log');
-  return box.width && !e.closest('svg') && (box.right > card.right + 1 || box.left < card.left - 1
-    || (!log && box.bottom > card.bottom + 1)
-    || (e.clientWidth && e.scrollWidth > e.clientWidth + 1 && !e.matches('input')));
-}).map(e => e.id || e.className || e.tagName)
-"""
-OVERLAPPING = """
-(() => {
-  const cards = [...document.querySelectorAll('.card')].map(e => [e.className, e.getBoundingClientRect()]);
-  const buttons = [...document.querySelectorAll('button, input')].filter(e => e.offsetParent)
-    .map(e => [e.id, e.getBoundingClientRect()]);
-  const meet = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
-  return [cards, buttons].flatMap(all => all.flatMap(([n, a], i) =>
-    all.slice(i + 1).filter(([, b]) => meet(a, b)).map(([m]) => `${n} on ${m}`)));
-})()
-"""
 
 
 @pytest.fixture(scope="module")
@@ -46,28 +27,13 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
         yield made
 
 
-def whole(page: Page) -> None:
-    """Nothing is cut, nothing lies on another."""
-    assert page.value("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
-    assert page.value(OVERFLOWING) == []
-    assert page.value(OVERLAPPING) == []
-
-
-def kept_to_itself(page: Page, address: str) -> None:
-    """No complaint in the console, nothing fetched from elsewhere."""
-    own = (address, address.replace("http", "ws", 1), f"blob:{address}", "about:")
-    assert len(page.asked) > 5
-    assert [url for url in page.asked if not url.startswith(own)] == []
-    assert page.complaints == []
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
     browser: Chromium, size: str, tmp_path: Path
 ) -> None:
     port, state = free_port(), tmp_path / "state"
     state.mkdir()
-    with served(config_for(port)) as address:
+    with served(config_for(port, state_dir=str(tmp_path))) as address:
         page = browser.page()
         page.size(*SIZES[size], touch=size == "phone")
         page.go(f"{address}/")
@@ -94,8 +60,30 @@ def test_the_page_shows_tracking_and_a_dragged_pose_reaches_the_robot(
             page.click("#save-map")
             page.until("/^map saved: [0-9]+ landmarks/.test(document.querySelector('#reply').innerText)")
             assert (state / "map.db").exists()
+            if size == "laptop":
+                recorded(page, tmp_path)
         page.until("document.querySelector('#link').innerText === 'daemon not running'")
         kept_to_itself(page, address)
+
+
+def recorded(page: Page, tmp_path: Path) -> None:
+    """What is taken home is what the robot said."""
+    page.value("document.querySelector('#show-picture').click()")  # the recording's own pictures
+    page.click("#record")
+    page.until("/recording [1-9][0-9]* s/.test(document.querySelector('#recording').innerText)")
+    page.picture(PICTURES / "laptop-recording.png")
+    page.click("#record")
+    page.until("document.querySelectorAll('#recording-list a').length === 1")
+    page.value("document.querySelector('#recordings').open = true")
+    [file] = (tmp_path / "recordings").glob("*.mcap")
+    sizes = "fetch(document.querySelector('#recording-list a').href).then(r => r.arrayBuffer()).then(b => b.byteLength)"
+    assert page.value(sizes) == file.stat().st_size
+    with file.open("rb") as stream:
+        topics = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+    assert {"/pose/figures", "/health"} <= set(topics) and topics.count("/pose/figures") > 5
+    page.click("#recording-list button")
+    page.until("document.querySelector('#recordings').hidden")
+    assert not file.exists()
 
 
 def set_and_send(page: Page, daemon: SimulatedDaemon, state: Path, size: str) -> None:

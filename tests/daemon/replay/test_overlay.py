@@ -13,7 +13,7 @@ import pytest
 from ceilvo import se2
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.camera import CameraModel
-from ceilvo.daemon.replay.overlay import (
+from ceilvo.daemon.replay.drawing.overlay import (
     DARK,
     GREEN,
     ORANGE,

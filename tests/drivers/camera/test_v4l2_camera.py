@@ -111,6 +111,23 @@ def test_exposure_and_gain_are_locked_in_the_drivers_units() -> None:
     assert info.notes == ()
 
 
+def test_exposure_and_gain_are_set_while_it_runs() -> None:
+    device = MockV4l2Device()
+    camera = V4l2Camera(settings(exposure_us=10_000.0, gain=20.0), device)
+    with pytest.raises(CameraError, match="not open"):
+        camera.adjust(5000.0, 1.0)
+    camera.open()
+    camera.adjust(5000.0, 30.0)
+    assert (device.controls[cv2.CAP_PROP_EXPOSURE], device.controls[cv2.CAP_PROP_GAIN]) == (50, 30)
+    assert camera.read() is not None
+    camera.adjust(None, None)
+    assert device.controls[cv2.CAP_PROP_AUTO_EXPOSURE] == 3
+    assert device.controls[cv2.CAP_PROP_GAIN] == 30, "left alone"
+    device.limits[cv2.CAP_PROP_GAIN] = (0, 40)
+    with pytest.raises(CameraError, match=r"camera.gain: gives 40, asked for 60"):
+        camera.adjust(None, 60.0)
+
+
 def test_exposure_is_locked_again_when_the_stream_has_started() -> None:
     class Forgetful(MockV4l2Device):
         def grab(self, capture: object, timeout_s: float) -> bool:

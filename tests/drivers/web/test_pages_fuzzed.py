@@ -31,6 +31,12 @@ PATHS = (
         "/cmd/relocalise",
         "/cmd/reset",
         "/cmd/",
+        "/commission",
+        "/camera",
+        "/wizard",
+        *(f"/wizard/{name}" for name in ("start", "drop", "clicks", "undo", "apply", "tune", "save_camera", "x")),
+        *("/wizard/file/report.html", "/wizard/file/..%2f..%2ftoken"),
+        *("/recording/stop", "/recording/delete", "/recording/file/x.mcap", "/recording/file/%2e%2e%2ftoken"),
         "*",
         "http://h/",
         "//",
@@ -62,6 +68,8 @@ VALUES = (
 BODIES = (
     *(b"", b"{}", b'{"token": "x"}', b'{"token": "\\ud800"}', b'{"x_m": 1, "y_m": 2, "theta_rad": 0}', b"[" * 3000),
     *(b'{"x_m": 1e999, "y_m": 0, "theta_rad": 0}', b"\xff\xfe", b"null", b"5\r\nhello\r\n0\r\n\r\n", b"x" * 6000),
+    *(b'{"step": "intrinsics", "answers": {"columns": -1e308}}', b'{"part": "\\u0000", "index": 0}'),
+    *(b'{"uv": [[1, 2]]}', b'{"exposure_us": 1e5, "gain": null}', b'{"name": "..%2f.mcap"}'),
 )
 
 
@@ -125,7 +133,7 @@ def test_random_requests_get_no_500_and_leave_no_traceback(
     token = tmp_path / "token"
     token.write_text("a token of the owner")
     token.chmod(0o600)
-    config = config_for(free_port(), token_file=str(token) if with_token else "")
+    config = config_for(free_port(), token_file=str(token) if with_token else "", state_dir=str(tmp_path / "state"))
     rng = random.Random(SEED)
     found: Counter[int] = Counter()
     with caplog.at_level(logging.INFO), served(config) as address:

@@ -1,5 +1,6 @@
 // Figures as text, bars and one chart. What others wrote is only ever set as text.
 import { fitToScreen } from "./map.js";
+import { list as listInto } from "./shell.js";
 
 const byId = (id) => document.getElementById(id);
 const NIS_SECONDS = 120;
@@ -21,21 +22,7 @@ function time(unixNs) {
   return new Date(Number(unixNs) / 1e6).toLocaleTimeString([], { hour12: false });
 }
 
-/** Rows of name and value; nodes are kept, so that a reader's place and selection stay. */
-function list(id, rows) {
-  const dl = byId(id);
-  while (dl.children.length > rows.length) dl.lastChild.remove();
-  rows.forEach(([name, value], i) => {
-    let row = dl.children[i];
-    if (!row) {
-      row = document.createElement("div");
-      row.append(document.createElement("dt"), document.createElement("dd"));
-      dl.append(row);
-    }
-    if (row.firstChild.textContent !== name) row.firstChild.textContent = name;
-    if (row.lastChild.textContent !== value) row.lastChild.textContent = value;
-  });
-}
+const list = (id, rows) => listInto(byId(id), rows);
 
 function log(id, rows) {
   byId(id).replaceChildren(

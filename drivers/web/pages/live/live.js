@@ -1,9 +1,10 @@
 // The live page: one websocket in, three commands out.
 import { NisChart, showEvents, showHealth, showPose, showStates } from "./figures.js";
 import { MapView } from "./map.js";
+import { showRecordings } from "./recordings.js";
+import { follow as followRobot, link, post, say, shell } from "./shell.js";
 
 const byId = (id) => document.getElementById(id);
-const LONGEST_WAIT_MS = 5000;
 const FINE_M = 0.01;
 const COARSE_M = 0.1;
 const TURN_RAD = Math.PI / 180;
@@ -12,8 +13,6 @@ const map = new MapView(byId("map"), showNewPose);
 const nis = new NisChart(byId("nis"));
 window.ceilvo = { map }; // for whoever looks at it from the browser's console
 let pose = null;
-let socket = null;
-let waitMs = 500;
 let pictureOnScreen = false;
 let pictureUrl = "";
 let readOnly = false;
@@ -26,7 +25,7 @@ const handlers = {
     document.title = `${d.robot}: ceilvo`;
     readOnly = d.read_only;
     byId("read-only").hidden = !readOnly;
-    for (const id of ["set-pose", "relocalise", "save-map"]) byId(id).disabled = readOnly;
+    for (const id of ["set-pose", "relocalise", "save-map", "record"]) byId(id).disabled = readOnly;
     byId("leave").hidden = !d.signed_in;
   },
   link(d) {
@@ -57,58 +56,23 @@ const handlers = {
     map.particles = d;
     map.draw();
   },
+  recordings: (d) => showRecordings(d, readOnly),
   states: showStates,
   events: showEvents,
 };
 
-function link(ok, text) {
-  byId("link").textContent = text;
-  byId("link").dataset.ok = String(ok);
-}
-
-function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
-  socket.binaryType = "blob";
-  let opened = false;
-  socket.onopen = () => {
-    opened = true;
-    waitMs = 500;
-    want();
-  };
-  socket.onmessage = (event) => {
-    if (typeof event.data !== "string") {
-      showPicture(event.data);
-      return;
-    }
-    const { topic, data } = JSON.parse(event.data);
-    handlers[topic]?.(data);
-  };
-  socket.onclose = async () => {
-    link(false, "no connection");
-    byId("state").classList.add("old");
-    if (!opened && (await signedOut())) {
-      location.replace("/login");
-      return;
-    }
-    setTimeout(connect, waitMs);
-    waitMs = Math.min(2 * waitMs, LONGEST_WAIT_MS);
-  };
-}
-
-async function signedOut() {
-  try {
-    return (await fetch("/", { method: "GET", redirect: "manual" })).type === "opaqueredirect";
-  } catch {
-    return false;
-  }
-}
+const tell = followRobot("/live", {
+  handlers,
+  picture: showPicture,
+  opened: want,
+  closed: () => byId("state").classList.add("old"),
+});
 
 /** What costs the daemon work is asked for only while somebody looks at it. */
 function want() {
-  if (socket?.readyState !== WebSocket.OPEN) return;
   const topics = document.hidden ? [] : ["landmarks", "particles"];
   if (!document.hidden && pictureOnScreen && byId("show-picture").checked) topics.push("image");
-  socket.send(JSON.stringify({ want: topics }));
+  tell({ want: topics });
 }
 
 function showPicture(blob) {
@@ -138,28 +102,11 @@ new IntersectionObserver(([seen]) => {
 
 // -- commands
 
-function reply(ok, text) {
-  byId("reply").dataset.ok = String(ok);
-  byId("reply").textContent = text;
-}
-
 async function command(name, fields, done) {
-  byId("reply").removeAttribute("data-ok");
-  byId("reply").textContent = "sent";
-  try {
-    const answer = await fetch(`/cmd/${name}`, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify(fields),
-    });
-    const text = await answer.text();
-    const said = answer.headers.get("Content-Type")?.startsWith("application/json") ? JSON.parse(text) : { error: text };
-    reply(Boolean(said.ok), said.ok ? done(said.result ?? {}) : said.error || `refused: ${answer.status}`);
-    return Boolean(said.ok);
-  } catch {
-    reply(false, "the pages' server does not answer");
-    return false;
-  }
+  say(byId("reply"), null, "sent");
+  const said = await post(`/cmd/${name}`, fields);
+  say(byId("reply"), Boolean(said.ok), said.ok ? done(said.result ?? {}) : said.error);
+  return Boolean(said.ok);
 }
 
 byId("save-map").addEventListener("click", () =>
@@ -277,28 +224,7 @@ byId("map").addEventListener("keydown", (event) => {
   event.preventDefault();
 });
 
-// -- light, dark, or as the system
-
-const THEMES = ["auto", "light", "dark"];
-function theme(name) {
-  if (name === "auto") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = name;
-  byId("theme").textContent = `Theme: ${name}`;
+shell(() => {
   map.draw();
   nis.paint();
-}
-let chosen = localStorage.getItem("theme") ?? "auto";
-if (!THEMES.includes(chosen)) chosen = "auto";
-byId("theme").addEventListener("click", () => {
-  chosen = THEMES[(THEMES.indexOf(chosen) + 1) % THEMES.length];
-  localStorage.setItem("theme", chosen);
-  theme(chosen);
 });
-theme(chosen);
-
-byId("leave").addEventListener("click", async () => {
-  await fetch("/logout", { method: "POST" });
-  location.replace("/login");
-});
-
-connect();

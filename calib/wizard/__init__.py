@@ -1,0 +1,1 @@
+"""Commissioning step by step in a browser: the process that `ceilvod web` starts beside itself, the code of `calib`."""

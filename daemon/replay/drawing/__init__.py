@@ -1,0 +1,1 @@
+"""What the pipeline saw, drawn on pictures."""
