@@ -22,6 +22,7 @@ from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import beside, calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
+from ceilvo.daemon.odometry import kernel
 from ceilvo.errors import CeilvoError, ConfigError, FileFormatError
 
 log = logging.getLogger("ceilvo")
@@ -42,7 +43,7 @@ BENCHES = {"paper": "paper", "mrclam": "mrclam", "speed": "speed.filter_step"}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 fine, 78 wrong configuration or calibration, 1 anything else, 2 wrong arguments."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    options = _parser(words[:1]).parse_args(words)
+    options = make_parser(words[:1]).parse_args(words)
     _log_to_stderr("info")
     try:
         return int(options.do(options))
@@ -72,7 +73,7 @@ def leave(code: int) -> NoReturn:
     sys.exit(code)
 
 
-def _parser(first: Sequence[str]) -> argparse.ArgumentParser:
+def make_parser(first: Sequence[str]) -> argparse.ArgumentParser:
     """Of all commands; where the first word is a robot's own, of those alone: a restart need not wait for the rest."""
     parser = argparse.ArgumentParser(
         prog="ceilvod",
@@ -210,6 +211,8 @@ def _bench_command(*names: str) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
+    compiled, said = kernel.which()
+    log.log(logging.INFO if compiled else logging.WARNING, "kernel: %s", said)
     if options.simulate:
         return _run_simulated(options)
     path = options.config or DEFAULT_CONFIG

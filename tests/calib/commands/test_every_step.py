@@ -333,6 +333,7 @@ def test_a_report_is_replaced_by_force_only_and_kept(run: Run, known_lens: Sessi
     assert code == 78 and "pass --force" in err and page.read_text() == "mine"
     run("report", "--force")
     assert page.with_name("report.html.bak").read_text() == "mine" and "<!doctype html>" in page.read_text()
+    assert page.with_name("report.pdf.bak").exists() and page.with_suffix(".pdf").read_bytes().startswith(b"%PDF-")
 
 
 def test_a_mistyped_folder_does_not_block_the_session(run: Run, tmp_path: Path, stock: Stock) -> None:
