@@ -183,7 +183,8 @@ def blackout(seed: int, senses: Sequence[str] = ("wheels", "gyro")) -> dict[str,
 def ahead(seed: int) -> dict[str, Any]:
     """Error of a right pose that is _AGE_S old: as it is, moved on by its twist, and by the wheels."""
     rng = np.random.default_rng([seed, 2])
-    wheels, moments = WheelsDevice(rng), []
+    wheels = WheelsDevice(rng)
+    moments: list[Moment] = []
     off: dict[str, list[float]] = {"as it is": [], "twist": [], "wheels": []}
     for k, moment in enumerate(Ride(_HALL.room, np.zeros(3), Condition(seconds=0.0), rng)):
         wheels.live(moment)

@@ -90,6 +90,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def written(session: Session) -> tuple[Path, ...]:
+    """The record with what was said of site and robot before, as a page and to print; an earlier one is replaced."""
+    document = report(session, _known(session))
+    return session.write("report.html", html_of(document)), session.write("report.pdf", pdf_of(document))
+
+
 def report(
     session: Session, about: Mapping[str, str] | None = None, photos: list[tuple[str, bytes]] | None = None
 ) -> Document:
@@ -194,15 +200,19 @@ def _picture(path: Path, caption: str) -> Iterator[Figure]:
         yield Figure(drawing, caption)
 
 
-def _about(session: Session, args: argparse.Namespace) -> dict[str, str]:
-    """What was said now, over what was said for the report before."""
+def _known(session: Session) -> dict[str, str]:
+    """What was said of site, robot and operator for a report before."""
     path = session.folder / ABOUT
-    before: dict[str, str] = {}
-    if path.exists():
-        with reading(path):
-            before = {str(k): str(v) for k, v in json.loads(path.read_text(encoding="utf-8")).items()}
+    if not path.exists():
+        return {}
+    with reading(path):
+        return {str(k): str(v) for k, v in json.loads(path.read_text(encoding="utf-8")).items()}
+
+
+def _about(session: Session, args: argparse.Namespace) -> dict[str, str]:
+    """What was said now, over what was said before."""
     now = {word: getattr(args, word) for word in ("site", "robot", "operator", "remark")}
-    return before | {word: text for word, text in now.items() if text}
+    return _known(session) | {word: text for word, text in now.items() if text}
 
 
 def _photo(path: Path) -> bytes:

@@ -174,8 +174,8 @@ class Bench:
         self._note = f"{to}: written{kept}; 'sudo systemctl restart ceilvod' takes it"
 
     def _report(self, command: Mapping[str, Any]) -> None:
-        text = report_step.report(self.session)
-        self._note = f"{self.session.write('report.html', text)}: written"
+        page, printed = report_step.written(self.session)
+        self._note = f"{page} and {printed.name}: written"
 
     # -- how things stand
 

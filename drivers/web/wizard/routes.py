@@ -25,7 +25,7 @@ _MOST_PAGES = 8
 """Open at once; chosen: one engineer, some devices."""
 _PERIOD_S = 0.1
 """From one look for news to the next."""
-_FILES = {"report.html": "text/html", "calibration.yaml": "application/yaml"}
+_FILES = {"report.html": "text/html", "report.pdf": "application/pdf", "calibration.yaml": "application/yaml"}
 """Of the session, that may be taken home."""
 
 Check = Callable[[Mapping[str, object]], dict[str, Any]]

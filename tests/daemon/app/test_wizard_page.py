@@ -88,7 +88,8 @@ def test_from_nothing_to_tracking(browser: Chromium, robot: Path, size: str, tmp
         page.click("#report")
         page.until("!document.querySelector('#get-report').hidden")
         report = page.value("fetch('/wizard/file/report.html').then(r => r.text())")
-        assert "Commissioning" in report and "intrinsics" in report
+        assert "Commissioning" in report and "intrinsics" in report.lower()
+        assert page.value("fetch('/wizard/file/report.pdf').then(r => r.text())").startswith("%PDF")
         whole(page)
         engineer.look("end")
         page.size(*SIZES[size], dark=True, touch=size == "phone")

@@ -259,7 +259,7 @@ function showFile() {
   byId("file").textContent = file ? `${file.path} is written` : "put together as soon as lens and ceiling are there";
   items(byId("to-do"), file?.to_do ?? []);
   byId("get-file").hidden = !file;
-  byId("get-report").hidden = !state.note.includes("report.html");
+  byId("get-report").hidden = byId("get-printed").hidden = !state.note.includes("report.html");
   byId("report").disabled = readOnly || Boolean(state.busy) || !state.steps.some((s) => s.done);
   const real = state.simulate || !state.practice;
   byId("apply").disabled = readOnly || Boolean(state.busy) || !file || Boolean(file.error) || !state.target || !real;
