@@ -33,6 +33,10 @@ _LISTED = 20
 """The latest ones."""
 _LOOK_S = 0.5
 """From one look at the size to the next."""
+_BEGIN_S, _POLL_S = 60.0, 0.05
+"""That a recording may take until it has begun, and how often that is looked at: a stop before leaves none."""
+_BEGUN_BYTES = 1000
+"""More than a file's head; then the first message is there."""
 _END_S = 60.0
 """That a recording may take to write its index, on a computer with much else to do."""
 _SPARE = 2
@@ -43,8 +47,9 @@ _SPARE = 2
 class _Running:
     process: Process
     file: Path
-    began_s: float
     lossless: bool
+    began_s: float | None = None
+    """None until its first message is there."""
 
 
 class Recordings:
@@ -83,7 +88,7 @@ class Recordings:
         rows = [{"name": p.name, "bytes": _size(p)} for p in files if now is None or p != now.file]
         on = None
         if now is not None:
-            seconds = round(time.monotonic() - now.began_s)
+            seconds = None if now.began_s is None else round(time.monotonic() - now.began_s)
             on = {"name": now.file.name, "bytes": _size(now.file), "seconds": seconds, "lossless": now.lossless}
         data = {"on": on, "files": rows, "error": self._error, "most_bytes": self._config.web.recording_bytes}
         return json.dumps({"topic": "recordings", "data": data})
@@ -119,8 +124,15 @@ class Recordings:
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "ceilvo.daemon.cli", *words, stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE
         )
-        self._running = _Running(process, file, time.monotonic(), lossless)
+        self._running = _Running(process, file, lossless)
         self._watching = asyncio.create_task(self._watch(self._running))
+        deadline = time.monotonic() + _BEGIN_S
+        while _size(file) < _BEGUN_BYTES and not self._watching.done() and time.monotonic() < deadline:
+            await asyncio.sleep(_POLL_S)
+        if self._watching.done():
+            return refused(409, self._error or "the recording ended before it began")
+        if self._running is not None:
+            self._running.began_s = time.monotonic()
         log.info("%s: recording into %s", request.remote, file)
         return web.json_response({"ok": True, "result": {"name": name, "lossless": lossless}})
 
@@ -130,6 +142,8 @@ class Recordings:
             return refused(403, "web.read_only: pages may look and command nothing")
         if self._running is None:
             return refused(409, "nothing is being recorded")
+        if self._running.began_s is None:
+            return refused(409, "the recording has not begun yet")
         name = self._running.file.name
         await self._end()
         return web.json_response({"ok": True, "result": {"name": name}})

@@ -70,17 +70,20 @@ def recorded(page: Page, tmp_path: Path) -> None:
     """What is taken home is what the robot said."""
     page.value("document.querySelector('#show-picture').click()")  # the recording's own pictures
     page.click("#record")
-    page.until("/recording [1-9][0-9]* s/.test(document.querySelector('#recording').innerText)")
+    page.until(
+        "/recording [0-9]+ s, ([2-9][0-9]{2} kB|[0-9.]+ MB)/.test(document.querySelector('#recording').innerText)"
+    )
     page.picture(PICTURES / "laptop-recording.png")
     page.click("#record")
     page.until("document.querySelectorAll('#recording-list a').length === 1")
     page.value("document.querySelector('#recordings').open = true")
+    assert page.text("#recording") == "", "it ended well"
     [file] = (tmp_path / "recordings").glob("*.mcap")
     sizes = "fetch(document.querySelector('#recording-list a').href).then(r => r.arrayBuffer()).then(b => b.byteLength)"
     assert page.value(sizes) == file.stat().st_size
     with file.open("rb") as stream:
         topics = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
-    assert {"/pose/figures", "/health"} <= set(topics) and topics.count("/pose/figures") > 5
+    assert {"/pose/figures", "/health"} <= set(topics) and topics.count("/pose/figures") > 1
     page.click("#recording-list button")
     page.until("document.querySelector('#recordings').hidden")
     assert not file.exists()

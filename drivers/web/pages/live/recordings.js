@@ -11,7 +11,8 @@ export function showRecordings({ on: now, files, error, most_bytes: most }, read
   byId("record").textContent = now ? "Stop recording" : "Record";
   byId("record").setAttribute("aria-pressed", String(Boolean(now)));
   const how = now?.lossless ? "the daemon runs for it, without loss" : "what the robot says, and its pictures";
-  byId("recording").textContent = now
+  byId("record").disabled = readOnly || now?.seconds === null;
+  byId("recording").textContent = now?.seconds === null ? "the recording begins" : now
     ? `● recording ${now.seconds} s, ${size(now.bytes)} of ${size(most)}: ${how}`
     : error;
   byId("recordings").hidden = !files.length;
