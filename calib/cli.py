@@ -42,6 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parser_of(words: Sequence[str]) -> argparse.ArgumentParser:
+    """Of all commands; words whose first is none of them end it, with exit code 2."""
     parser = argparse.ArgumentParser(
         prog="calib",
         description="Commissioning of a ceiling camera: the numbered commands, one after the other.",

@@ -15,11 +15,13 @@ install.sh uninstall [options]     remove everything but configuration, calibrat
   --no-deps        install no dependencies: the interpreter's own packages are used
   --python EXE     interpreter, at least 3.10 (default /usr/bin/python3)
   --root DIR       stage below DIR; nothing of the running system is touched
+  --app DIR        with --root: where the program will lie, for those who make packages (default /opt/ceilvo)
 U
 }
 
 # What goes where. The program is replaced as a whole; configuration, calibration and state are never overwritten.
 APP=/opt/ceilvo
+WRITTEN=$APP # the place that the units here name
 CONF=/etc/ceilvo
 STATE=/var/lib/ceilvo
 UNIT=/etc/systemd/system/ceilvod.service
@@ -52,6 +54,7 @@ parse() {
       --wheels) value "$@"; wheels=$2; shift ;;
       --python) value "$@"; python=$2; shift ;;
       --root) value "$@"; root=$2; shift ;;
+      --app) value "$@"; APP=$2; shift ;;
       -h | --help) usage; exit 0 ;;
       *) die "unknown argument '$1'; see --help" ;;
     esac
@@ -60,6 +63,7 @@ parse() {
   if [ "$purge" = yes ] && [ "$action" = install ]; then die "--purge goes with uninstall"; fi
   if [ "$fleet" = yes ] && [ "$action" = uninstall ]; then die "--fleet goes with install"; fi
   if [ "$web" = yes ] && [ "$action" = uninstall ]; then die "--web goes with install"; fi
+  if [ "$APP" != "$WRITTEN" ] && [ -z "$root" ]; then die "--app goes with --root"; fi
   if [ -n "$root" ]; then
     [ -d "$root" ] || die "--root $root: no such directory"
     root=$(realpath "$root")
@@ -112,9 +116,9 @@ install_app() {
   pip_options
   say "packages from $package"
   case $fleet$web in
-    yesyes) package="$package[fleet,web]" ;;
-    yesno) package="$package[fleet]" ;;
-    noyes) package="$package[web]" ;;
+    yesyes) package="${package}[fleet,web]" ;;
+    yesno) package="${package}[fleet]" ;;
+    noyes) package="${package}[web]" ;;
   esac
   "$new/bin/python" -I -m pip install "${opts[@]}" "$package"
   for cmd in $COMMANDS; do
@@ -133,11 +137,18 @@ install_app() {
   rm -rf "$old"
 }
 
+# put_unit FILE: a unit in its place, with the program's.
+put_unit() {
+  install -d "${1%/*}"
+  sed "s|$WRITTEN/|$APP/|g" "$here/${1##*/}" >"$1"
+  chmod 644 "$1"
+}
+
 # What uninstalling needs, and what the unit's Documentation= points to.
 install_share() {
   local f
   install -d "$1"
-  install -m755 "$here/install.sh" "$1/install.sh"
+  install -m755 "$here/install.sh" "$here/network.sh" "$1/"
   for f in ceilvod.service ceilvo-mapd.service ceilvo-web.service 60-ceilvo.rules sysusers.conf sysusers-mapd.conf sysusers-web.conf; do
     install -m644 "$here/$f" "$1/$f"
   done
@@ -187,29 +198,14 @@ install_service() {
   install -d "$root/usr/local/bin"
   for cmd in $COMMANDS; do ln -sfn "$APP/bin/$cmd" "$root/usr/local/bin/$cmd"; done
   install -D -m644 "$here/60-ceilvo.rules" "$root$RULES"
-  install -D -m644 "$here/ceilvod.service" "$root$UNIT"
+  put_unit "$root$UNIT"
   install -d "$root${WANTED%/*}"
   ln -sfn "$UNIT" "$root$WANTED"
   install -d -m750 "$root$STATE"
-  if [ "$web" = yes ]; then install -D -m644 "$here/ceilvo-web.service" "$root$WEB_UNIT"; fi
+  if [ "$web" = yes ]; then put_unit "$root$WEB_UNIT"; fi
   [ "$fleet" = yes ] || return 0
-  install -D -m644 "$here/ceilvo-mapd.service" "$root$MAPD_UNIT"
+  put_unit "$root$MAPD_UNIT"
   install -d -m750 "$root$MAPD_STATE"
-}
-
-# A unit speaks to this computer only, unless its configuration wants more.
-install_network() {
-  local unit=$1 config=$2 drop_in=$root$1.d/10-network.conf
-  if "$root$APP/bin/python" -I -m ceilvo.config.network "$root$config" "${@:3}"; then
-    install -d "${drop_in%/*}"
-    printf '%s\n' "# Written by install.sh: ${config##*/} needs the network." '[Service]' 'IPAddressDeny=' 'IPAddressAllow=' \
-      '# Zenoh lists the network interfaces.' 'RestrictAddressFamilies=AF_NETLINK' \
-      >"$drop_in"
-    say "$config needs the network: ${drop_in#"$root"} lets ${unit##*/} use it"
-  elif [ -e "$drop_in" ]; then
-    rm -f "$drop_in"
-    rmdir --ignore-fail-on-non-empty "${drop_in%/*}"
-  fi
 }
 
 tell_system() {
@@ -227,9 +223,7 @@ do_install() {
   install_user
   install_config
   install_service
-  install_network "$UNIT" "$CONF/config.yaml"
-  if [ "$fleet" = yes ]; then install_network "$MAPD_UNIT" "$CONF/mapd.yaml"; fi
-  if [ "$web" = yes ]; then install_network "$WEB_UNIT" "$CONF/config.yaml" web; fi
+  bash "$root$APP/share/ceilvo/network.sh" ${root:+--root "$root"}
   tell_system
   if [ -z "$root" ]; then
     chown ceilvo:ceilvo "$STATE"

@@ -32,19 +32,13 @@ mkdir -p "$work"
 bash "$here/vm.sh" build
 
 step "wheel and its dependencies"
-rm -rf "$share" "$OUT" "$work/src"
-mkdir -p "$share/kit" "$OUT" "$work/src"
-# A copy, because setuptools would pack what an earlier build left in build/.
-for f in pyproject.toml setup.py README.md LICENSE ceilvo daemon drivers calib sim bench; do
-  if [ -e "$f" ]; then cp -r "$f" "$work/src/"; fi
-done
-find "$work/src/daemon" -name '*.so' -delete
+rm -rf "$share" "$OUT"
+mkdir -p "$share/kit" "$OUT"
 guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
 # A wheel with the compiled kernel fits one Python only; for another one the kernel is left out.
 host_python=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
-if [ "$host_python" != "$guest_python" ]; then rm -f "$work/src/setup.py"; fi
+PURE=$([ "$host_python" = "$guest_python" ] || echo 1) bash packaging/wheel.sh "$share/kit"
 pip=("$python" -m pip --quiet --disable-pip-version-check)
-"${pip[@]}" wheel --no-deps --wheel-dir "$share/kit" "$work/src"
 cp -r systemd constraints.txt "$share/kit/"
 mkdir -p "$share/kit/docs"
 if [ -f docs/service.md ]; then cp docs/service.md "$share/kit/docs/"; fi

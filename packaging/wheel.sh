@@ -1,0 +1,19 @@
+#!/bin/bash
+# packaging/wheel.sh DIR: a wheel of this source tree in DIR, made by .venv's Python.
+# PURE=1: without the compiled kernel, for any Python. Otherwise it fits Pythons of that version on this kind of processor.
+# With SOURCE_DATE_EPOCH, seconds since 1970, the wheel is the same bytes each time.
+set -euo pipefail
+repo=$(dirname "$(dirname "$(realpath "$0")")")
+mkdir -p "$1"
+out=$(realpath "$1")
+# A copy, because setuptools would pack what an earlier build left in build/. Its place is fixed: compilers write it down.
+work=$repo/build/wheel-source
+rm -rf "$work"
+mkdir -p "$work"
+trap 'rm -rf "$work"' EXIT
+cd "$repo"
+cp -r pyproject.toml setup.py README.md LICENSE ceilvo daemon drivers calib sim bench "$work/"
+find "$work" \( -name '*.so' -o -name __pycache__ \) -prune -exec rm -rf {} +
+if [ "${PURE:-}" = 1 ]; then rm "$work/setup.py"; fi
+CFLAGS="${CFLAGS:-} -g0" LDFLAGS="${LDFLAGS:-} -Wl,--strip-all" \
+  .venv/bin/python -m pip --quiet --disable-pip-version-check wheel --no-deps --wheel-dir "$out" "$work"
