@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
-.PHONY: help run test check config dist test-robot clean
+.PHONY: help run test check config dist deb wheels test-robot test-deb clean
 .PHONY: bench-fusion soak bench-wires bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-wizard bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
@@ -37,6 +37,9 @@ help:
 	@echo "make kill-test         kill -9 while it saves, and of the whole daemon while it drives, KILLS=200 times each"
 	@echo "make damage-matrix     every file that it reads or keeps, damaged in every way, then a run: 1200 cases"
 	@echo "make fuzz              every reader of bytes, MINUTES=10 each; by coverage where atheris can be installed"
+	@echo "make deb               Debian package of the whole program in dist/ (root or fakeroot)"
+	@echo "make test-deb          the package installed, tracking, upgraded, removed and purged on the virtual robot; lintian"
+	@echo "make wheels            the wheel with the compiled kernel for any Linux of this processor in dist/ (auditwheel)"
 	@echo "make dist              wheel and source archive in dist/"
 	@echo "make config            write config.yaml anew from the schema in ceilvo/config/schema.py"
 	@echo "make clean             remove build/, dist/ and caches; .venv stays"
@@ -132,6 +135,15 @@ fuzz: $(VENV)/.installed-dev
 
 test-robot:
 	bash tests/robot/run.sh
+
+deb: $(VENV)/.installed
+	bash packaging/deb/build.sh
+
+test-deb: $(VENV)/.installed
+	ONLY=deb DRIVE_S=12 bash tests/robot/run.sh
+
+wheels: $(VENV)/.installed
+	bash packaging/wheels.sh dist
 
 bench-vision: $(VENV)/.installed-dev
 	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS))

@@ -15,5 +15,6 @@ cd "$repo"
 cp -r pyproject.toml setup.py README.md LICENSE ceilvo daemon drivers calib sim bench "$work/"
 find "$work" \( -name '*.so' -o -name __pycache__ \) -prune -exec rm -rf {} +
 if [ "${PURE:-}" = 1 ]; then rm "$work/setup.py"; fi
-CFLAGS="${CFLAGS:-} -g0" LDFLAGS="${LDFLAGS:-} -Wl,--strip-all" \
+# LDSHARED: without the search path for libraries that a Python of pyenv's would write into them.
+CFLAGS="${CFLAGS:-} -g0" LDSHARED="${CC:-cc} -shared" LDFLAGS="${LDFLAGS:-} -Wl,--strip-all" \
   .venv/bin/python -m pip --quiet --disable-pip-version-check wheel --no-deps --wheel-dir "$out" "$work"

@@ -1,4 +1,4 @@
-"""Does a configuration need the network? For install.sh: `python -m ceilvo.config.network FILE` ends with 0 if it does,
+"""Does a configuration need the network? For network.sh: `python -m ceilvo.config.network FILE` ends with 0 if it does,
 `... network FILE web` if `ceilvod web` does.
 
 A file that cannot be read needs none: the daemon will not start with it, and says why.

@@ -21,6 +21,9 @@ from ceilvo.errors import FileFormatError
 
 UNIT, INSTALLED = "ceilvod.service", "/etc/systemd/system/ceilvod.service"
 PACKAGED = "/opt/ceilvo/share/ceilvo/ceilvod.service"
+OF_DEBIAN = "/usr/lib/systemd/system/ceilvod.service"
+"""The unit of the Debian package, which dpkg looks after; one in INSTALLED comes before it."""
+_NETWORK = "share/ceilvo/network.sh"
 MEMORY_BYTES = 400_000_000
 """Memory that should be free; chosen with a margin for large maps."""
 STATE_BYTES = 20_000_000
@@ -49,11 +52,19 @@ def daemon_state(machine: Machine) -> tuple[list[Finding], str]:
 
 def unit_file(machine: Machine, config: Config | None) -> Iterator[Finding]:
     """Installed, the one of this package, accepted by systemd, loaded, and with the network that is configured."""
-    installed = machine.text(INSTALLED)
+    where, app = (INSTALLED, "/opt/ceilvo") if machine.text(INSTALLED) is not None else (OF_DEBIAN, "/usr/lib/ceilvo")
+    installed = machine.text(where)
     if installed is None:
         return  # the service check has said so
-    packaged = machine.text(PACKAGED)
+    packaged = machine.text(PACKAGED) if where == INSTALLED else None
     good = True
+    if where == INSTALLED and machine.text(OF_DEBIAN) is not None:
+        good = False
+        yield wrong(
+            "unit",
+            f"{INSTALLED} hides the package's, {OF_DEBIAN}; remove it, and put your own settings in a drop-in "
+            "(systemctl edit ceilvod)",
+        )
     if packaged is not None and packaged != installed:
         good = False
         yield wrong(
@@ -61,7 +72,7 @@ def unit_file(machine: Machine, config: Config | None) -> Iterator[Finding]:
             f"{INSTALLED} differs from the package's; run {Path(PACKAGED).parent}/install.sh again and put your own "
             "settings in a drop-in (systemctl edit ceilvod)",
         )
-    verified = machine.run("systemd-analyze", "verify", str(machine.path(INSTALLED)))
+    verified = machine.run("systemd-analyze", "verify", str(machine.path(where)))
     if verified is not None and verified.code:
         good = False
         yield wrong("unit", f"systemd-analyze verify: {_first_line(verified.text)}; install again")
@@ -75,12 +86,12 @@ def unit_file(machine: Machine, config: Config | None) -> Iterator[Finding]:
         yield wrong(
             "unit",
             "zenoh.listen, zenoh.connect or zenoh.config_file need the network and the service may not use it; run "
-            f"{Path(PACKAGED).parent}/install.sh again",
+            f"sudo {app}/{_NETWORK}",
         )
     if shown is not None and "UnitFileState=disabled" in shown.text:
         yield note("unit", "it does not start with the computer; sudo systemctl enable ceilvod")
     if good:
-        yield fine("unit", INSTALLED)
+        yield fine("unit", where)
 
 
 def clock(machine: Machine) -> Iterator[Finding]:

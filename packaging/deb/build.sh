@@ -2,7 +2,9 @@
 # make deb: dist/ceilvo_VERSION_ARCHITECTURE.deb for the Debian or Ubuntu that it is built on: what systemd/install.sh installs, in the places
 # where packages put things. Needs root (or fakeroot), dpkg-dev, python3-venv, a C compiler, and .venv.
 #   WHEELS=DIR      dependencies from this folder of wheels (no network)
+#   WHEEL=FILE      this wheel of ceilvo, with the compiled kernel, instead of one of this source tree
 #   PYTHON=EXE      interpreter of the package (default /usr/bin/python3)
+#   OUT=DIR         where the package goes (default dist); COMPRESSION=none makes it quickly
 #   DEBFULLNAME, DEBEMAIL   the maintainer
 set -euo pipefail
 here=$(dirname "$(realpath "$0")")
@@ -27,11 +29,12 @@ umask 022
 
 rm -rf "$work"
 mkdir -p "$stage/DEBIAN" "$work/root"
-bash packaging/wheel.sh "$work"
-wheel=$(ls "$work"/ceilvo-*.whl)
+if [ -z "${WHEEL:-}" ]; then bash packaging/wheel.sh "$work"; fi
+wheel=${WHEEL:-$(ls "$work"/ceilvo-*.whl)}
 case $wheel in *-none-any.whl) die "the compiled kernel is missing; apt install gcc python3-dev" ;; esac
+held=$("$python" -m zipfile -l "$wheel")
 for part in daemon/vision/kernel/pixels daemon/odometry/kernel/views; do
-  unzip -l "$wheel" | grep -q "ceilvo/$part.*\.so" || die "$part was not compiled; apt install gcc python3-dev"
+  grep -q "ceilvo/$part\..*so" <<<"$held" || die "$part was not compiled; apt install gcc python3-dev"
 done
 version=$(basename "$wheel" | cut -d- -f2)-1
 architecture=$(dpkg --print-architecture)
@@ -55,6 +58,7 @@ for command in ceilvod calib; do ln -s "../lib/ceilvo/bin/$command" "$stage/usr/
   "$program/bin/python" -I -m pip --quiet --disable-pip-version-check uninstall --yes --root-user-action=ignore pip
 find "$program/bin" -name '[Aa]ctivate*' -delete
 find "$program" -name direct_url.json -delete -o -name REQUESTED -delete
+find "$program/lib" -type f -perm /111 -exec chmod a-x {} +
 find "$program/lib" -depth -name __pycache__ -empty -delete
 share=$program/share/ceilvo
 rm "$share/install.sh" "$share"/*.service "$share"/sysusers* "$share"/*.rules "$share/constraints.txt"
@@ -91,7 +95,7 @@ install -m755 packaging/deb/{preinst,postinst,prerm,postrm} "$stage/DEBIAN/"
 (cd "$stage" && find etc -type f -printf '/%p\n' | sort >DEBIAN/conffiles)
 (cd "$stage" && find usr -type f -printf '%P\0' | sort -z | (cd usr && xargs -0 md5sum) | sed 's|  |  usr/|' >DEBIAN/md5sums)
 find "$stage" -newermt "@$SOURCE_DATE_EPOCH" -exec touch -hd "@$SOURCE_DATE_EPOCH" {} +
-mkdir -p dist
-file=dist/ceilvo_${version}_$architecture.deb
+mkdir -p "${OUT:=dist}"
+file=$OUT/ceilvo_${version}_$architecture.deb
 dpkg-deb --root-owner-group ${COMPRESSION:+"-Z$COMPRESSION"} --build "$stage" "$file"
 echo "make deb: $file, $(($(stat -c %s "$file") / 1000000)) MB"

@@ -44,7 +44,7 @@ install_service() {
 }
 
 listen() {
-  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$out/samples.jsonl" "$STEM"/{pose,health,event} &
+  "${app:-/opt/ceilvo}/bin/python" listener.py "$ENDPOINT" "$out/samples.jsonl" "$STEM"/{pose,health,event} &
   # shellcheck disable=SC2034
   listener=$!
 }

@@ -1,6 +1,7 @@
 #!/bin/bash
 # make test-robot: the installed service on a virtual robot, from /dev/video0 to Zenoh and Modbus, against the truth.
 # run.sh prepare: only the image and the kernel that it boots, behind what others compute.
+# make test-deb (ONLY=deb): the same robot, and the Debian package on it instead of the installer's service.
 # Results: build/robot/summary.json and, in build/robot/out, everything that was sent, logged and measured.
 set -euo pipefail
 here=$(dirname "$(realpath "$0")")
@@ -31,27 +32,50 @@ step "image and kernel (cached in $CACHE)"
 mkdir -p "$work"
 bash "$here/vm.sh" build
 
-step "wheel and its dependencies"
+installer_kit() {
+  step "wheel and its dependencies"
+  guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
+  # A wheel with the compiled kernel fits one Python only; for another one the kernel is left out.
+  host_python=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
+  PURE=$([ "$host_python" = "$guest_python" ] || echo 1) bash packaging/wheel.sh "$share/kit"
+  pip=("$python" -m pip --quiet --disable-pip-version-check)
+  cp -r systemd constraints.txt "$share/kit/"
+  mkdir -p "$share/kit/docs"
+  if [ -f docs/service.md ]; then cp docs/service.md "$share/kit/docs/"; fi
+  key=$({ sed -n '/^dependencies/,/^]/p' pyproject.toml; cat constraints.txt; echo "$guest_python"; } | sha256sum | cut -c1-16)
+  wheels=$CACHE/wheels
+  if [ "$(cat "$wheels/key" 2>/dev/null)" != "$key" ]; then
+    rm -rf "$wheels"
+    "${pip[@]}" download --only-binary=:all: --python-version "${guest_python#python}" --dest "$wheels" \
+      --constraint constraints.txt "$share"/kit/*.whl 2>"$work/download.log" || { cat "$work/download.log" >&2; exit 1; }
+    rm -f "$wheels"/ceilvo-*
+    echo "$key" >"$wheels/key"
+  fi
+  cp -rl "$wheels" "$share/wheels" 2>/dev/null || cp -r "$wheels" "$share/wheels"
+}
+
+# A package, DEB or of this source tree, and one of a later version with other defaults.
+packages() {
+  step "Debian package"
+  local deb=${DEB:-} later=$work/later
+  mkdir -p "$share/deb"
+  if [ -z "$deb" ]; then
+    COMPRESSION=none OUT=$work/deb bash packaging/deb/build.sh >"$work/deb.log" 2>&1 || { tail -20 "$work/deb.log" >&2; exit 1; }
+    deb=$(ls "$work"/deb/*.deb)
+  fi
+  if command -v lintian >/dev/null; then lintian --fail-on error --suppress-tags initial-upload-closes-no-bugs "$deb"; else echo "lintian is not installed: not asked"; fi
+  rm -rf "$later"
+  dpkg-deb --raw-extract "$deb" "$later"
+  sed -i 's/^\(Version: .*-\)1$/\12/' "$later/DEBIAN/control"
+  echo '# of a later version' >>"$later/etc/ceilvo/config.yaml"
+  dpkg-deb --root-owner-group -Znone --build "$later" "$share/deb/new.deb" >/dev/null
+  rm -rf "$later"
+  cp "$deb" "$share/deb/old.deb"
+}
+
 rm -rf "$share" "$OUT"
 mkdir -p "$share/kit" "$OUT"
-guest_python=$(basename "$(ls -d "$CACHE"/image/usr/lib/python3.*)")
-# A wheel with the compiled kernel fits one Python only; for another one the kernel is left out.
-host_python=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
-PURE=$([ "$host_python" = "$guest_python" ] || echo 1) bash packaging/wheel.sh "$share/kit"
-pip=("$python" -m pip --quiet --disable-pip-version-check)
-cp -r systemd constraints.txt "$share/kit/"
-mkdir -p "$share/kit/docs"
-if [ -f docs/service.md ]; then cp docs/service.md "$share/kit/docs/"; fi
-key=$({ sed -n '/^dependencies/,/^]/p' pyproject.toml; cat constraints.txt; echo "$guest_python"; } | sha256sum | cut -c1-16)
-wheels=$CACHE/wheels
-if [ "$(cat "$wheels/key" 2>/dev/null)" != "$key" ]; then
-  rm -rf "$wheels"
-  "${pip[@]}" download --only-binary=:all: --python-version "${guest_python#python}" --dest "$wheels" \
-    --constraint constraints.txt "$share"/kit/*.whl 2>"$work/download.log" || { cat "$work/download.log" >&2; exit 1; }
-  rm -f "$wheels"/ceilvo-*
-  echo "$key" >"$wheels/key"
-fi
-cp -rl "$wheels" "$share/wheels" 2>/dev/null || cp -r "$wheels" "$share/wheels"
+if [ "${ONLY:-}" = deb ]; then packages; else installer_kit; fi
 
 step "recording of $DRIVE_S s at 15 fps"
 rm -rf "$work/recording"
@@ -94,6 +118,10 @@ if [ "${ONLY:-faults}" = faults ]; then
   step "boot: faults"
   boot faults.sh "$OUT/faults" 420 || status=1
 fi
+if [ "${ONLY:-}" = deb ]; then
+  step "boot: the package"
+  boot deb.sh "$OUT/deb" 300 || status=1
+fi
 kill $base
 wait $base || true
 trap - EXIT
@@ -102,6 +130,7 @@ step "results"
 : >"$work/results.txt"
 if [ "${ONLY:-drive}" = drive ]; then "$python" "$here/judge.py" "$OUT" "$share" "$work/summary.json" | tee -a "$work/results.txt" || status=1; fi
 if [ "${ONLY:-faults}" = faults ]; then "$python" "$here/judge_faults.py" "$OUT/faults" "$work/faults.json" | tee -a "$work/results.txt" || status=1; fi
+if [ "${ONLY:-}" = deb ]; then "$python" "$here/judge_deb.py" "$OUT/deb" "$work/deb.json" | tee -a "$work/results.txt" || status=1; fi
 grep -s FAILED "$work/results.txt" || true # once more, where the end of a log shows it
 step "done"
 exit $status
