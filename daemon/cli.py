@@ -22,6 +22,7 @@ from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import beside, calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
+from ceilvo.daemon.odometry import kernel
 from ceilvo.errors import CeilvoError, ConfigError, FileFormatError
 
 log = logging.getLogger("ceilvo")
@@ -210,6 +211,8 @@ def _bench_command(*names: str) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
+    compiled, said = kernel.which()
+    log.log(logging.INFO if compiled else logging.WARNING, "kernel: %s", said)
     if options.simulate:
         return _run_simulated(options)
     path = options.config or DEFAULT_CONFIG

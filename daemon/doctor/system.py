@@ -15,7 +15,7 @@ from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.kept.kept_map import OLD_NAME
 from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.odometry import kernel
 from ceilvo.drivers.host.machine import Machine
 from ceilvo.errors import FileFormatError
 
@@ -178,14 +178,8 @@ def limits(machine: Machine) -> Iterator[Finding]:
 
 def compiled_kernel() -> Iterator[Finding]:
     """Whether the loops over edge points are compiled; without a compiler the installation does without."""
-    if kernel.COMPILED:
-        yield fine("kernel", "compiled")
-    else:
-        yield note(
-            "kernel",
-            "not compiled: NumPy stands in, and a frame takes 2 to 4 times as long; 'apt install gcc python3-dev' and "
-            "install ceilvo again",
-        )
+    compiled, said = kernel.which()
+    yield fine("kernel", said) if compiled else note("kernel", said)
 
 
 def _available_bytes(machine: Machine) -> int | None:

@@ -19,7 +19,7 @@ digest() { sha256sum "$@" 2>/dev/null | cut -c1-16 | tr '\n' ' '; }
 landmarks() { ceilvod map stats --json /var/lib/ceilvo/map.db 2>/dev/null | tr ',' '\n' | sed -n 's/.*"landmarks": *\([0-9]*\).*/\1/p' | head -1; }
 all_named() { find / -xdev \( -path /mnt -o -path /var/log \) -prune -o -iname '*ceilvo*' -print | sort | tr '\n' ' '; }
 page() {
-  $app/bin/python -c 'import sys, urllib.request as r; print(r.urlopen("http://127.0.0.1:8480/", timeout=5).status)' 2>/dev/null | grep -q 200
+  "$app"/bin/python -c 'import sys, urllib.request as r; print(r.urlopen("http://127.0.0.1:8480/", timeout=5).status)' 2>/dev/null | grep -q 200
 }
 poses_of_now() {
   local n
@@ -38,7 +38,7 @@ install() {
   note active_at_first "$(states ceilvod)"
   note users "$(grep -c '^ceilvo' /etc/passwd)"
   note verify "$(systemd-analyze verify --man=no /usr/lib/systemd/system/ceilvo*.service 2>&1 | tr '\n' ' ')"
-  note kernel "$($app/bin/python -c 'from ceilvo.daemon.vision import kernel as v; from ceilvo.daemon.odometry import kernel as o; print(v.COMPILED and o.COMPILED)')"
+  note kernel "$("$app"/bin/python -c 'from ceilvo.daemon.vision import kernel as v; from ceilvo.daemon.odometry import kernel as o; print(v.COMPILED and o.COMPILED)')"
 }
 configure() {
   cp config.yaml calibration.yaml /etc/ceilvo/
@@ -49,7 +49,7 @@ track() {
   mkdir -p "$feed"
   modprobe v4l2loopback devices=1 video_nr=0 exclusive_caps=1 card_label="$CAMERA" max_buffers=4 || return 1
   udevadm settle
-  $app/bin/python feeder.py /dev/video0 frames.gray "$WIDTH" "$HEIGHT" "$RATE" YUYV "$feed" &
+  "$app"/bin/python feeder.py /dev/video0 frames.gray "$WIDTH" "$HEIGHT" "$RATE" YUYV "$feed" &
   feeder=$!
   systemctl start ceilvod ceilvo-web || return 1
   listen
@@ -83,7 +83,8 @@ remove() {
   dpkg_ -r ceilvo
   note removed "$(version)"
   note active_removed "$(states ceilvod)"
-  note commands_removed "$(ls /usr/bin/ceilvod /usr/bin/calib $app/bin 2>/dev/null | tr '\n' ' ')"
+  # shellcheck disable=SC2012
+  note commands_removed "$(ls /usr/bin/ceilvod /usr/bin/calib "$app"/bin 2>/dev/null | tr '\n' ' ')"
   note kept_removed "$(digest /etc/ceilvo/config.yaml /etc/ceilvo/calibration.yaml)"
   note map_removed "$([ -s /var/lib/ceilvo/map.db ] && echo yes)"
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 from pathlib import Path
 
 import pytest
@@ -10,19 +12,45 @@ from kept_maps import write_database
 from map_writer import landmarks
 
 from ceilvo.config import Config, Zenoh
+from ceilvo.daemon import cli
 from ceilvo.daemon.doctor.findings import fine
-from ceilvo.daemon.doctor.system import INSTALLED, clock, compiled_kernel, daemon_state, disk, limits, unit_file
-from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.doctor.system import (
+    INSTALLED,
+    OF_DEBIAN,
+    clock,
+    compiled_kernel,
+    daemon_state,
+    disk,
+    limits,
+    unit_file,
+)
+from ceilvo.daemon.odometry import kernel
+from ceilvo.daemon.vision import kernel as vision_kernel
 from ceilvo.drivers.host.machine import Done
 
 
 def test_a_kernel_that_was_not_compiled_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kernel, "COMPILED", True)
-    assert list(compiled_kernel()) == [fine("kernel", "compiled")]
+    for vision, odometry, words in ((True, True, ""), (False, False, "not compiled"), (True, False, "in part")):
+        monkeypatch.setattr(vision_kernel, "COMPILED", vision)
+        monkeypatch.setattr(kernel, "COMPILED", odometry)
+        (finding,) = compiled_kernel()
+        if not words:
+            assert finding == fine("kernel", "compiled")
+        else:
+            assert finding.level == "note"  # slower, but right
+            assert words in finding.text and "apt install gcc python3-dev" in finding.text
+            assert re.search(r"a frame takes \d", finding.text)
+
+
+def test_the_daemon_says_once_which_kernel_runs(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
     monkeypatch.setattr(kernel, "COMPILED", False)
-    (finding,) = compiled_kernel()
-    assert finding.level == "note"  # slower, but right
-    assert "not compiled" in finding.text and "apt install gcc python3-dev" in finding.text
+    with caplog.at_level("INFO", "ceilvo"), monkeypatch.context() as m:
+        m.setattr(logging, "basicConfig", lambda **_: None)
+        assert cli.main(["run", "--config", str(tmp_path / "none.yaml")]) == 78
+    (record,) = (r for r in caplog.records if r.getMessage().startswith("kernel: "))
+    assert record.levelname == "WARNING" and record.getMessage() == f"kernel: {kernel.which()[1]}"
 
 
 def test_the_service(tmp_path: Path) -> None:
@@ -60,7 +88,15 @@ def test_the_unit_file(tmp_path: Path) -> None:
     machine = fake(tmp_path)
     machine.path(INSTALLED).write_text("[Unit]\n# edited\n")
     assert "differs from the package's" in wrongs(unit_file(machine, None))[0]
+    machine.path(OF_DEBIAN).parent.mkdir(parents=True)
+    machine.path(OF_DEBIAN).write_text("[Unit]\n")
+    assert "hides the package's" in wrongs(unit_file(machine, None))[0]
     machine.path(INSTALLED).unlink()
+    assert list(unit_file(machine, None)) == [fine("unit", OF_DEBIAN)]  # dpkg looks after the file itself
+    machine = fake(tmp_path, answers=deaf.answers)
+    machine.path(INSTALLED).unlink()
+    assert "sudo /usr/lib/ceilvo/share/ceilvo/network.sh" in wrongs(unit_file(machine, fleet))[0]
+    machine.path(OF_DEBIAN).unlink()
     assert list(unit_file(machine, None)) == []
 
 
