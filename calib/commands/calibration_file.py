@@ -66,11 +66,18 @@ def _simulate(args: argparse.Namespace) -> int:
 
 def describe(calibration: Calibration) -> str:
     """The figures that a person can check with a tape measure and a spirit level."""
+    lines = [f"{name:<17}{value}" for name, value in rows_of(calibration)]
+    lines += [f"{'meta':<17}{key}: {value}" for key, value in calibration.meta.items()]
+    return "\n".join(lines)
+
+
+def rows_of(calibration: Calibration) -> tuple[tuple[str, str], ...]:
+    """Name and value with its unit of each of them."""
     camera, noise = calibration.camera, calibration.noise
     yaw, roll, pitch = np.round(np.degrees(mount_angles(calibration.camera_from_base)), 2) + 0.0  # + 0.0: no -0.00
     field = 2.0 * np.degrees(np.arccos(np.clip(_corner_cosine(calibration), -1.0, 1.0)))
     x, y = calibration.mount_xy_m
-    rows = (
+    return (
         (
             "camera",
             f"{calibration.camera_id or 'not recorded'}, {camera.kind}, {camera.width_px} x {camera.height_px} px",
@@ -90,9 +97,6 @@ def describe(calibration: Calibration) -> str:
         ("sigma at r", _sigma_row(calibration)),
         ("sigma of heading", f"{np.degrees(noise.sigma_theta_rad):.3f} deg"),
     )
-    lines = [f"{name:<17}{value}" for name, value in rows]
-    lines += [f"{'meta':<17}{key}: {value}" for key, value in calibration.meta.items()]
-    return "\n".join(lines)
 
 
 def _corner_cosine(calibration: Calibration) -> float:

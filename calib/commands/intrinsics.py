@@ -114,7 +114,10 @@ def run(args: argparse.Namespace) -> int:
     }
     session.save(STEP, result)
     session.write("intrinsics/coverage.png", _png(coverage_picture(shots, size, light=light)))
-    plots.save(session, "intrinsics/radial.svg", plots.radial(result["radial"]))
+    drawn = (plots.reprojection, plots.vectors, plots.poses, plots.uncertainty)
+    for plot in drawn:
+        session.write(f"intrinsics/{plot.__name__}.svg", plot(fit))
+    session.write("intrinsics/radial.svg", plots.radial(result["radial"]))
     print(update_file(session)) if session.result("projection") else None
     return conclude(STEP, _rows(fit, scores, covered.text), bad, args)
 

@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     bad = problems(found) + _wheel_problems(found, wheels, taped, tile_m)
     kept = {"tile_m": tile_m, "scale": scale.kept(wheels)}
     session.save(STEP, _result(found) | kept | {"problems": bad, "verdict": "FAIL" if bad else "PASS"})
-    plots.save(session, "mount/paths.svg", plots.paths(found.spin_xy_m.tolist(), found.run_xy_m.tolist()))
+    session.write("mount/paths.svg", plots.paths(found.spin_xy_m.tolist(), found.run_xy_m.tolist()))
     print(update_file(session))
     state, texts = scale.summary([*taped, *wheels])
     if state == "unconfirmed":

@@ -1,58 +1,81 @@
-"""`calib report`: one HTML file with every figure, plot and picture of the session, for the commissioning record."""
+"""`calib report`: the commissioning record for a customer, as one HTML file and as a PDF."""
 
 from __future__ import annotations
 
 import argparse
-import base64
-import html
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from ceilvo.calib.commands.calibration_file import describe
-from ceilvo.calib.session.common import Subcommands, add_step
+from ceilvo import __version__
+from ceilvo.calib.commands.calibration_file import rows_of
+from ceilvo.calib.record import legend, pdf
+from ceilvo.calib.record.document import Block, Document, Figure, Heading, Table, Text, Verdict, html_of, pdf_of
+from ceilvo.calib.session.common import FIGURES, Subcommands, add_step
 from ceilvo.calib.session.session import STEPS, Session, reading
 from ceilvo.calibration_check import scale_of
 from ceilvo.calibration_file import read_calibration
 from ceilvo.errors import CalibrationError
 
 STEP = "report"
-_SKIPPED = ("cov", "curves", "shots", "radial", "problems", "verdict", "camera", "lens", "vectors")
-_STYLE = (
-    "body{font:15px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}"
-    "table{border-collapse:collapse;margin:.5rem 0}"
-    "td,th{border:1px solid #ccc;padding:.2rem .6rem;text-align:left;vertical-align:top}"
-    ".PASS,.FAIL,.none{color:#fff;padding:.1rem .5rem}.PASS{background:#2a7d2a}.FAIL{background:#b3261e}"
-    ".none{background:#888}img,svg{max-width:100%;height:auto}pre{background:#f4f4f4;padding:.6rem}"
-)
+ABOUT = "about.json"
+"""In the session: site, robot, operator, remarks, as they were said last."""
+_LOOKS: dict[str, Verdict] = {"PASS": "good", "FAIL": "bad", "confirmed": "good", "contradicted": "bad"}
+_MOST_PHOTO_BYTES = 40_000_000
+"""Of a file; chosen: above what telephones and cameras write."""
 
 
 def add(commands: Subcommands) -> None:
-    add_step(
+    p = add_step(
         commands,
         STEP,
         run,
-        help="7. one HTML file with everything, for the record",
-        description="Writes SESSION/report.html.",
-        epilog="example: calib report --session commissioning",
+        help="7. the record for a customer: one HTML file and a PDF",
+        description="Writes SESSION/report.html and SESSION/report.pdf.",
+        epilog="example: calib report --session commissioning --site 'Hall 3' --robot AGV-12 --operator 'M. Chen'",
         pictures=False,
+    )
+    for word, text in (
+        ("site", "where the robot drives"),
+        ("robot", "its name or number"),
+        ("operator", "who measured"),
+    ):
+        p.add_argument(f"--{word}", metavar="NAME", help=f"{text}; kept for the next report")
+    p.add_argument("--remark", metavar="TEXT", help="a sentence or two for the first sheet; kept")
+    p.add_argument(
+        "--photo",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a photograph (JPEG, PNG); may be repeated",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     session = Session(args.session, force=args.force)
-    text = report(session)
-    path = session.folder / "report.html"
-    if path.exists():
-        if not args.force:
+    about = _about(session, args)
+    photos = [(path.stem, _photo(path)) for path in args.photo]
+    document = report(session, about, photos)
+    files = {
+        session.folder / "report.html": html_of(document).encode(),
+        session.folder / "report.pdf": pdf_of(document),
+    }
+    for path in files:
+        if path.exists() and not args.force:
             raise CalibrationError(
                 f"{path}: found an earlier report, expected none; pass --force to write it anew (it is kept as .bak)"
             )
-        session.write("report.html.bak", path.read_bytes())
-    session.write("report.html", text)
-    print(f"{path}: written")
+    if about:
+        session.write(ABOUT, json.dumps(about, indent=1) + "\n")
+    for path, data in files.items():
+        if path.exists():
+            session.write(f"{path.name}.bak", path.read_bytes())
+        session.write(path.name, data)
+        print(f"{path}: written")
     if session.calibration_file.exists():
         with suppress(CalibrationError):
             print(f"  {scale_of(read_calibration(session.calibration_file))[1]}")
@@ -67,91 +90,134 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def report(session: Session) -> str:
-    """The whole page; nothing in it is loaded from elsewhere.
+def report(
+    session: Session, about: Mapping[str, str] | None = None, photos: list[tuple[str, bytes]] | None = None
+) -> Document:
+    """The whole record.
+
+    Args:
+        about: site, robot, operator and remark, those that are known.
+        photos: name and file content of each photograph.
 
     Raises:
-        CalibrationError: no step has been done.
+        CalibrationError: no step has been done, or a file of the session is damaged.
     """
     results = {step: session.result(step) for step in STEPS}
     if not any(results.values()):
         raise CalibrationError(
             f"{session.folder}: found no result in it, expected a session; run 'calib intrinsics' first"
         )
-    parts = []
+    blocks: list[Block] = [*_first_sheet(session, results, about or {}), *(Figure(d, n) for n, d in photos or [])]
     for step, result in results.items():
         with reading(session.folder / f"{step}.json"):
-            parts.append(_section(session, step, result))
-    return (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Commissioning: {_e(session.folder.name)}</title>"
-        f"<style>{_STYLE}</style><h1>Commissioning: {_e(session.folder.name)}</h1>{_summary(results)}{_file(session)}"
-        + "".join(parts)
-        + "</html>\n"
+            blocks += _part(session, step, result)
+    blocks += [Heading("How to read the figures"), Table(_READING)]
+    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    return Document(
+        f"Commissioning of {session.folder.resolve().name}", f"Written {now} by ceilvo {__version__}", blocks
     )
 
 
-def _e(value: Any) -> str:
-    return html.escape(str(value))
+_READING = (
+    ("a +- b", "the figure and its standard uncertainty (1 sigma)", ""),
+    ("px", "a pixel of the camera's picture", ""),
+    ("mm, m, deg", "on the ceiling or the robot; angles in degrees, to the left positive", ""),
+    ("PASS, FAIL", "every limit was kept, or at least one was not: it is named below the verdict", ""),
+)
 
 
-def _verdict(result: Mapping[str, Any] | None) -> str:
-    v = "not done" if result is None else str(result.get("verdict", "?"))
-    return f"<span class='{v if v in ('PASS', 'FAIL') else 'none'}'>{_e(v)}</span>"
-
-
-def _summary(results: Mapping[str, Mapping[str, Any] | None]) -> str:
-    rows = "".join(f"<tr><td>{_e(s)}</td><td>{_verdict(r)}</td></tr>" for s, r in results.items())
-    return f"<table>{rows}</table>"
-
-
-def _file(session: Session) -> str:
+def _first_sheet(session: Session, results: Mapping[str, Any], about: Mapping[str, str]) -> Iterator[Block]:
+    named = [
+        (word.capitalize(), about[word], "") for word in ("site", "robot", "operator", "remark") if about.get(word)
+    ]
+    if named:
+        yield Table(named)
+    verdicts = {step: "not done" if r is None else str(r.get("verdict", "?")) for step, r in results.items()}
+    bad = [legend.STEPS[s][0] for s, v in verdicts.items() if v != "PASS"]
+    yield Heading("Result", "FAIL" if bad else "PASS", "bad" if bad else "good")
+    said = (
+        f"Not as it should be, or not done: {', '.join(bad)}."
+        if bad
+        else "All steps passed; the robot may drive by it."
+    )
+    yield Text(said, "bad" if bad else "good")
+    yield Table([(legend.STEPS[s][0], v, legend.STEPS[s][1]) for s, v in verdicts.items()])
     if not session.calibration_file.exists():
-        return "<p>No calibration.yaml yet.</p>"
+        yield Text("There is no calibration yet.")
+        return
     try:
         calibration = read_calibration(session.calibration_file)
     except CalibrationError as e:
-        return f"<h2>calibration.yaml</h2><pre>{_e(e)}</pre>"
-    state, said = scale_of(calibration)
-    look = {"confirmed": "PASS", "contradicted": "FAIL"}.get(state, "none")
-    return (
-        f"<p><span class='{look}'>scale {state}</span> {_e(said)}</p>"
-        f"<h2>calibration.yaml</h2><pre>{_e(describe(calibration))}</pre>"
-    )
+        yield Text(str(e), "bad")
+        return
+    state, told = scale_of(calibration)
+    yield Heading("The calibration", f"scale {state}", _LOOKS.get(state, "none"))
+    yield Text(told)
+    yield Table([(name, value, legend.FIGURES.get(name, "")) for name, value in rows_of(calibration)])
 
 
-def _section(session: Session, step: str, result: Mapping[str, Any] | None) -> str:
+def _part(session: Session, step: str, result: Mapping[str, Any] | None) -> Iterator[Block]:
+    title, purpose = legend.STEPS[step]
     if result is None:
-        return f"<h2>{_e(step)}</h2><p>not done</p>"
-    rows = "".join(f"<tr><th>{_e(k)}</th><td>{_value(v)}</td></tr>" for k, v in result.items() if k not in _SKIPPED)
-    bad = "".join(f"<li>{_e(p)}</li>" for p in result.get("problems", ()))
-    shots = _shots(result.get("shots"))
-    pictures = "".join(_picture(p) for p in sorted((session.folder / step).glob("*")) if p.name != "live.png")
-    return f"<h2>{_e(step)} {_verdict(result)}</h2><ul>{bad}</ul><table>{rows}</table>{shots}{pictures}"
+        yield Heading(title, "not done")
+        yield Text(purpose)
+        return
+    verdict = str(result.get("verdict", "?"))
+    yield Heading(title, verdict, _LOOKS.get(verdict, "none"))
+    yield Text(purpose)
+    for problem in result.get("problems", ()):
+        yield Text(str(problem), "bad")
+    figures = session.folder / step / FIGURES
+    if figures.exists():
+        with reading(figures):
+            rows = json.loads(figures.read_text(encoding="utf-8"))
+            yield Table([(str(name), str(value), legend.FIGURES.get(str(name), "")) for name, value in rows])
+    else:
+        yield Text(f"Measured by an earlier version; 'calib {step} --force' writes down its figures.")
+    shots = result.get("shots")
+    if shots:
+        worst = sorted(shots, key=lambda s: -float(s["rms_px"]))[:5]
+        yield Table(
+            [("worst views", ", ".join(f"{s['name']}: {float(s['rms_px']):.3f} px" for s in worst), "rms of each")]
+        )
+    for name, caption in legend.PICTURES.items():
+        yield from _picture(session.folder / step / name, caption)
 
 
-def _value(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list) and all(isinstance(v, float) for v in value):
-        return ", ".join(f"{v:.6g}" for v in value)
-    if isinstance(value, list) and all(isinstance(v, str) for v in value):
-        return "<br>".join(_e(v) for v in value)
-    return _e(json.dumps(value)) if isinstance(value, list | dict) else _e(value)
-
-
-def _shots(shots: Any) -> str:
-    if not shots:
-        return ""
-    rows = "".join(f"<tr><td>{_e(s['name'])}</td><td>{s['rms_px']:.3f} px</td></tr>" for s in shots)
-    return f"<details><summary>residual of each picture</summary><table>{rows}</table></details>"
-
-
-def _picture(path: Path) -> str:
-    if path.suffix == ".svg":
-        drawing = path.read_text(encoding="utf-8", errors="replace")
-        return f"<figure>{drawing}<figcaption>{_e(path.stem)}</figcaption></figure>"
+def _picture(path: Path, caption: str) -> Iterator[Figure]:
+    if not path.exists():
+        return
     if path.suffix == ".png":
-        data = base64.b64encode(path.read_bytes()).decode()
-        image = f"<img alt='{_e(path.stem)}' src='data:image/png;base64,{data}'>"
-        return f"<figure>{image}<figcaption>{_e(path.stem)}</figcaption></figure>"
-    return ""
+        yield Figure(path.read_bytes(), caption)
+        return
+    drawing = path.read_text(encoding="utf-8", errors="replace")
+    if drawing.startswith('<svg xmlns="http://www.w3.org/2000/svg" width="'):  # an earlier version drew by matplotlib
+        yield Figure(drawing, caption)
+
+
+def _about(session: Session, args: argparse.Namespace) -> dict[str, str]:
+    """What was said now, over what was said for the report before."""
+    path = session.folder / ABOUT
+    before: dict[str, str] = {}
+    if path.exists():
+        with reading(path):
+            before = {str(k): str(v) for k, v in json.loads(path.read_text(encoding="utf-8")).items()}
+    now = {word: getattr(args, word) for word in ("site", "robot", "operator", "remark")}
+    return before | {word: text for word, text in now.items() if text}
+
+
+def _photo(path: Path) -> bytes:
+    """The file's content.
+
+    Raises:
+        CalibrationError: it cannot be read, or is no picture.
+    """
+    try:
+        data = path.read_bytes() if path.stat().st_size <= _MOST_PHOTO_BYTES else b""
+    except OSError as e:
+        raise CalibrationError(f"--photo {path}: cannot be read ({e.strerror})") from None
+    if pdf.jpeg_of(data, 64) is None:
+        raise CalibrationError(
+            f"--photo {path}: found no picture in it, expected JPEG or PNG of at most {_MOST_PHOTO_BYTES // 10**6} MB"
+        )
+    return data

@@ -79,9 +79,8 @@ def run(args: argparse.Namespace) -> int:
     result = _result(noise, errors) | {"method": how, "problems": bad, "verdict": "FAIL" if bad else "PASS"}
     session.save(STEP, result)
     curves = {"x": _curve(noise.x), "y": _curve(noise.y)}
-    plots.save(session, "sigma/curves.svg", plots.sigma(curves))
-    plots.save(
-        session,
+    session.write("sigma/curves.svg", plots.sigma(curves))
+    session.write(
         "sigma/errors.svg",
         plots.scatter({"r_m": errors.r_m.tolist(), "dx_m": errors.dx_m.tolist(), "dy_m": errors.dy_m.tolist()}),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,8 @@ from ceilvo.types import Frame
 Subcommands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 DEFAULT_SESSION = Path("commissioning")
+FIGURES = "figures.json"
+"""In a step's folder: the names and figures that were printed, as text with units."""
 FAILED = 1
 """Exit code of a FAIL."""
 _ORDER = ("intrinsics", "projection", "mount", "sigma", "survey", "check", "report")
@@ -131,7 +134,12 @@ def conclude(
     args: argparse.Namespace,
     then: str | None = None,
 ) -> int:
-    """Print figures and verdict; 0 = PASS, 1 = FAIL. then: what to do about a FAIL, None = the step again."""
+    """Print figures and verdict, and keep the figures for the report; 0 = PASS, 1 = FAIL.
+
+    Args:
+        then: what to do about a FAIL, None = the step again.
+    """
+    Session(args.session).write(f"{step}/{FIGURES}", json.dumps(rows, indent=1) + "\n")
     watch_of(args).concluded(step, rows, problems)
     print(f"\n{step}")
     width = max((len(name) for name, _ in rows), default=0) + 2

@@ -1,28 +1,24 @@
 """A board as a PDF to print: vector shapes in millimetres, a bar to check with a ruler, and what to tell calib.
 
-One page, no compression, one of the standard fonts: nothing that a library is needed for (ISO 32000-1).
+One page, no compression: a person can read what is in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ceilvo.calib.record.pdf import MM, Page, circle, file
 from ceilvo.calib.targets.board import Board
 from ceilvo.errors import CalibrationError
 
 PAPERS_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "Letter": (215.9, 279.4)}
 """Narrow and long side."""
-_POINTS = 72.0 / 25.4
-"""PDF units a millimetre."""
 MARGIN_MM = 10.0
 """White round everything: most printers leave 4 to 6 mm, and finders need white around a board."""
 BAR_MM, _TICK_MM = 100.0, 10.0
 """Of the bar to check with a ruler."""
 _FOOT_MM, _TEXT_MM, _LINE_MM = 20.0, 3.0, 0.2
 """Room under the board for bar and text; height of the text and width of the lines."""
-_ROUND = 0.5523
-"""Of the radius: control points of four Bezier curves that make a circle, to 0.03 % of it."""
 
 
 @dataclass(frozen=True)
@@ -78,21 +74,9 @@ def pdf(s: Sheet) -> bytes:
         x, y = at(r.x, r.y + r.height)
         drawn.append(f"{x:.5f} {y:.5f} {1e3 * r.width:.5f} {1e3 * r.height:.5f} re")
     for d in discs:
-        drawn.append(_circle(*at(d.x, d.y), 1e3 * d.radius))
-    content = "\n".join([f"{_POINTS:.9f} 0 0 {_POINTS:.9f} 0 0 cm", "0 g", *drawn, "f", *_foot(s)])
-    return _file(s, content)
-
-
-def _circle(x: float, y: float, r: float) -> str:
-    k = _ROUND * r
-    curves = (
-        (x + r, y + k, x + k, y + r, x, y + r),
-        (x - k, y + r, x - r, y + k, x - r, y),
-        (x - r, y - k, x - k, y - r, x, y - r),
-        (x + k, y - r, x + r, y - k, x + r, y),
-    )
-    parts = [f"{' '.join(f'{v:.5f}' for v in c)} c" for c in curves]
-    return f"{x + r:.5f} {y:.5f} m " + " ".join(parts) + " h"
+        drawn.append(circle(*at(d.x, d.y), 1e3 * d.radius))
+    content = [f"{MM:.9f} 0 0 {MM:.9f} 0 0 cm", "0 g", *drawn, "f", *_foot(s)]
+    return file([Page(s.width_mm * MM, s.height_mm * MM, content)], packed=False)
 
 
 def _foot(s: Sheet) -> list[str]:
@@ -107,29 +91,3 @@ def _foot(s: Sheet) -> list[str]:
     )  # fmt: skip
     texts = [f"BT /F {_TEXT_MM:g} Tf {x:.5f} {y:.5f} Td ({text}) Tj ET" for x, y, text in told]
     return [f"{_LINE_MM:g} w", *lines, "S", *texts]
-
-
-def _file(s: Sheet, content: str) -> bytes:
-    box = f"0 0 {s.width_mm * _POINTS:.4f} {s.height_mm * _POINTS:.4f}"
-    stream = content.encode("ascii")
-    objects = [
-        b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
-        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [{box}] /Contents 4 0 R "
-        "/Resources << /Font << /F 5 0 R >> >> >>".encode(),
-        b"<< /Length %d >>\nstream\n%s\nendstream" % (len(stream), stream),
-        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-    ]  # fmt: skip
-    return _numbered(objects)
-
-
-def _numbered(objects: Sequence[bytes]) -> bytes:
-    """Objects from 1 on with the table of where each begins."""
-    out, begins = b"%PDF-1.7\n", []
-    for i, body in enumerate(objects, 1):
-        begins.append(len(out))
-        out += b"%d 0 obj\n%s\nendobj\n" % (i, body)
-    table = b"".join(b"%010d 00000 n \n" % b for b in begins)
-    count = len(objects) + 1
-    end = b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (count, len(out))
-    return out + b"xref\n0 %d\n0000000000 65535 f \n" % count + table + end
