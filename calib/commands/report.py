@@ -113,9 +113,8 @@ def report(
             blocks += _part(session, step, result)
     blocks += [Heading("How to read the figures"), Table(_READING)]
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    return Document(
-        f"Commissioning of {session.folder.resolve().name}", f"Written {now} by ceilvo {__version__}", blocks
-    )
+    of = (about or {}).get("robot") or session.folder.resolve().name
+    return Document(f"Commissioning of {of}", f"Written {now} by ceilvo {__version__}", blocks)
 
 
 _READING = (

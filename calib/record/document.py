@@ -32,7 +32,7 @@ _SIZE, _SMALL, _LINE = 9.0, 7.5, 1.35
 """Points of words and of notes, and line height in their sizes."""
 _COLUMNS = (0.20, 0.42, 0.38)
 """Shares of a table's width: name, figure, what it means."""
-_FIGURE_MM = 88.0
+_FIGURE_MM = 106.0
 """Greatest height of a drawing or a picture on paper: two and some words on a sheet."""
 
 
@@ -150,6 +150,7 @@ def pdf_of(document: Document) -> bytes:
     sheets = _Sheets()
     sheets.words(document.title, 18.0, bold=True)
     sheets.words(document.subtitle, _SIZE)
+    sheets.y -= 6.0
     for block in document.blocks:
         _place(sheets, block)
     for i, page in enumerate(sheets.pages, 1):

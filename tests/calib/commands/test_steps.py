@@ -173,9 +173,10 @@ def test_from_lens_to_report_on_the_virtual_bench(run: Run, tmp_path: Path, benc
     assert np.abs(found.camera_from_base - true.camera_from_base).max() < np.radians(0.1)
     assert found.tile_m == 0.6
     page = (tmp_path / "s" / "report.html").read_text()
-    assert page.count("<span class='PASS'>") == 2 * 6 + 1, "each step in the list and on top of its part, and the scale"
-    assert "data:image/png;base64" in page and "<svg" in page
-    assert "src='http" not in page and "href='http" not in page
+    assert page.count(">PASS</span>") == 6 + 1, "on top of each part, and the whole"
+    assert page.count("<td>PASS</td>") == 6 and ">scale confirmed</span>" in page
+    assert "data:image/jpeg;base64" in page and page.count("<svg") == 3  # of the mount, and two of the noise
+    assert "src='http" not in page and "href='http" not in page and "by an earlier version" not in page
 
 
 @pytest.mark.usefixtures("short")

@@ -130,7 +130,7 @@ def test_a_tape_confirms(run: Run, tmp_path: Path) -> None:
     state, said = scale_of(found)
     assert state == "confirmed" and "height by tape" in said
     run("report")
-    assert "<span class='PASS'>scale confirmed</span>" in (tmp_path / "s" / "report.html").read_text()
+    assert ">scale confirmed</span>" in (tmp_path / "s" / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("known_lens", "short")
@@ -161,7 +161,7 @@ def test_wheels_and_a_wrong_tile_are_an_error_that_names_both(run: Run, tmp_path
     state, said = scale_of(found)
     assert state == "contradicted" and "by the wheels" in said
     run("report")
-    assert "<span class='FAIL'>scale contradicted</span>" in (tmp_path / "s" / "report.html").read_text()
+    assert ">scale contradicted</span>" in (tmp_path / "s" / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("short")
