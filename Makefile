@@ -55,7 +55,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff check
 	@rm -rf build/site && mkdir -p build/site && cp -r ceilvo build/site/ && cp -r $(FOLDERS) build/site/ceilvo/
 	MYPYPATH=build/site $(BIN)/mypy -p ceilvo
-	MYPYPATH=build/site $(BIN)/mypy tests/structure/swapped_types.py
+	MYPYPATH=build/site $(BIN)/mypy tests/structure/swapped_types.py packaging/manual.py docs/images/setup.py
 
 config: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.config.rendering > config.yaml.new && mv config.yaml.new config.yaml

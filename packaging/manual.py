@@ -120,7 +120,8 @@ def completion(program: str, parser: Parser) -> str:
     """A script for bash: commands, options, their choices, and file names where a file is asked for."""
     known = list(tree(parser))
     paths = "|".join(f"'{' '.join(words)}'" for words, _ in known if words)
-    offered, values = [], {}
+    offered: list[str] = []
+    values: dict[str, str] = {}
     for words, below in known:
         offers = [*commands(below), *(option for action in options(below) for option in action.option_strings)]
         files = "" if commands(below) else "; files=yes"

@@ -176,7 +176,7 @@ def _shape(node: ElementTree.Element) -> list[str]:
         points = [p.replace(",", " ") for p in get("points", "").split()]
         path = " ".join([f"{points[0]} m", *(f"{p} l" for p in points[1:]), *(["h"] if kind == "polygon" else [])])
     elif kind == "circle":
-        path = circle(*(float(get(k, "0")) for k in ("cx", "cy", "r")), digits=2)
+        path = circle(float(get("cx", "0")), float(get("cy", "0")), float(get("r", "0")), 2)
     elif kind == "rect":
         path = f"{get('x', '0')} {get('y', '0')} {get('width')} {get('height')} re"
     elif kind == "text":

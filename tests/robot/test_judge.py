@@ -189,3 +189,38 @@ def test_a_fault_without_effect_or_end_is_noticed() -> None:
     broken = fault_life(timed=True)
     broken.facts.update(phase_stalled="failed", status_stall="TRACKING x=1", calibration_end="status 0, active")
     assert faults_failed(broken) == {"phases", "stall: STATUS=", "half a calibration"}
+
+
+judge_deb = load("judge_deb.py", "robot_judge_deb")
+KEPT = "d7b60ee76e06c171 c9c83e54751bf975 "
+PACKAGE = {
+    **{"installed": "installed 0.1.0-1", "enabled": "enabled disabled disabled ", "active_at_first": "inactive"},
+    **{"users": "3", "verify": "", "kernel": "True", "check_config_status": "0", "page": "yes"},
+    **{"before_tracking": "yes", "kept_before": KEPT, "kept_after": KEPT, "upgraded": "installed 0.1.0-2"},
+    **{"new_defaults": "config.yaml.dpkg-dist", "landmarks_before": "140", "landmarks_after": "144"},
+    **{"restarted": "yes", "web_restarted": "active", "after_tracking": "yes", "removed": "config-files 0.1.0-2"},
+    **{"active_removed": "inactive", "commands_removed": "", "kept_removed": KEPT, "map_removed": "yes"},
+    **{"purged": "none", "left": "", "users_left": "0"},
+}
+BROKEN = {
+    **{"enabled": "enabled enabled disabled", "active_at_first": "active", "kernel": "False", "users_left": "1"},
+    **{"kept_after": "d7b60ee76e06c171 0", "kept_before": "", "landmarks_after": "3", "landmarks_before": "0"},
+    **{
+        "left": "/etc/ceilvo",
+        "commands_removed": "/usr/bin/calib",
+        "map_removed": "",
+        "purged": "config-files 0.1.0-2",
+    },
+}
+
+
+def test_a_package_that_keeps_every_promise_is_good_and_a_fact_that_is_missing_is_not() -> None:
+    def broken(facts: dict[str, str], journal: str = "started") -> int:
+        return sum(c.kept is False for c in judge_deb.checks(facts, journal))
+
+    assert broken(PACKAGE) == 0
+    for name, found in BROKEN.items():
+        assert broken(PACKAGE | {name: found}) >= 1, name
+    for name in PACKAGE:
+        assert broken({k: v for k, v in PACKAGE.items() if k != name}) >= 1, name
+    assert broken(PACKAGE, "") == broken(PACKAGE, "Traceback (most recent call last)") == 1
