@@ -17,7 +17,16 @@ from ceilvo.config.reader import load_config
 from ceilvo.daemon.doctor.camera import calibration, camera
 from ceilvo.daemon.doctor.findings import Finding, Patient, fine, note, wrong
 from ceilvo.daemon.doctor.links import base, bus
-from ceilvo.daemon.doctor.system import clock, compiled_kernel, daemon_state, disk, limits, unit_file
+from ceilvo.daemon.doctor.system import (
+    INSTALLED,
+    OF_DEBIAN,
+    clock,
+    compiled_kernel,
+    daemon_state,
+    disk,
+    limits,
+    unit_file,
+)
 from ceilvo.drivers.host.machine import Machine
 from ceilvo.errors import ConfigError
 
@@ -74,5 +83,5 @@ def _as_the_service() -> Machine:
 def _state_dir(config: Config | None, machine: Machine) -> Path | None:
     if config is not None and config.service.state_dir:
         return Path(config.service.state_dir)
-    installed = machine.path("/etc/systemd/system/ceilvod.service").exists()
+    installed = any(machine.path(unit).exists() for unit in (INSTALLED, OF_DEBIAN))
     return machine.path("/var/lib/ceilvo") if installed else None

@@ -40,7 +40,9 @@ def daemon_state(machine: Machine) -> tuple[list[Finding], str]:
     have = dict(line.partition("=")[::2] for line in shown.text.splitlines())
     state, pid, said = have.get("ActiveState", ""), have.get("MainPID", "0"), have.get("StatusText", "")
     if have.get("LoadState") != "loaded":
-        return [note("service", "ceilvod is not installed as a service; sudo systemd/install.sh")], ""
+        return [
+            note("service", "ceilvod is not installed as a service; install its package, or sudo systemd/install.sh")
+        ], ""
     if state in ("active", "activating", "reloading") and pid != "0":
         return [fine("service", f"ceilvod runs (pid {pid}): {said or state}")], pid
     if state == "failed":

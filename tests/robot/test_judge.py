@@ -195,11 +195,18 @@ judge_deb = load("judge_deb.py", "robot_judge_deb")
 KEPT = "d7b60ee76e06c171 c9c83e54751bf975 "
 PACKAGE = {
     **{"installed": "installed 0.1.0-1", "enabled": "enabled disabled disabled ", "active_at_first": "inactive"},
-    **{"users": "3", "verify": "", "kernel": "True", "check_config_status": "0", "page": "yes"},
+    **{
+        "users": "3",
+        "verify": "",
+        "kernel": "True",
+        "check_config_status": "0",
+        "page": "yes",
+    },
     **{"before_tracking": "yes", "kept_before": KEPT, "kept_after": KEPT, "upgraded": "installed 0.1.0-2"},
     **{"new_defaults": "config.yaml.dpkg-dist", "landmarks_before": "140", "landmarks_after": "144"},
     **{"restarted": "yes", "web_restarted": "active", "after_tracking": "yes", "removed": "config-files 0.1.0-2"},
     **{"active_removed": "inactive", "commands_removed": "", "kept_removed": KEPT, "map_removed": "yes"},
+    **{"doctor": "kernel:OK map:OK state:OK unit:OK "},
     **{"purged": "none", "left": "", "users_left": "0"},
 }
 BROKEN = {
