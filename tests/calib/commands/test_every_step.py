@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import html
 import json
 import os
 import shutil
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pypdfium2
 import pytest
 from numpy.typing import NDArray
 
@@ -344,23 +342,3 @@ def test_a_mistyped_folder_does_not_block_the_session(run: Run, tmp_path: Path, 
     assert run("intrinsics", "--images", str(tmp_path / "wrong"))[0] == 78
     code, out, err = run("intrinsics", "--images", str(tmp_path / "right"), "--model", "pinhole")
     assert code == 0 and "8 used" in out, err
-
-
-def test_a_report_names_site_robot_and_operator_and_shows_photographs(
-    run: Run, known_lens: Session, tmp_path: Path
-) -> None:
-    photo = tmp_path / "camera on its mast.jpg"
-    photo.write_bytes(bytes(cv2.imencode(".jpg", np.full((90, 120, 3), 200, np.uint8))[1].tobytes()))
-    run("report", "--site", "Hall <3>", "--robot", "AGV-12", "--operator", "M. Chen", "--photo", str(photo))
-    run("report", "--force", "--operator", "A. Weber")  # the rest is as it was said before
-    page, sheets = (known_lens.folder / "report.html").read_text(), (known_lens.folder / "report.pdf").read_bytes()
-    with pypdfium2.PdfDocument(sheets) as file:
-        first = file[0].get_textpage().get_text_bounded()
-    for words in ("Commissioning of AGV-12", "Hall <3>", "A. Weber"):
-        assert html.escape(words) in page and words in first
-    assert "M. Chen" not in page
-    run("report", "--force", "--photo", str(photo))
-    assert "camera on its mast" in (known_lens.folder / "report.html").read_text()
-    for bad in (tmp_path / "none.jpg", known_lens.folder / "intrinsics.json"):
-        code, _, err = run("report", "--force", "--photo", str(bad))
-        assert code == 78 and f"--photo {bad}" in err and len(err.splitlines()) == 1
