@@ -58,7 +58,7 @@ track() {
   note page "$(wait_for 20 page && echo yes)"
   wait_for 20 test -s /var/lib/ceilvo/map.db
   ceilvod doctor >"$out/doctor.txt" 2>&1
-  note doctor "$(awk '$2 ~ /^(unit|state|map|kernel)$/ {print $2 ":" $1}' "$out/doctor.txt" | sort | tr '\n' ' ')"
+  note doctor "$(awk '$2 ~ /^(unit|map|kernel)$/ {print $2 ":" $1}' "$out/doctor.txt" | sort | tr '\n' ' ')"
   wait_for 60 test -e "$feed/played" || return 1
   note before_tracking "$(tail_tracks && echo yes)"
 }

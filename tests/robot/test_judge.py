@@ -206,7 +206,7 @@ PACKAGE = {
     **{"new_defaults": "config.yaml.dpkg-dist", "landmarks_before": "140", "landmarks_after": "144"},
     **{"restarted": "yes", "web_restarted": "active", "after_tracking": "yes", "removed": "config-files 0.1.0-2"},
     **{"active_removed": "inactive", "commands_removed": "", "kept_removed": KEPT, "map_removed": "yes"},
-    **{"doctor": "kernel:OK map:OK state:OK unit:OK "},
+    **{"doctor": "kernel:OK map:OK unit:OK "},
     **{"purged": "none", "left": "", "users_left": "0"},
 }
 BROKEN = {
