@@ -29,7 +29,7 @@ _INTERRUPTED = 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Exit code: 0 = PASS, 1 = FAIL or a failure, 2 = wrong use, 78 = wrong input, 130 = interrupted."""
     words = sys.argv[1:] if argv is None else list(argv)
-    args = make_parser(words).parse_args(words)
+    args = parser_of(words).parse_args(words)
     try:
         return int(args.run(args))
     except CeilvoError as e:
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _INTERRUPTED
 
 
-def make_parser(words: Sequence[str]) -> argparse.ArgumentParser:
+def parser_of(words: Sequence[str]) -> argparse.ArgumentParser:
     """Of all commands; words whose first is none of them end it, with exit code 2."""
     parser = argparse.ArgumentParser(
         prog="calib",

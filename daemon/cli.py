@@ -43,7 +43,7 @@ BENCHES = {"paper": "paper", "mrclam": "mrclam", "speed": "speed.filter_step"}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns the exit code: 0 fine, 78 wrong configuration or calibration, 1 anything else, 2 wrong arguments."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    options = make_parser(words[:1]).parse_args(words)
+    options = parser_of(words[:1]).parse_args(words)
     _log_to_stderr("info")
     try:
         return int(options.do(options))
@@ -73,7 +73,7 @@ def leave(code: int) -> NoReturn:
     sys.exit(code)
 
 
-def make_parser(first: Sequence[str]) -> argparse.ArgumentParser:
+def parser_of(first: Sequence[str]) -> argparse.ArgumentParser:
     """Of all commands; where the first word is a robot's own, of those alone: a restart need not wait for the rest."""
     parser = argparse.ArgumentParser(
         prog="ceilvod",

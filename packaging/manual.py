@@ -17,7 +17,7 @@ from ceilvo import __version__
 from ceilvo.calib import cli as calib
 from ceilvo.daemon import cli as daemon
 
-PROGRAMS = {"ceilvod": daemon.make_parser, "calib": calib.make_parser}
+PROGRAMS = {"ceilvod": daemon.parser_of, "calib": calib.parser_of}
 FILES = {
     "/etc/ceilvo/config.yaml": "configuration",
     "/etc/ceilvo/calibration.yaml": "calibration of the camera, written by calib",

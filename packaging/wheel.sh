@@ -1,7 +1,7 @@
 #!/bin/bash
 # packaging/wheel.sh DIR: a wheel of this source tree in DIR, made by .venv's Python.
 # PURE=1: without the compiled kernel, for any Python. Otherwise it fits Pythons of that version on this kind of processor.
-# With SOURCE_DATE_EPOCH, seconds since 1970, the wheel is the same bytes each time.
+# Dates in it are SOURCE_DATE_EPOCH's, seconds since 1970; two builds have not been compared byte for byte yet.
 set -euo pipefail
 repo=$(dirname "$(dirname "$(realpath "$0")")")
 mkdir -p "$1"

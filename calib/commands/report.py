@@ -23,6 +23,8 @@ from ceilvo.errors import CalibrationError
 STEP = "report"
 ABOUT = "about.json"
 """In the session: site, robot, operator, remarks, as they were said last."""
+WORDS = ("site", "robot", "operator", "remark")
+FILES = ("report.html", "report.pdf")
 _LOOKS: dict[str, Verdict] = {"PASS": "good", "FAIL": "bad", "confirmed": "good", "contradicted": "bad"}
 _MOST_PHOTO_BYTES = 40_000_000
 """Of a file; chosen: above what telephones and cameras write."""
@@ -57,24 +59,17 @@ def add(commands: Subcommands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     session = Session(args.session, force=args.force)
-    about = _about(session, args)
+    about = told(session) | {word: text for word in WORDS if (text := getattr(args, word))}
     photos = [(path.stem, _photo(path)) for path in args.photo]
     document = report(session, about, photos)
-    files = {
-        session.folder / "report.html": html_of(document).encode(),
-        session.folder / "report.pdf": pdf_of(document),
-    }
-    for path in files:
+    for path in (session.folder / name for name in FILES):
         if path.exists() and not args.force:
             raise CalibrationError(
                 f"{path}: found an earlier report, expected none; pass --force to write it anew (it is kept as .bak)"
             )
     if about:
         session.write(ABOUT, json.dumps(about, indent=1) + "\n")
-    for path, data in files.items():
-        if path.exists():
-            session.write(f"{path.name}.bak", path.read_bytes())
-        session.write(path.name, data)
+    for path in save(session, document):
         print(f"{path}: written")
     if session.calibration_file.exists():
         with suppress(CalibrationError):
@@ -90,10 +85,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def written(session: Session) -> tuple[Path, ...]:
-    """The record with what was said of site and robot before, as a page and to print; an earlier one is replaced."""
-    document = report(session, _known(session))
-    return session.write("report.html", html_of(document)), session.write("report.pdf", pdf_of(document))
+def save(session: Session, document: Document) -> list[Path]:
+    """Write both files; those that were there are kept as .bak."""
+    for name, data in zip(FILES, (html_of(document).encode(), pdf_of(document)), strict=True):
+        before = session.folder / name
+        if before.exists():
+            session.write(f"{name}.bak", before.read_bytes())
+        session.write(name, data)
+    return [session.folder / name for name in FILES]
 
 
 def report(
@@ -200,19 +199,13 @@ def _picture(path: Path, caption: str) -> Iterator[Figure]:
         yield Figure(drawing, caption)
 
 
-def _known(session: Session) -> dict[str, str]:
-    """What was said of site, robot and operator for a report before."""
+def told(session: Session) -> dict[str, str]:
+    """Site, robot, operator and remark as they were said for the report before; {} at first."""
     path = session.folder / ABOUT
     if not path.exists():
         return {}
     with reading(path):
         return {str(k): str(v) for k, v in json.loads(path.read_text(encoding="utf-8")).items()}
-
-
-def _about(session: Session, args: argparse.Namespace) -> dict[str, str]:
-    """What was said now, over what was said before."""
-    now = {word: getattr(args, word) for word in ("site", "robot", "operator", "remark")}
-    return _known(session) | {word: text for word, text in now.items() if text}
 
 
 def _photo(path: Path) -> bytes:

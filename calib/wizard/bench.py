@@ -174,8 +174,8 @@ class Bench:
         self._note = f"{to}: written{kept}; 'sudo systemctl restart ceilvod' takes it"
 
     def _report(self, command: Mapping[str, Any]) -> None:
-        page, printed = report_step.written(self.session)
-        self._note = f"{page} and {printed.name}: written"
+        document = report_step.report(self.session, report_step.told(self.session))
+        self._note = f"{' and '.join(str(p) for p in report_step.save(self.session, document))}: written"
 
     # -- how things stand
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ceilvo.calib.cli import make_parser
+from ceilvo.calib.cli import parser_of
 from ceilvo.calib.session.session import Session
 from ceilvo.calib.solve.tile_grid import USUAL_TILE_M
 from ceilvo.calib.targets.board import KINDS
@@ -179,6 +179,6 @@ def arguments(
         whole = isinstance(value, float) and value.is_integer() and field.word in ("columns", "rows")
         words += [f"--{field.word}"] if value is True else [f"--{field.word}={int(value) if whole else value}"]
     try:
-        return make_parser(words).parse_args(words)
+        return parser_of(words).parse_args(words)
     except SystemExit:
         raise CalibrationError(f"{page.title}: an answer cannot be used: {' '.join(words[3:])}") from None

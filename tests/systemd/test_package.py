@@ -81,7 +81,15 @@ def run_script(name: str, *words: str, tmp_path: Path) -> tuple[str, list[str]]:
 
 def test_purge_leaves_nothing_and_removal_all_that_is_the_robots(tmp_path: Path) -> None:
     root = tmp_path / "root"
-    mine = [root / p for p in ("etc/ceilvo/config.yaml", "etc/ceilvo/calibration.yaml", "var/lib/ceilvo/map.db")]
+    mine = [
+        root / p
+        for p in (
+            "etc/ceilvo/config.yaml",
+            "etc/ceilvo/calibration.yaml",
+            "var/lib/ceilvo/map.db",
+            "var/lib/ceilvo-web/x",
+        )
+    ]
     drop_in = root / "etc/systemd/system/ceilvod.service.d/10-network.conf"
     own = root / "etc/systemd/system/ceilvo-web.service.d/own.conf"
     for path in (*mine, drop_in, own):
