@@ -52,4 +52,4 @@ def draw_innovations(
         if np.isfinite(at).all() and np.isfinite(d).all():
             canvas.disc(at, _RING_PX, WHITE, 1)
             canvas.arrow(at, at + ENLARGED * d, VERMILION, 2)
-    canvas.text(6, 14, f"innovations x {ENLARGED:.0f}")
+    canvas.text(6, len(image) - 8, f"innovations x {ENLARGED:.0f}")

@@ -231,6 +231,15 @@ def test_a_calibration_goes_into_the_configuration_by_request_only(hand: Hand, t
     assert (tmp_path / "calibration.yaml.bak").read_text() == "the old one\n"
 
 
+def test_the_report_is_that_of_the_command_line(hand: Hand) -> None:
+    for _ in range(2):
+        hand.do("report")
+        assert hand.state["error"] == "" and "report.pdf" in hand.state["note"]
+    folder = hand.bench.session.folder
+    assert "Commissioning of practice" in (folder / "report.html").read_text()
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
 def test_a_wrong_tile_does_not_get_in(hand: Hand, tmp_path: Path) -> None:
     hand.do("start", step="projection", mode="anew", answers={"tile-m": 0.625, "height-m": 2.2})
     assert hand.step("projection")["verdict"] == "FAIL"
