@@ -22,7 +22,7 @@ from ceilvo.config.checks import cross_check
 from ceilvo.config.reader import beside, calibration_path, load_config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.app import process as app
-from ceilvo.daemon.odometry import kernel
+from ceilvo.daemon.doctor import kernels
 from ceilvo.errors import CeilvoError, ConfigError, FileFormatError
 
 log = logging.getLogger("ceilvo")
@@ -211,8 +211,6 @@ def _bench_command(*names: str) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
-    compiled, said = kernel.which()
-    log.log(logging.INFO if compiled else logging.WARNING, "kernel: %s", said)
     if options.simulate:
         return _run_simulated(options)
     path = options.config or DEFAULT_CONFIG
@@ -225,6 +223,7 @@ def _run(options: argparse.Namespace) -> int:
     file = options.calibration or calibration_path(config, path)
     calibration = _checked(config, read_calibration(file), path)
     _log_to_stderr(config.service.log_level)
+    kernels.log_which(log)
     return app.run(app.plan_real(config, calibration, options.seconds, options.summary, options.record))
 
 
@@ -235,6 +234,7 @@ def _run_simulated(options: argparse.Namespace) -> int:
     cross_check(config, None, "config")
     terminal = sys.stdout.isatty()
     _log_to_stderr("error" if terminal else config.service.log_level)
+    kernels.log_which(log)
     believed = None if options.calibration is None else read_calibration(options.calibration)
     summary = options.summary or DEFAULT_SUMMARY
     tilt_rad = math.radians(options.tilt_deg)

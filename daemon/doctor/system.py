@@ -10,12 +10,12 @@ from pathlib import Path
 
 from ceilvo.config import Config
 from ceilvo.config.zenoh_names import needs_network
+from ceilvo.daemon.doctor import kernels
 from ceilvo.daemon.doctor.findings import Finding, fine, note, wrong
 from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.kept.kept_map import OLD_NAME
 from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.map.map_file import load_map, load_state
-from ceilvo.daemon.odometry import kernel
 from ceilvo.drivers.host.machine import Machine
 from ceilvo.errors import FileFormatError
 
@@ -180,7 +180,7 @@ def limits(machine: Machine) -> Iterator[Finding]:
 
 def compiled_kernel() -> Iterator[Finding]:
     """Whether the loops over edge points are compiled; without a compiler the installation does without."""
-    compiled, said = kernel.which()
+    compiled, said = kernels.which()
     yield fine("kernel", said) if compiled else note("kernel", said)
 
 

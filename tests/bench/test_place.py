@@ -22,6 +22,7 @@ from ceilvo.bench.place.robot.driver import Base, Driver, arc
 from ceilvo.bench.place.robot.sights import CrossingSight, Seen
 from ceilvo.bench.place.robot.tally import Tally, figures
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Crossings, Estimate, Pose, State, WheelMotion
 
@@ -79,8 +80,15 @@ class TruthTeller(CrossingSight):
 
     given: list[tuple[int, Seen, WheelMotion | None]]
 
-    def give(self, pipeline: Pipeline, stamp_ns: int, seen: Crossings | None, wheels: WheelMotion | None) -> Estimate:
-        estimate = pipeline.step_crossings(stamp_ns, None, wheels, missing="not looked at")
+    def give(
+        self,
+        pipeline: Pipeline,
+        stamp_ns: int,
+        seen: Crossings | None,
+        wheels: WheelMotion | None,
+        heard: Heard = NOTHING,
+    ) -> Estimate:
+        estimate = pipeline.step_crossings(stamp_ns, None, wheels, missing="not looked at", heard=heard)
         self.given.append((stamp_ns, seen, wheels))
         return estimate
 

@@ -13,6 +13,7 @@ from map_writer import landmarks
 
 from ceilvo.config import Config, Zenoh
 from ceilvo.daemon import cli
+from ceilvo.daemon.doctor import kernels
 from ceilvo.daemon.doctor.findings import fine
 from ceilvo.daemon.doctor.system import (
     INSTALLED,
@@ -43,14 +44,15 @@ def test_a_kernel_that_was_not_compiled_is_told_with_what_to_do(monkeypatch: pyt
 
 
 def test_the_daemon_says_once_which_kernel_runs(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(kernel, "COMPILED", False)
+    monkeypatch.setattr(cli.app, "run", lambda plan: 0)
     with caplog.at_level("INFO", "ceilvo"), monkeypatch.context() as m:
         m.setattr(logging, "basicConfig", lambda **_: None)
-        assert cli.main(["run", "--config", str(tmp_path / "none.yaml")]) == 78
+        assert cli.main(["run", "--simulate", "--seconds", "1"]) == 0
     (record,) = (r for r in caplog.records if r.getMessage().startswith("kernel: "))
-    assert record.levelname == "WARNING" and record.getMessage() == f"kernel: {kernel.which()[1]}"
+    assert record.levelname == "WARNING" and record.getMessage() == f"kernel: {kernels.which()[1]}"
 
 
 def test_the_service(tmp_path: Path) -> None:
