@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist deb wheels test-robot test-deb clean
-.PHONY: bench-fusion soak bench-wires bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
+.PHONY: bench-fusion soak bench-wires bench-pages bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-wizard bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
@@ -33,6 +33,7 @@ help:
 	@echo "make bench-arm         installs ceilvo on an emulated 64-bit ARM and compares every pose (root)"
 	@echo "make bench-latency     from the exposure to Zenoh and to the base's register, in real time: SECONDS=60"
 	@echo "make bench-wires       what ROS 2 programs get, what all wires cost, routers killed: SECONDS=30"
+	@echo "make bench-pages       the estimator with three pages open in Chromium and with none, paired: PAIRS=8"
 	@echo "make bench-starved     one core, hogs on it, cameras of 2 to 90 Hz: states, ages, the rate that is used"
 	@echo "make kill-test         kill -9 while it saves, and of the whole daemon while it drives, KILLS=200 times each"
 	@echo "make damage-matrix     every file that it reads or keeps, damaged in every way, then a run: 1200 cases"
@@ -119,6 +120,9 @@ bench-latency: $(VENV)/.installed
 
 bench-wires: $(VENV)/.installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.wires --seconds $(or $(SECONDS),30)
+
+bench-pages: $(VENV)/.installed-bench
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.speed.pages --pairs $(or $(PAIRS),8)
 
 bench-starved: $(VENV)/.installed
 	$(BIN)/python -m ceilvo.bench.starved --seconds $(or $(SECONDS),20)

@@ -12,6 +12,7 @@ import logging
 import math
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
@@ -19,8 +20,8 @@ from rosbags.typesys import Stores, get_typestore
 POSE, TF, ODOM = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 DIAGNOSTICS, TRIGGER = "diagnostic_msgs/msg/DiagnosticArray", "std_srvs/srv/Trigger"
 _ASKED = 5
-"""Times that the graph is asked for a topic's publishers: the SDK waits for a fixed time, which is short on a busy
-computer; chosen."""
+"""Times that the graph is asked for each kind of thing: the SDK waits for a fixed time, which is short on a
+busy computer; chosen."""
 
 
 class _Kept(logging.Handler):
@@ -69,7 +70,7 @@ class Reader:
         """Topics with types, and the endpoints of each by node, hash and quality of service."""
         from zenoh_ros2_sdk import discovery
 
-        topics = dict(discovery.get_topic_names_and_types(router_port=self._port))
+        topics = self._asked(discovery.get_topic_names_and_types)
         out: dict[str, Any] = {}
         for topic, kinds in topics.items():
             ends: list[Any] = []
@@ -80,7 +81,14 @@ class Reader:
                     break
             found = [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]
             out[topic] = {"types": kinds, "publishers": found}
-        out["services"] = dict(discovery.get_service_names_and_types(router_port=self._port))
+        out["services"] = self._asked(discovery.get_service_names_and_types)
+        return out
+
+    def _asked(self, question: Callable[..., Any]) -> dict[str, Any]:
+        """All that several answers to one question name; each may miss some."""
+        out: dict[str, Any] = {}
+        for _ in range(_ASKED):
+            out |= dict(question(router_port=self._port))
         return out
 
     def initial_pose(self, x_m: float, y_m: float, theta_rad: float) -> None:

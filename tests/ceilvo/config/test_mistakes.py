@@ -16,14 +16,14 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "unknown section": (
         "camra:\n  rate_hz: 3\n",
         "config.yaml:1: camra: found an unknown section, expected one of robot, camera, calibration, features, "
-        "odometry, filter, senses, states, base, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
+        "odometry, filter, senses, states, base, beacons, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
         "did you mean camera?",
     ),
     "key outside its section": (
         "baud: 9600\n",
         "config.yaml:1: baud: found an unknown section, expected one of robot, camera, calibration, features, "
-        "odometry, filter, senses, states, base, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
-        "baud is a key of base, indent it there",
+        "odometry, filter, senses, states, base, beacons, zenoh, ros2, vda5050, web, service, recorder, fleet, mapd; "
+        "baud is a key of base and beacons, indent it there",
     ),
     "misspelt key": (
         "camera:\n  rate_hz: 30\n  exposure: 100\n",
@@ -31,7 +31,7 @@ MISTAKES: dict[str, tuple[str, str]] = {
     ),
     "key in another section": (
         "robot:\n  baud: 9600\n",
-        "config.yaml:2: robot.baud: found an unknown key, expected one of name; baud is a key of base",
+        "config.yaml:2: robot.baud: found an unknown key, expected one of name; baud is a key of base and beacons",
     ),
     "unknown key": (
         "robot:\n  colour: red\n",

@@ -15,6 +15,7 @@ from web_parts import config_for, served
 from wizard_engineer import STEPS, Engineer
 from zenoh_world import free_port
 
+from ceilvo.calib.record import legend
 from ceilvo.calibration_check import scale_of
 from ceilvo.calibration_file import read_calibration
 from ceilvo.config import Config
@@ -88,7 +89,7 @@ def test_from_nothing_to_tracking(browser: Chromium, robot: Path, size: str, tmp
         page.click("#report")
         page.until("!document.querySelector('#get-report').hidden")
         report = page.value("fetch('/wizard/file/report.html').then(r => r.text())")
-        assert "Commissioning" in report and "intrinsics" in report.lower()
+        assert "Commissioning" in report and all(title in report for title, _ in legend.STEPS.values())
         assert page.value("fetch('/wizard/file/report.pdf').then(r => r.text())").startswith("%PDF")
         whole(page)
         engineer.look("end")
