@@ -48,6 +48,8 @@ help:
 run: $(VENV)/.installed
 	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS)) $(if $(TILT),--tilt-deg $(TILT))
 
+# Processes that tests start compile every source again where bytecode is not kept.
+test: export PYTHONDONTWRITEBYTECODE =
 test: check
 	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal
 

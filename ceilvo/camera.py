@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import cv2
@@ -137,6 +137,7 @@ class LevelView:
     level_from_camera: Array
     focal_px: float
     reduction: int = 1
+    _lookups: dict[tuple[float, int], Array32] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def from_raw(self, uv_px: Array) -> Array:
         """(N, 2) level pixels of raw pixels; nan at and beyond the horizon."""
@@ -182,8 +183,15 @@ class LevelView:
         """(rows, columns, 2) level pixels, relative to the principal point, of every step_px-th pixel of reduced().
 
         nan where the ray is more than max_view_deg off the vertical. The last row and column are at or beyond the
-        frame's edge, so that bilinear interpolation reaches every pixel of it.
+        frame's edge, so that bilinear interpolation reaches every pixel of it. Made once for all who look up alike.
         """
+        made = self._lookups.get((max_view_deg, step_px))
+        if made is None:
+            made = self._lookups[max_view_deg, step_px] = self._made(max_view_deg, step_px)
+            made.flags.writeable = False
+        return made
+
+    def _made(self, max_view_deg: float, step_px: int) -> Array32:
         w, h = self.camera.width_px // self.reduction, self.camera.height_px // self.reduction
         x = step_px * np.arange(-(-(w - 1) // step_px) + 1, dtype=np.float64)
         y = step_px * np.arange(-(-(h - 1) // step_px) + 1, dtype=np.float64)

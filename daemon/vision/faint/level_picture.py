@@ -104,14 +104,16 @@ def _reduced_px(view: LevelView, x: Array, y: Array) -> Array:
     level = np.stack(np.meshgrid(some_x, some_y), -1).reshape(-1, 2)
     raw = view.to_raw(level + np.array([view.camera.cx_px, view.camera.cy_px]))
     at = view.reduced_px(raw).reshape(len(some_y), len(some_x), 2)
-    return np.swapaxes(_between(np.swapaxes(_between(at, some_y, y), 0, 1), some_x, x), 0, 1)
+    return np.einsum("yi,ijk,xj->yxk", _between(some_y, y), at, _between(some_x, x), optimize=True)
 
 
-def _between(values: Array, at: Array, wanted: Array) -> Array:
-    """Values (N, ...) at rising places (N,), linearly at wanted places (M,): (M, ...)."""
+def _between(at: Array, wanted: Array) -> Array:
+    """(M, N) shares of values at rising places (N,) in those at wanted places (M,), linearly."""
     i = np.clip(np.searchsorted(at, wanted, side="right") - 1, 0, len(at) - 2)
-    share = ((wanted - at[i]) / (at[i + 1] - at[i])).reshape(-1, *(1,) * (values.ndim - 1))
-    return np.asarray(values[i] + share * (values[i + 1] - values[i]))
+    share = (wanted - at[i]) / (at[i + 1] - at[i])
+    rows, shares = np.arange(len(wanted)), np.zeros((len(wanted), len(at)))
+    shares[rows, i], shares[rows, i + 1] = 1.0 - share, share
+    return shares
 
 
 def _invertible(view: LevelView, grid: Array) -> Bools:
