@@ -104,7 +104,7 @@ def _reduced_px(view: LevelView, x: Array, y: Array) -> Array:
     level = np.stack(np.meshgrid(some_x, some_y), -1).reshape(-1, 2)
     raw = view.to_raw(level + np.array([view.camera.cx_px, view.camera.cy_px]))
     at = view.reduced_px(raw).reshape(len(some_y), len(some_x), 2)
-    return np.einsum("yi,ijk,xj->yxk", _between(some_y, y), at, _between(some_x, x), optimize=True)
+    return np.asarray(np.einsum("yi,ijk,xj->yxk", _between(some_y, y), at, _between(some_x, x), optimize=True))
 
 
 def _between(at: Array, wanted: Array) -> Array:
