@@ -102,13 +102,14 @@ bench-refine: $(VENV)/.installed-bench
 bench-fleet: $(VENV)/.installed-dev
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.fleet --robots $(or $(ROBOTS),50) --kills $(or $(KILLS),10)
 
-bench-place: $(VENV)/.installed
+bench-place: $(VENV)/.installed-dev
 	$(BIN)/python -m ceilvo.bench.place faults --count $(or $(COUNT),300) --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place laps --hours $(or $(HOURS),10) --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place carried --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place restart --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place renovated --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place start --seed $(or $(SEED),1000) --resume
+	REGRESSIONS=all $(BIN)/python -m pytest tests/bench/test_place_regressions.py
 
 bench-fusion: $(VENV)/.installed-bench
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.fusion --seeds $(or $(SEEDS),4) --jobs $(or $(JOBS),1)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from ceilvo.bench.place.case import Case, run_case
+
+EVERY = os.environ.get("REGRESSIONS") == "all"
+"""`make bench-place` runs the longest too: a minute of processor time."""
 
 
 @pytest.mark.parametrize(
@@ -12,7 +17,11 @@ from ceilvo.bench.place.case import Case, run_case
     [
         pytest.param(Case("snatched", 4000, 56, ("5", "20", "60", "150")), id="what contradicted was learnt"),
         pytest.param(Case("another building", 3000, 26, ("5",)), id="lamps 0.1 m off matched"),
-        pytest.param(Case("stamps behind", 3000, 18, ("5",)), id="a bump of the camera that there was not"),
+        pytest.param(
+            Case("stamps behind", 3000, 18, ("5",)),
+            id="a bump of the camera that there was not",
+            marks=pytest.mark.skipif(not EVERY, reason="long: make bench-place"),
+        ),
     ],
 )
 def test_it_is_not_wrong_any_more(case: Case) -> None:

@@ -51,7 +51,7 @@ from ceilvo.sim.record import record
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.sim.world import World, WorldSpec
 
-SHARE = os.environ.get("DAMAGES", "60")
+SHARE = os.environ.get("DAMAGES", "36")
 """How many cases; `make damage-matrix` sets all."""
 AT_ONCE = 2
 LOCK_BYTES = 20
