@@ -1,5 +1,7 @@
 """The compiled kernel; everything else is in pyproject.toml."""
 
+import os
+
 from setuptools import Extension, setup
 
 VISION, ODOMETRY = "daemon/vision/kernel", "daemon/odometry/kernel"
@@ -21,5 +23,6 @@ setup(
         )
         for path in KERNEL
     ],
-    options={"build_ext": {"cython_c_in_temp": True}},  # no generated C between the sources
+    # no generated C between the sources
+    options={"build_ext": {"cython_c_in_temp": True, "parallel": os.cpu_count()}},
 )

@@ -114,7 +114,8 @@ def test_an_upgrade_restarts_what_runs_and_starts_nothing(tmp_path: Path) -> Non
     said, log = run_script("prerm", "upgrade", "0.1.0-2", tmp_path=tmp_path)
     assert said == "0 " and log == []
     _, log = run_script("prerm", "remove", tmp_path=tmp_path)
-    assert log == ["deb-systemd-invoke stop ceilvod.service ceilvo-web.service ceilvo-mapd.service"]
+    units = ("ceilvod", "ceilvo-web", "ceilvo-mapd", "ceilvo-modules")
+    assert log == ["deb-systemd-invoke stop " + " ".join(f"{name}.service" for name in units)]
 
 
 def test_it_is_not_installed_over_the_installers_copy(tmp_path: Path) -> None:
