@@ -22,7 +22,7 @@ from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.stage import HeightsState
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
-from ceilvo.daemon.relocalisation.beacons.relocaliser import BeaconRelocaliser
+from ceilvo.daemon.relocalisation.beacons.lamps.relocaliser import LampRelocaliser
 from ceilvo.daemon.relocalisation.beacons.state import BeaconState
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
@@ -72,7 +72,7 @@ class Pipeline:
         self.vision = CrossingFinder(calibration, config.features)
         self.odometry = HeightsOdometry(config.odometry, calibration)
         self.dead_reckoning = DeadReckoning(process)
-        self.relocaliser = BeaconRelocaliser(make_filter(settings, rng), calibration, config)
+        self.relocaliser = LampRelocaliser(make_filter(settings, rng), calibration, config)
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
         self.seq = 0

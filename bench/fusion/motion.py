@@ -24,6 +24,7 @@ from ceilvo import se2
 from ceilvo.bench.cross_checks.drives import Eye
 from ceilvo.bench.fusion.conditions import BEGIN_S, Condition
 from ceilvo.bench.fusion.devices import TRACK_M, WheelsDevice
+from ceilvo.bench.fusion.lateness import NONE, Lateness
 from ceilvo.bench.fusion.robot import TICK_S, Moment, Ride
 from ceilvo.bench.fusion.said import Said
 from ceilvo.bench.fusion.senses import SENSES, Device
@@ -45,6 +46,8 @@ _HALL, _ROOM = (make_world(WorldSpec(size, 0.6, "raster", 1)) for size in ("20",
 """To drive in; the ceiling that is seen is endless. In the room it turns every few seconds."""
 _LATE_S, _LATE_WITHIN_S = 0.08, 0.01
 """Delays of the camera, evenly about: the issue's 80 +- 10 ms."""
+_JUMP_S = 0.05
+"""By which a delay jumps; chosen: a frame or two more in a camera's queue."""
 _FOUND_S, _SCALE_M = 30.0, 20.0
 """Time and way after which delay and scales must be known."""
 SLIPS = {Kind.SLIP_AHEAD, Kind.SLIP_SIDEWAYS, Kind.SLIP_TURNING}
@@ -69,12 +72,12 @@ class Frame:
 
 
 class Drive:
-    """One robot with these senses; its camera's stamps are late_s too late."""
+    """One robot with these senses, and a camera whose stamps are late."""
 
     def __init__(
-        self, seed: int, condition: Condition, senses: Sequence[str], late_s: float = 0.0, world: World = _HALL
+        self, seed: int, condition: Condition, senses: Sequence[str], late: Lateness = NONE, world: World = _HALL
     ) -> None:
-        self._seed, self._condition, self._late_ticks = seed, condition, late_s / TICK_S
+        self._seed, self._condition, self._late = seed, condition, late
         config = Config()
         for name in senses:
             config = SENSES[name].configured(config, world)
@@ -90,16 +93,17 @@ class Drive:
         ride = Ride(self._room, np.zeros(3), self._condition, self._rng("ride"))
         way_m, blind_m, seen_at, reckoned, cov = 0.0, 0.0, np.zeros(3), np.zeros(3), np.zeros((3, 3))
         before_ns: int | None = None
+        late_rng, most_ticks = self._rng("late"), math.ceil(self._late.most_s / TICK_S)
         recent: list[Moment] = []
         for k, moment in enumerate(ride):
             for device in self.devices:
                 device.live(moment)
-            recent = [*recent[-math.ceil(self._late_ticks) :], moment] if self._late_ticks else [moment]
+            recent = [*recent[-most_ticks:], moment] if most_ticks else [moment]
             step_m = float(np.hypot(*moment.moved[:2]))
             way_m, blind_m = way_m + step_m, blind_m + step_m
             if k % _FRAME_TICKS:
                 continue
-            said, shown = Said(), _between(recent, self._late_ticks)
+            said, shown = Said(), _between(recent, self._late.of(moment.time_s, late_rng) / TICK_S)
             elapsed_s = 0.0 if before_ns is None else 1e-9 * (moment.ns - before_ns)
             for device in self.devices if before_ns is not None else ():
                 device.tell(before_ns, moment.ns, said)  # type: ignore[arg-type]
@@ -121,7 +125,8 @@ class Drive:
 def _between(recent: list[Moment], ticks: float) -> Moment:
     """What there was so many steps ago, which may be a part of one."""
     share = math.ceil(ticks) - ticks
-    first, after = recent[0], recent[min(1, len(recent) - 1)]
+    k = max(len(recent) - 1 - math.ceil(ticks), 0)
+    first, after = recent[k], recent[min(k + 1, len(recent) - 1)]
     return replace(first, pose=np.asarray(se2.compose(first.pose, share * se2.between(first.pose, after.pose))))
 
 
@@ -139,16 +144,38 @@ def scales(seed: int) -> dict[str, Any]:
     return {"off": off.tolist(), "before": true.tolist(), "nees": float(off @ np.linalg.solve(s.cov, off)) / 3.0}
 
 
-def delay(seed: int, senses: Sequence[str] = ("wheels",)) -> dict[str, Any]:
-    """Error of the delay after 30 s; None where none was found."""
-    late_s = float(np.random.default_rng([seed, 1]).uniform(_LATE_S - _LATE_WITHIN_S, _LATE_S + _LATE_WITHIN_S))
-    drive = Drive(seed, Condition(), senses, late_s, _ROOM)
+def delay(seed: int, senses: Sequence[str] = ("wheels",), jitter: bool = False) -> dict[str, Any]:
+    """Error of the delay after 30 s; None where none was found.
+
+    Args:
+        jitter: every picture has a delay of its own, evenly about _LATE_S; otherwise every drive has one.
+    """
+    mean_s = float(np.random.default_rng([seed, 1]).uniform(_LATE_S - _LATE_WITHIN_S, _LATE_S + _LATE_WITHIN_S))
+    late = Lateness(_LATE_S, _LATE_WITHIN_S) if jitter else Lateness(mean_s)
+    drive = Drive(seed, Condition(), senses, late, _ROOM)
     for f in drive.frames():
         if f.moment.time_s >= _FOUND_S:
             break
+    off_s, sigma_s = _delay_off(drive, late.mean_s)
+    return {"late_s": late.mean_s, "off_s": off_s, "sigma_s": sigma_s}
+
+
+def _delay_off(drive: Drive, late_s: float) -> tuple[float | None, float | None]:
+    """Error of the delay that is used now, and its standard deviation; None where none is."""
     known_s, sigma_s = drive.checks.senses.wheels_late
-    found = bool(np.isfinite(sigma_s))
-    return {"late_s": late_s, "off_s": known_s - late_s if found else None, "sigma_s": sigma_s if found else None}
+    return (known_s - late_s, sigma_s) if np.isfinite(sigma_s) else (None, None)
+
+
+def delay_jumps(seed: int, senses: Sequence[str] = ("wheels", "gyro")) -> dict[str, Any]:
+    """Time from a jump of the delay until it is said, what was said before it, and the error 30 s after it."""
+    late, false, said_s = Lateness(_LATE_S, then_s=_LATE_S + _JUMP_S, then_at_s=BEGIN_S), 0, None
+    drive = Drive(seed, Condition(seconds=_FOUND_S), senses, late, _ROOM)
+    for f in drive.frames():
+        said, now_s = Kind.DELAY_JUMPED in f.kinds, f.moment.time_s
+        false += said and now_s < BEGIN_S
+        said_s = now_s - BEGIN_S if said and now_s >= BEGIN_S and said_s is None else said_s
+    off_s, sigma_s = _delay_off(drive, late.then_s)
+    return {"said_s": said_s, "false": false, "off_s": off_s, "sigma_s": sigma_s}
 
 
 def slip(seed: int) -> dict[str, Any]:
@@ -223,6 +250,9 @@ STUDIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "scales": scales,
     "delay, wheels": delay,
     "delay, wheels and gyro": partial(delay, senses=("wheels", "gyro")),
+    "delay jitters, wheels": partial(delay, jitter=True),
+    "delay jitters, wheels and gyro": partial(delay, senses=("wheels", "gyro"), jitter=True),
+    "jump of the delay": delay_jumps,
     "slip": slip,
     "blackout, wheels": partial(blackout, senses=("wheels",)),
     "blackout, wheels and gyro": blackout,
@@ -280,6 +310,15 @@ def _bars(name: str, rows: list[dict[str, Any]]) -> list[Bar]:
                 r := _rms(found / column("sigma_s")[~np.isnan(column("sigma_s"))]),
                 f"{r:.2f}",
             ),
+        ]
+    if name.startswith("jump"):
+        off = column("off_s")[~np.isnan(column("off_s"))]
+        return [
+            Bar("said within 30 s, of all", r := float(np.mean(~np.isnan(column("said_s")))), f"{r:.2f}", low=0.95),
+            Bar("s, median", r := quantile("said_s", 0.5), f"{r:.1f}"),
+            Bar("s, 95 %", r := quantile("said_s", 0.95), f"{r:.1f}"),
+            Bar("false before", r := float(column("false").sum()), f"{r:.0f} in {len(rows)} min", high=0.0),
+            Bar("ms off 30 s after it, rms", r := 1e3 * _rms(off), f"{r:.2f}", high=3.0),
         ]
     if name == "slip":
         said = column("said_s")

@@ -1,4 +1,4 @@
-"""The file of anchors and marks: YAML that people write, or `ceilvod anchors` does."""
+"""The file of anchors, marks and lamps: YAML that people write, or `ceilvod anchors` does."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any, TypeVar
 from ceilvo import yaml_nodes
 from ceilvo.errors import ConfigError, one_line
 from ceilvo.files import write_atomic
-from ceilvo.senses.beacons import NAME_CHARS, Anchor, Beacons, Mark
+from ceilvo.senses.beacons import NAME_CHARS, Anchor, Beacons, Lamp, Mark
 from ceilvo.types import MAX_COORDINATE_M
 
 VERSION = 1
 MOST = 1000
-"""Anchors or marks of a file; chosen: a building has tens."""
+"""Anchors, marks or lamps of a file; chosen: a building has tens."""
 _SHOWN = 40
 _NAME = re.compile(rf"[0-9A-Za-z_.:-]{{1,{NAME_CHARS}}}")
 _HEADER = """\
-# Radio anchors and marks of known place, in the map's frame; docs/ranges.md and docs/marks.md say what each line means.
+# Radio anchors, marks and lamps of known place, in the map's frame; docs/ranges.md and docs/marks.md tell the lines.
 """
 _ANCHOR = {
     "name": None,
@@ -43,7 +43,15 @@ _MARK = {
     "sigma_m": (0.0005, 1.0),
     "sigma_deg": (0.02, 45.0),
 }
+_LAMP = {
+    "name": None,
+    "x_m": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "y_m": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "below_m": (0.0, 20.0),
+    "sigma_m": (0.001, 1.0),
+}
 """Keys with what they may be; None is a name. A key that a dataclass has a default for may be left out."""
+_KEYS = {"version", "anchors", "marks", "lamps"}
 _Bounds = Mapping[str, tuple[float, float] | None]
 _T = TypeVar("_T")
 
@@ -57,8 +65,8 @@ def read_beacons(path: Path) -> Beacons:
         content = yaml_nodes.plain(yaml_nodes.parse(yaml_nodes.read_text(path)))
     except yaml_nodes.YamlProblem as e:
         raise ConfigError(f"{path}{f':{e.line}' if e.line else ''}: {e.what}") from None
-    if not isinstance(content, dict) or not {"version"} <= set(content) <= {"version", "anchors", "marks"}:
-        raise ConfigError(f"{path}: found {_shown(content)}, expected the keys version, anchors and marks")
+    if not isinstance(content, dict) or not {"version"} <= set(content) <= _KEYS:
+        raise ConfigError(f"{path}: found {_shown(content)}, expected the keys version, anchors, marks and lamps")
     if content["version"] != VERSION or isinstance(content["version"], bool):
         raise ConfigError(
             f"{path}: version: found {_shown(content['version'])}, expected {VERSION}; use a newer ceilvo"
@@ -68,13 +76,17 @@ def read_beacons(path: Path) -> Beacons:
     anchors = _entries(content.get("anchors"), f"{path}: anchors", _ANCHOR, needed, problems)
     needed = {"id", "size_m", "x_m", "y_m", "theta_deg"}
     marks = _entries(content.get("marks"), f"{path}: marks", _MARK, needed, problems)
-    for what, entries, key in (("anchors", anchors, "name"), ("marks", marks, "id")):
+    needed = {f.name for f in dataclasses.fields(Lamp) if f.default is dataclasses.MISSING}
+    lamps = _entries(content.get("lamps"), f"{path}: lamps", _LAMP, needed, problems)
+    for what, entries, key in (("anchors", anchors, "name"), ("marks", marks, "id"), ("lamps", lamps, "name")):
         named = [e[key] for e in entries]
         twice = sorted({str(n) for n in named if named.count(n) > 1})
         problems += [f"{path}: {what}: found {n} twice, expected each once" for n in twice]
     if problems:
         raise ConfigError(*problems)
-    return Beacons(tuple(Anchor(**a) for a in anchors), tuple(_mark(m) for m in marks))
+    return Beacons(
+        tuple(Anchor(**a) for a in anchors), tuple(_mark(m) for m in marks), tuple(Lamp(**one) for one in lamps)
+    )
 
 
 def write_beacons(path: Path, beacons: Beacons) -> None:
@@ -95,6 +107,8 @@ def render_beacons(beacons: Beacons) -> str:
         content["anchors"] = [_rounded(dataclasses.asdict(a)) for a in beacons.anchors]
     if beacons.marks:
         content["marks"] = [_rounded(_as_entry(m)) for m in beacons.marks]
+    if beacons.lamps:
+        content["lamps"] = [_rounded(dataclasses.asdict(one)) for one in beacons.lamps]
     return _HEADER + yaml_nodes.dump(content)
 
 

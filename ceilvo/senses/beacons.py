@@ -54,11 +54,29 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True)
+class Lamp:
+    """A lamp, which looks like any other.
+
+    Attributes:
+        name: for people.
+        x_m, y_m: of the middle of its light, in map; sigma_m: standard deviation of that, along each axis.
+        below_m: by how much it hangs below the ceiling.
+    """
+
+    name: str
+    x_m: float
+    y_m: float
+    below_m: float = 0.0
+    sigma_m: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
 class Beacons:
     """All that a robot is told of."""
 
     anchors: tuple[Anchor, ...] = ()
     marks: tuple[Mark, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,3 +94,10 @@ class MarkSeen:
 
     number: int
     corners_px: Array
+
+
+@dataclass(frozen=True, slots=True)
+class LampSeen:
+    """A light in a picture: at_px (2,), raw pixels, the middle of it on the ceiling."""
+
+    at_px: Array

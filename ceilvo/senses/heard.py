@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ceilvo.senses.beacons import MarkSeen, Range
+from ceilvo.senses.beacons import LampSeen, MarkSeen, Range
 from ceilvo.types import Array
 
 
@@ -34,11 +34,13 @@ class Heard:
     Attributes:
         ranges: to radio anchors, that came in it.
         marks: in the frame at its end.
+        lamps: the same; None where none were looked for.
     """
 
     turn: Turn | None = None
     ranges: tuple[Range, ...] = ()
     marks: tuple[MarkSeen, ...] = ()
+    lamps: tuple[LampSeen, ...] | None = None
 
 
 NOTHING = Heard()

@@ -19,14 +19,14 @@ from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.replay.inputs import FrameInput, Input, KnownBeacons, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
 from ceilvo.errors import CeilvoError
-from ceilvo.senses.beacons import Beacons, MarkSeen
+from ceilvo.senses.beacons import Beacons
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 Clock = Callable[[], int]
 Wheels = Callable[[int, int], WheelMotion | None]
 Hears = Callable[[int, int], Heard]
-Finds = Callable[[Frame, bool], tuple[MarkSeen, ...]]
+Finds = Callable[[Frame, bool, Heard], Heard]
 InputListener = Callable[[Input, Estimate | None, Pipeline], None]
 """Gets every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
@@ -54,9 +54,9 @@ def hears_nothing(stamp0_ns: int, stamp1_ns: int) -> Heard:
     return NOTHING
 
 
-def finds_nothing(frame: Frame, sure: bool) -> tuple[MarkSeen, ...]:
+def finds_nothing(frame: Frame, sure: bool, heard: Heard) -> Heard:
     """For ceilings without marks."""
-    return ()
+    return heard
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +146,7 @@ class Estimator:
                 return None
             wheels = None if before_ns is None else self._wheels(before_ns, frame.stamp_ns)
             heard = NOTHING if before_ns is None else self._hears(before_ns, frame.stamp_ns)
-            marks = self._finds(frame, self._pipeline.relocaliser.sure)
-            heard = replace(heard, marks=marks) if marks else heard
+            heard = self._finds(frame, self._pipeline.relocaliser.sure, heard)
             estimate = self._do(FrameInput(frame, wheels, heard), on_stage_done)
         if estimate is None:
             return None

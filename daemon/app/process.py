@@ -110,10 +110,10 @@ class Daemon:
         self._recording = recording_of(
             config, plan.calibration, self._store.folder, plan.record, clock, self._on_recorder_stop
         )
-        self._hearing = hearing = Hearing(config, self._port, clock, self._crash)
+        self._hearing = hearing = Hearing(config, self._port, clock, self._crash, plan.calibration)
         self._base = hearing.base
         listener = no_listener if self._recording is None else self._recording.input
-        given = hearing.wheels, listener, self._store.session, hearing.between, hearing.marks
+        given = hearing.wheels, listener, self._store.session, hearing.between, hearing.shown
         rng = np.random.default_rng(config.service.seed)
         self._estimator = Estimator(Pipeline(plan.calibration, config, rng), clock, *given)
         self._estimator.know(hearing.known)

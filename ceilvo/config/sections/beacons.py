@@ -1,4 +1,4 @@
-"""Keys of config.yaml for radio ranges and marks; see ceilvo.config.schema."""
+"""Keys of config.yaml for radio ranges, marks and lamps; see ceilvo.config.schema."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ceilvo.config.sections.keys import key
 
 @dataclass(frozen=True)
 class Beacons:
-    file: str = key("", "anchors and marks of known place, relative to this file's folder; empty = none are used")
+    file: str = key("", "anchors, marks and lamps of known place, relative to this file's folder; empty = none")
     ranges: str = key(
         "off",
         "where ranges to anchors come from: serial = a DWM1001 or alike, zenoh = <prefix>/<robot>/ranges",
@@ -29,8 +29,8 @@ class Beacons:
     noise_m: float = key(
         0.1, "standard deviation of one range with nothing in the way; learnt from then on", low=0.01, high=1.0
     )
-    marks: bool = key(True, "look for the marks of beacons.file, where it has any")
+    marks: bool = key(True, "look for the marks and lamps of beacons.file, where it has any")
     family: str = key(
         "tag36h11", "of the marks", choices=("tag36h11", "tag25h9", "tag16h5", "aruco_4x4", "aruco_5x5", "aruco_6x6")
     )
-    marks_every: int = key(3, "look for marks in every so many pictures, and in all of them in doubt", low=1, high=100)
+    marks_every: int = key(3, "look for them in every so many pictures, and in all of them in doubt", low=1, high=100)

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import zenoh
 
+from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.app.senses.beacons import BeaconSenses
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus.imu_topic import NAME, ImuTopic
 from ceilvo.drivers.ports import Base, Clock
-from ceilvo.senses.beacons import Beacons, MarkSeen
+from ceilvo.senses.beacons import Beacons
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.senses.prediction import predicted
 from ceilvo.types import Estimate, Frame, WheelMotion
@@ -27,9 +28,18 @@ class Hearing:
     """
 
     def __init__(
-        self, config: Config, port: Callable[[], Base], clock: Clock, on_crash: Callable[[BaseException], None]
+        self,
+        config: Config,
+        port: Callable[[], Base],
+        clock: Clock,
+        on_crash: Callable[[BaseException], None],
+        calibration: Calibration | None = None,
     ) -> None:
-        """port: of the base, asked for where there is one."""
+        """
+        Args:
+            port: of the base, asked for where there is one.
+            calibration: without it no lamps are looked for.
+        """
         self._clock = clock
         self.base: BaseLink | None = None
         if config.base.enabled:
@@ -39,7 +49,7 @@ class Hearing:
         self._base = self.base if config.senses.gyro == "base" else None
         self._topic = ImuTopic(clock, self._noise) if config.senses.gyro == "topic" else None
         self._stem = f"{config.zenoh.prefix}/{config.robot.name}"
-        self._beacons = BeaconSenses(config, self._stem, clock, on_crash)
+        self._beacons = BeaconSenses(config, self._stem, clock, on_crash, calibration)
 
     def wheels(self, stamp0_ns: int, stamp1_ns: int) -> WheelMotion | None:
         """What the base's wheels did between two frames."""
@@ -57,12 +67,12 @@ class Hearing:
 
     @property
     def known(self) -> Beacons:
-        """Anchors and marks of the file."""
+        """Anchors, marks and lamps of the file."""
         return self._beacons.known
 
-    def marks(self, frame: Frame, sure: bool) -> tuple[MarkSeen, ...]:
-        """In a frame; sure: whether the place is."""
-        return self._beacons.marks(frame, sure)
+    def shown(self, frame: Frame, sure: bool, heard: Heard) -> Heard:
+        """What is heard, with the marks and lamps in a frame; sure: whether the place is."""
+        return self._beacons.shown(frame, sure, heard)
 
     def start(self) -> None:
         """Talk to the base and to a radio module."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -40,7 +41,7 @@ def locate_anchors(recordings: Sequence[Path], into: Path, height_m: float, dry_
     before = read_beacons(into) if into.exists() else Beacons()
     anchors = {a.name: a for a in before.anchors} | {f.name: f.anchor for f in found if f.anchor is not None}
     if not dry_run and any(f.anchor is not None for f in found):
-        write_beacons(into, Beacons(tuple(anchors[name] for name in sorted(anchors)), before.marks))
+        write_beacons(into, replace(before, anchors=tuple(anchors[name] for name in sorted(anchors))))
     return "".join(_line(f) for f in found), 0 if all(f.anchor is not None for f in found) else 1
 
 

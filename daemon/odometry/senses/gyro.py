@@ -34,14 +34,17 @@ class GyroState:
     """
     Attributes:
         bias_scale: (2,) bias rad/s and share by which it counts too much; cov: (2, 2), None before the first turn.
+        drifted: (rad/s)^2 of cov by which the bias has drifted since it was learnt from.
         updates: learnt from; refused: beyond the gate.
         turned_rad, seen_rad, var_rad2, span_s: by gyro, by eye and the gyro's noise since the stretch under way began.
-        ends_rad2: variance by where its start lies.
+        ends_rad2: variance of by how much the angle was too far at its start; start_rad: what the stretch before, which
+            ended there, tells of that; start_with: (2,) covariances of it with bias and scale.
         rate_radps: of the last frame.
     """
 
     bias_scale: Array = field(default_factory=lambda: np.zeros(2))
     cov: Array | None = None
+    drifted: float = 0.0
     updates: int = 0
     refused: int = 0
     turned_rad: float = 0.0
@@ -49,15 +52,21 @@ class GyroState:
     var_rad2: float = 0.0
     span_s: float = 0.0
     ends_rad2: float = 0.0
+    start_rad: float = 0.0
+    start_with: Array = field(default_factory=lambda: np.zeros(2))
     rate_radps: float = 0.0
 
 
 class Gyro:
-    """Of one robot."""
+    """Of one robot.
+
+    Attributes:
+        walk: (rad/s)^2 by which the bias drifts in a second.
+    """
 
     def __init__(self, config: Senses) -> None:
         self._prior = np.diag([np.radians(config.gyro_bias_dps) ** 2, config.gyro_scale_sigma**2])
-        self._walk = float(np.radians(config.gyro_walk_dps)) ** 2
+        self.walk = float(np.radians(config.gyro_walk_dps)) ** 2
         self.state = GyroState()
 
     @property
@@ -65,11 +74,17 @@ class Gyro:
         """(2, 2) of bias and scale."""
         return self._prior if self.state.cov is None else self.state.cov
 
+    @property
+    def cov_then(self) -> Array:
+        """(2, 2) when it was last learnt from; what the bias has drifted by since errs from then on only."""
+        return self.cov - np.diag([self.state.drifted, 0.0])
+
     def passed(self, seconds: float) -> None:
         """The bias drifts with time."""
-        s = self.state
-        s.cov = self.cov + np.diag([self._walk * seconds, 0.0])
-        s.cov[0, 0] = min(float(s.cov[0, 0]), float(self._prior[0, 0]))
+        s, most = self.state, float(self._prior[0, 0])
+        before = self.cov
+        s.cov = before + np.diag([min(self.walk * seconds, max(most - float(before[0, 0]), 0.0)), 0.0])
+        s.drifted += float(s.cov[0, 0] - before[0, 0])
 
     def turned_rad(self, turn: Turn) -> float:
         """What the robot turned, by what is known of the gyro."""
@@ -88,6 +103,14 @@ class Gyro:
 
     def leave(self) -> None:
         """The stretch under way tells nothing: the eye saw nothing."""
+        self._forget_start()
+        self._begin()
+
+    def _forget_start(self) -> None:
+        s = self.state
+        s.ends_rad2, s.start_rad, s.start_with = 0.0, 0.0, np.zeros(2)
+
+    def _begin(self) -> None:
         s = self.state
         s.turned_rad = s.seen_rad = s.var_rad2 = s.span_s = 0.0
 
@@ -96,31 +119,41 @@ class Gyro:
         s = self.state
         rate = turn.turned_rad / turn.span_s
         change = rate - s.rate_radps
-        ends = (change * _BETWEEN_S) ** 2 + 2.0 * (_STAMP_S * rate) ** 2 + (late_sigma_s * rate) ** 2
+        end = (change * _BETWEEN_S) ** 2 + (_STAMP_S * rate) ** 2 + (late_sigma_s * rate) ** 2
         s.rate_radps = rate
-        if not s.span_s:
-            s.ends_rad2 = ends
+        if not s.ends_rad2:
+            s.ends_rad2 = end
         s.turned_rad, s.seen_rad = s.turned_rad + turn.turned_rad, s.seen_rad + seen_rad
         s.var_rad2, s.span_s = s.var_rad2 + turn.var_rad2, s.span_s + turn.span_s
         if s.span_s < _STRETCH_S or (abs(rate) > _SLOW_RADPS and s.span_s < _LONGEST_S):
             return
-        var = s.var_rad2 + s.ends_rad2 + ends + seen_var_rad2 + _EYE_RAD**2
-        self._update(s.turned_rad, s.seen_rad, s.span_s, var, _GATE_SIGMAS)
-        self.leave()
+        var = s.var_rad2 + seen_var_rad2 + _EYE_RAD**2
+        self._update(s.turned_rad, s.seen_rad, s.span_s, var, _GATE_SIGMAS, end)
+        self._begin()
 
     def learn_standing(self, turn: Turn) -> None:
         """The robot stands, by its wheels."""
         self._update(turn.turned_rad, 0.0, turn.span_s, turn.var_rad2 + _EYE_RAD**2, _STILL_GATE_SIGMAS)
 
-    def _update(self, turned_rad: float, seen_rad: float, span_s: float, var_rad2: float, gate: float) -> None:
-        s, cov = self.state, self.cov
-        h = np.array([span_s, seen_rad])
-        off = turned_rad - seen_rad * (1.0 + float(s.bias_scale[1])) - float(s.bias_scale[0]) * span_s
+    def _update(
+        self, turned_rad: float, seen_rad: float, span_s: float, var_rad2: float, gate: float, end_rad2: float = 0.0
+    ) -> None:
+        """A stretch. What it has too much at its end the next one lacks, so that is estimated until then, beside bias
+        and scale."""
+        s = self.state
+        cov = np.diag([0.0, 0.0, 0.0, end_rad2])
+        cov[:2, :2] = self.cov
+        cov[2, :2] = cov[:2, 2] = s.start_with
+        cov[2, 2] = s.ends_rad2
+        h = np.array([span_s, seen_rad, -1.0, 1.0])
+        off = turned_rad - seen_rad * (1.0 + float(s.bias_scale[1])) - float(s.bias_scale[0]) * span_s + s.start_rad
         total = float(h @ cov @ h) + var_rad2
         if off**2 > gate**2 * total:
             s.refused += 1
+            self._forget_start()
             return
         gain = cov @ h / total
-        s.bias_scale = s.bias_scale + gain * off
-        s.cov = cov - np.outer(gain, h @ cov)
+        cov = cov - np.outer(gain, h @ cov)
+        s.bias_scale, s.cov, s.drifted = s.bias_scale + gain[:2] * off, cov[:2, :2].copy(), 0.0
+        s.ends_rad2, s.start_rad, s.start_with = float(cov[3, 3]), float(gain[3]) * off, cov[3, :2].copy()
         s.updates += 1

@@ -29,6 +29,8 @@ _EXTRAPOLATED_M, _EXTRAPOLATED_RAD = 0.001, 0.002
 """Error of the wheels' motion by what lies beyond the base's last telegram, 1 m/s^2 and 2 rad/s^2 for 45 ms."""
 _STAMP_S = 0.002
 """Standard deviation of when a count was taken; as drivers/base/wheel_track.py."""
+_BETWEEN_S = 0.04
+"""How far beyond a sample a stamp may lie, during which the rate changes as it did; as gyro.py."""
 _SURE_DOUBT = 1e-3
 """A motion that is in doubt by more teaches nothing."""
 _GYRO_KNOWN = 3
@@ -103,6 +105,8 @@ class MotionSenses:
         self.wheels_lag, self.gyro_lag, self.gyro_path = Lag(), Lag(), GyroPath()
         self._gap, self._twist, self._seen = Reckoning.start(_ALL), np.zeros(3), False
         self._off_floor, self._watched, self._eye_twist = False, True, np.zeros(3)
+        self._walk = np.zeros(_ALL)
+        self._walk[PARAMETERS] = self.gyro.walk
 
     @property
     def on(self) -> bool:
@@ -179,7 +183,7 @@ class MotionSenses:
         step = self._step(wheels, heard, elapsed_s)
         if step is None:
             return Told(None)
-        after, moved = self._gap.then(step, elapsed_s), arc(step.twist)[0]
+        after, moved = self._gap.then(step, elapsed_s, self._walk), arc(step.twist)[0]
         cov = after.share_of(self._gap, self._parameters(), moved)
         if wheels is None:
             return Told(None, KnownTurn(float(moved[2]), float(cov[2, 2])))
@@ -220,8 +224,18 @@ class MotionSenses:
             noise[2, 2], by[2, :] = by_gyro.var_rad2, 0.0
             by[2, PARAMETERS:] = self.gyro.by_parameters(by_gyro)
         if not self._gap.seconds:
-            noise = noise + np.diag(_ends(twist / elapsed_s, by_gyro))
+            noise = noise + np.diag(self._gap_ends(twist / elapsed_s, by_gyro))
         return Step(twist, by, noise)
+
+    def _gap_ends(self, rate: Array, by_gyro: Turn | None) -> Array:
+        """(3,) variance of a gap's way by where its start lies between the senses' samples, at a twist (3,) a second:
+        what was told beyond a sample is off by as much as the twist has changed since. (Where its end lies shifts the
+        newest pose only, and no way after it.)"""
+        change = rate - self._twist
+        if by_gyro is not None:
+            change[2] = by_gyro.turned_rad / by_gyro.span_s - self.gyro.state.rate_radps
+        var = (_STAMP_S * rate) ** 2 + (_BETWEEN_S * change) ** 2
+        return np.minimum(var, _ends(rate, by_gyro))
 
     def _believes(self, turn: Turn | None) -> bool:
         """Whether the gyro says something, and enough is known of it."""
@@ -235,7 +249,7 @@ class MotionSenses:
     def _parameters(self) -> Array:
         cov = np.zeros((_ALL, _ALL))
         cov[:PARAMETERS, :PARAMETERS] = self.wheels.state.cov
-        cov[PARAMETERS:, PARAMETERS:] = self.gyro.cov
+        cov[PARAMETERS:, PARAMETERS:] = self.gyro.cov_then
         return cov
 
     # -- after it
@@ -263,7 +277,7 @@ class MotionSenses:
             self._eye_twist = se2.mean_twist(motion.prev_from_curr, elapsed_s)
         if slips:
             self.wheels_lag.skip(self.slip.state.time_s)
-        self._gap = Reckoning.start(_ALL) if ended or step is None else self._gap.then(step, elapsed_s)
+        self._gap = Reckoning.start(_ALL) if ended or step is None else self._gap.then(step, elapsed_s, self._walk)
         self._twist = np.zeros(3) if by_wheels is None else by_wheels.twist / elapsed_s
         self._seen = ended
         carried_rad = self.lifted.state.turned_rad if off_floor else None

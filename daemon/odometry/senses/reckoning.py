@@ -2,12 +2,13 @@
 same all the way, such as a wheel's scale or a gyro's bias.
 
 The second kind adds up linearly, not as independent steps do; so the derivative of the way by the parameters is kept.
+What a parameter drifts by on the way errs from then on only; so the drift's own covariance with the way is kept too.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,29 +30,51 @@ class Step:
 
 @dataclass(slots=True)
 class Reckoning:
-    """A way (3,) [m, m, rad] since its start, its derivative by the parameters (3, P), covariance of its noise (3, 3)
-    and how long it took."""
+    """A way (3,) [m, m, rad] since its start, its derivative by the parameters as they were there (3, P), covariance
+    of its noise (3, 3), and how long it took.
+
+    Attributes:
+        drift: (P,) variances of what the parameters have drifted by since; with_drift: (3, P) covariance of the way
+            with that.
+    """
 
     way: Array
     by_parameters: Array
     noise: Array
     seconds: float = 0.0
+    drift: Array = field(default_factory=lambda: np.zeros(0))
+    with_drift: Array = field(default_factory=lambda: np.zeros((3, 0)))
+
+    def __post_init__(self) -> None:
+        if not self.drift.size:  # of an older recording
+            self.drift, self.with_drift = np.zeros(self.by_parameters.shape[1]), np.zeros(self.by_parameters.shape)
 
     @staticmethod
     def start(parameters: int) -> Reckoning:
-        return Reckoning(np.zeros(3), np.zeros((3, parameters)), np.zeros((3, 3)))
+        none = np.zeros((3, parameters))
+        return Reckoning(np.zeros(3), none, np.zeros((3, 3)), 0.0, np.zeros(parameters), none)
 
-    def then(self, step: Step, seconds: float) -> Reckoning:
-        """The way after one more step."""
+    def then(self, step: Step, seconds: float, walk: Array | None = None) -> Reckoning:
+        """The way after one more step; walk: (P,) variance by which each parameter drifts in a second."""
         moved, bend = arc(step.twist)
         before, after = _jacobians(self.way, moved)
         on = after @ bend
         way = se2.compose(self.way, moved)
-        by = before @ self.by_parameters + on @ step.by_parameters
-        return Reckoning(way, by, before @ self.noise @ before.T + on @ step.noise @ on.T, self.seconds + seconds)
+        by_step = on @ step.by_parameters
+        drift = self.drift if walk is None else self.drift + 0.5 * seconds * walk  # in the middle of the step
+        both = before @ self.with_drift @ by_step.T
+        noise = before @ self.noise @ before.T + on @ step.noise @ on.T + both + both.T + (by_step * drift) @ by_step.T
+        return Reckoning(
+            way,
+            before @ self.by_parameters + by_step,
+            noise,
+            self.seconds + seconds,
+            drift if walk is None else self.drift + seconds * walk,
+            before @ self.with_drift + by_step * drift,
+        )
 
     def cov(self, parameters: Array) -> Array:
-        """(3, 3) of the way, with the covariance (P, P) of the parameters."""
+        """(3, 3) of the way, with the covariance (P, P) that the parameters had at its start."""
         return np.asarray(self.noise + self.by_parameters @ parameters @ self.by_parameters.T)
 
     def share_of(self, before: Reckoning, parameters: Array, moved: Array) -> Array:

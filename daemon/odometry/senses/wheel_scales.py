@@ -57,6 +57,8 @@ class WheelScalesState:
         by_wheels, by_eye: the stretch under way; eye_cov: (3, 3) error of one frame's motion.
         way_m, turned_rad: of that stretch; the way counts turns as well.
         twist: (3,) [m/s, m/s, rad/s] at its start.
+        start_s: by how much later its start was counted than it was, as the stretch before, which ended there, tells;
+            start_cov: (4,) covariances of that with the scales, and its variance.
     """
 
     off: Array = field(default_factory=lambda: np.zeros(PARAMETERS))
@@ -70,6 +72,8 @@ class WheelScalesState:
     way_m: float = 0.0
     turned_rad: float = 0.0
     twist: Array = field(default_factory=lambda: np.zeros(3))
+    start_s: float = 0.0
+    start_cov: Array = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, _STAMP_S**2]))
 
 
 class WheelScales:
@@ -117,6 +121,10 @@ class WheelScales:
 
     def leave(self) -> None:
         """The stretch under way tells nothing: the eye saw nothing, or wheels slip."""
+        self._begin()
+        self.state.start_s, self.state.start_cov = 0.0, np.array([0.0, 0.0, 0.0, _STAMP_S**2])
+
+    def _begin(self) -> None:
         s = self.state
         s.by_wheels, s.by_eye, s.way_m, s.turned_rad = Reckoning.start(PARAMETERS), np.zeros(3), 0.0, 0.0
 
@@ -138,28 +146,42 @@ class WheelScales:
             self.leave()
         elif s.way_m >= _STRETCH_M:
             late = np.diag(((twist - s.twist) * late_sigma_s) ** 2)
-            self._update(seen_cov + late, (twist**2 + s.twist**2) * _STAMP_S**2)
-            self.leave()
+            self._update(seen_cov + late, twist)
+            self._begin()
 
-    def _update(self, besides: Array, stamps: Array) -> None:
-        """A whole stretch; besides: (3, 3) what else it errs by than the wheels, stamps: (3,) by its ends at most."""
+    def _update(self, besides: Array, twist: Array) -> None:
+        """A whole stretch; besides: (3, 3) what else it errs by than the wheels, twist: (3,) at its end.
+
+        What its end was counted too late by, the next stretch has too little: so that is estimated beside the scales
+        until then. As errors of their own in each stretch, ends would hide what the scales are.
+        """
         s = self.state
-        errs = besides + np.diag(stamps)
         s.cov = s.cov + np.eye(PARAMETERS) * _WALK_PM**2 * s.way_m
         off = se2.between(s.by_wheels.way, s.by_eye)  # what the scales and noise must explain, in base at the end
         c, k = math.cos(float(s.by_wheels.way[2])), math.sin(float(s.by_wheels.way[2]))
         turn = np.array([[c, k, 0.0], [-k, c, 0.0], [0.0, 0.0, 1.0]])
-        h, noise = turn @ s.by_wheels.by_parameters, turn @ s.by_wheels.noise @ turn.T
-        total = h @ s.cov @ h.T + noise + errs
-        weighed = np.linalg.solve(total, off)
-        if float(off @ weighed) > _GATE_CHI2 * max(1.0, 3.0 - s.stretches):
+        noise = turn @ s.by_wheels.noise @ turn.T
+        h = np.column_stack([turn @ s.by_wheels.by_parameters, _carried(s.by_wheels.way) @ s.twist, -twist])
+        cov = np.diag([0.0] * PARAMETERS + [0.0, _STAMP_S**2])
+        cov[:PARAMETERS, :PARAMETERS] = s.cov
+        cov[PARAMETERS, : PARAMETERS + 1] = cov[: PARAMETERS + 1, PARAMETERS] = s.start_cov
+        total = h @ cov @ h.T + noise + besides
+        new = off - h[:, PARAMETERS] * s.start_s
+        weighed = np.linalg.solve(total, new)
+        if float(new @ weighed) > _GATE_CHI2 * max(1.0, 3.0 - s.stretches):
             s.refused += 1
+            s.start_s, s.start_cov = 0.0, np.array([0.0, 0.0, 0.0, _STAMP_S**2])
             return
-        s.off = np.clip(s.off + s.cov @ h.T @ weighed, -self._bound, self._bound)
-        gain = s.cov @ h.T @ np.linalg.inv(total)
-        keep = np.eye(PARAMETERS) - gain @ h
-        s.cov = keep @ s.cov @ keep.T + gain @ (noise + errs) @ gain.T
-        self._learn_noise(off, np.diagonal(total) - stamps, np.diagonal(noise))  # rather too much than too little
+        gain = cov @ h.T @ np.linalg.inv(total)
+        keep = np.eye(len(cov)) - gain @ h
+        change = gain @ new
+        without_ends = h[:, :PARAMETERS] @ s.cov @ h[:, :PARAMETERS].T + noise + besides
+        self._learn_noise(off, np.diagonal(without_ends), np.diagonal(noise))  # rather too much than too little
+        cov = keep @ cov @ keep.T + gain @ (noise + besides) @ gain.T
+        s.off = np.clip(s.off + change[:PARAMETERS], -self._bound, self._bound)
+        s.cov = cov[:PARAMETERS, :PARAMETERS].copy()
+        s.start_s = float(change[-1])
+        s.start_cov = np.append(cov[-1, :PARAMETERS], cov[-1, -1])
         s.stretches += 1
 
     def _learn_noise(self, off: Array, total: Array, noise: Array) -> None:
@@ -172,3 +194,10 @@ class WheelScales:
         step = np.exp(gain * share * ratio[[0, 1, 2, 2]])
         s.noise = np.clip(s.noise * step, _QUIETEST * _COMMISSIONED, _LOUDEST * _COMMISSIONED)
         s.taught = s.taught + share
+
+
+def _carried(way: Array) -> Array:
+    """(3, 3) a twist at the start of a way (3,) as one at its end."""
+    x, y, turn = way.tolist()
+    c, k = math.cos(turn), math.sin(turn)
+    return np.array([[c, k, -c * y + k * x], [-k, c, k * y + c * x], [0.0, 0.0, 1.0]])

@@ -124,14 +124,17 @@ class Bridge:
 
     def see(self, mark: MarkPose) -> None:
         """A mark that is believed; its own place errs the same each time, so it says less each time."""
-        s, name = self.state, str(mark.number)
-        times = s.marks.get(name, 0) + 1
-        s.marks[name] = times
-        off = np.array(mark.pose - s.mean[:3])
+        off = np.array(mark.pose - self.state.mean[:3])
         off[2] = se2.wrap(float(off[2]))
-        h = np.zeros((3, len(s.mean)))
-        h[:, :3] = np.eye(3)
-        self._update(h, off, times * mark.cov)
+        self.see_of(str(mark.number), np.eye(3), off, mark.cov)
+
+    def see_of(self, name: str, by_pose: Array, off: Array, cov: Array) -> None:
+        """Something of known place, (K,) off where the pose has it, which changes with the pose by (K, 3); (K, K)."""
+        s = self.state
+        s.marks[name] = s.marks.get(name, 0) + 1
+        h = np.zeros((len(off), len(s.mean)))
+        h[:, :3] = by_pose
+        self._update(h, off, s.marks[name] * cov)
 
     def widen(self, mark: MarkPose) -> None:
         """A mark that contradicts others: one of them is wrong, so the pose may be either."""

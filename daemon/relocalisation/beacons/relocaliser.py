@@ -81,7 +81,7 @@ class BeaconRelocaliser(Relocaliser):
 
     def know(self, beacons: Beacons) -> None:
         """From now on."""
-        self.beacons = BeaconState(AnchorTable.of(beacons.anchors, self._noise_m), Beacons(marks=beacons.marks))
+        self.beacons = BeaconState(AnchorTable.of(beacons.anchors, self._noise_m), replace(beacons, anchors=()))
 
     def beacons_learnt(self) -> Mapping[str, object]:
         """For people, by name; nothing where there are no beacons."""
@@ -117,7 +117,7 @@ class BeaconRelocaliser(Relocaliser):
         """travelled(), with what was heard on that part of the way."""
         b = self._beacons
         self.travelled(track, crossings)
-        if not b.anchors.names and not b.marks.marks:
+        if not b.anchors.names and b.marks == Beacons():
             return
         which, range_m, tags = self._placed(path, heard.ranges)
         if track.gap is not None:
@@ -293,10 +293,9 @@ class BeaconRelocaliser(Relocaliser):
         at = pose[:2] + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
         at = at[~self.state.survey.coverage.knows(at)]
         turns = pose[2] + 0.5 * np.pi * np.arange(4)
+        if not len(at):
+            at = pose[:2] + BEYOND_M * np.column_stack([np.cos(turns), np.sin(turns)])
         poses = np.column_stack([np.repeat(at, 4, axis=0), np.tile(turns, len(at))])
-        if not len(poses):
-            edge = pose[:2] + BEYOND_M * np.column_stack([np.cos(turns), np.sin(turns)])
-            poses = np.column_stack([np.repeat(edge, 4, axis=0), np.tile(turns, 4)])
         return float(np.max(self._range_likelihood(poses)))
 
     # -- marks
@@ -320,31 +319,29 @@ class BeaconRelocaliser(Relocaliser):
             return
         elif self.sure:
             if self._trust.fits(mark, *self._bridge.pose) or not self._bridge.state.marks:
-                self._bridge_mark(mark)
+                if self._trust.hold(mark, *self._bridge.pose):
+                    self._bridge.see(mark)
             else:
                 self._trust.contradict(mark, list(self._bridge.state.marks))
                 self._bridge.widen(mark)
         elif b.shown_times >= MARK_PICTURES and not self._trust.doubted(mark):
-            self._settle_at(mark, gap)
+            self._begin_anew_at(mark.pose, mark.cov, f"mark {mark.number}", MARK_WRONG, gap)
+            b.settled = mark.number
+            if gap is not None:
+                self._bridge.see(mark)
 
-    def _bridge_mark(self, mark: MarkPose) -> None:
-        if self._trust.hold(mark, *self._bridge.pose):
-            self._bridge.see(mark)
-
-    def _settle_at(self, mark: MarkPose, gap: Motion | None) -> None:
-        """One mark in view ends a search."""
+    def _begin_anew_at(self, pose: Array, cov: Array, what: str, wrong: float, gap: Motion | None) -> None:
+        """The robot is at a pose (3,) with cov (3, 3), as what was seen says, but for the chance `wrong`."""
         b, s = self._beacons, self.state
-        moved = np.zeros(3) if gap is None else gap.prev_from_curr
-        start = np.asarray(se2.compose(mark.pose, se2.inverse(moved)))
+        start = pose if gap is None else np.asarray(se2.compose(pose, se2.inverse(gap.prev_from_curr)))
         self._put(start)
-        self.filter.jump(Pose(start), mark.cov)
+        self.filter.jump(Pose(start), cov)
         s.belief, s.reason, s.began, s.surprised = PlaceBelief(), "", 0.0, False
         # what the ceiling shows may still speak against it
-        s.pending = Doubt(f"mark {mark.number}", mark.cov, MARK_WRONG) if gap is None else None
+        s.pending = Doubt(what, cov, wrong) if gap is None else None
         s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
         b.window.clear()
-        b.located, b.wide, b.settled = False, False, mark.number
+        b.located = b.wide = False
         self._bridge.end()
         if gap is not None:
-            self._bridge.move(start, mark.cov, gap, b.anchors, self._tag_m)
-            self._bridge.see(mark)
+            self._bridge.move(start, cov, gap, b.anchors, self._tag_m)

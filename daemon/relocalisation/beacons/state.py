@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
 from ceilvo.daemon.relocalisation.beacons.bridge import BridgeState
+from ceilvo.daemon.relocalisation.beacons.lamps.state import LampState
 from ceilvo.daemon.relocalisation.beacons.range_window import RangeWindow
 from ceilvo.daemon.relocalisation.beacons.trust import TrustState
 from ceilvo.senses.beacons import Beacons
@@ -16,7 +17,7 @@ from ceilvo.types import Array
 class BeaconState:
     """
     Attributes:
-        anchors: as they are known; marks: of the file.
+        anchors: as they are known; marks: of the file, with its lamps.
         window: ranges since the doubt, or of late.
         odom, stamp_ns: of the last frame; odom (3,).
         fix_ns: when a fix was looked for last; located: places are searched for around one.
@@ -41,3 +42,4 @@ class BeaconState:
     taken: int = 0
     trust: TrustState = field(default_factory=TrustState)
     bridge: BridgeState = field(default_factory=BridgeState)
+    lamps: LampState = field(default_factory=LampState)

@@ -58,13 +58,13 @@ class Trust:
     def hold(self, mark: MarkPose, pose: Array, cov: Array) -> bool:
         """Compare with a pose (3,) with covariance (3, 3) that is sure; False where they contradict each other."""
         fits, off = self.fits(mark, pose, cov), _off(mark, pose)
-        self._strike(mark.number, fits, f"{np.hypot(off[0], off[1]):.2f} m and {abs(np.degrees(off[2])):.0f} deg")
+        self.strike(str(mark.number), fits, f"{np.hypot(off[0], off[1]):.2f} m and {abs(np.degrees(off[2])):.0f} deg")
         return fits
 
     def after_search(self, number: int, surprised: bool) -> None:
         """The first view of the ceiling where a mark has put the robot: surprised when it contradicts the map."""
         if surprised:
-            self._strike(number, False, "at another place")
+            self.strike(str(number), False, "at another place")
 
     def contradict(self, mark: MarkPose, others: list[str]) -> None:
         """Marks that contradict each other where nothing else says who is right."""
@@ -73,14 +73,14 @@ class Trust:
             self.state.pairs.append(pair)
             self.state.news.append(f"marks {pair} contradict each other; the ceiling will show which is wrong")
 
-    def _strike(self, number: int, fits: bool, how: str) -> None:
-        s, name = self.state, str(number)
+    def strike(self, name: str, fits: bool, how: str, what: str = "mark") -> None:
+        """A picture that bears something out or contradicts it; how far it is off, and what it is, for people."""
+        s = self.state
         s.strikes[name] = max(s.strikes.get(name, 0) - 1, 0) if fits else s.strikes.get(name, 0) + 1
         if s.strikes[name] >= STRIKES and name not in s.wrong:
             s.wrong[name] = how
-            s.news.append(
-                f"mark {name} is {how} off where the file has it: ignored from now on; put it back, or correct the file"
-            )
+            off = f"{what} {name} is {how} off where the file has it"
+            s.news.append(f"{off}: ignored from now on; put it back, or correct the file")
 
     def take_news(self) -> list[str]:
         out, self.state.news = self.state.news, []

@@ -14,6 +14,8 @@ from ceilvo.config import Config
 from ceilvo.config.reader import beside
 from ceilvo.daemon.app.senses.beacons import BeaconSenses
 from ceilvo.errors import ConfigError
+from ceilvo.senses.heard import NOTHING
+from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Frame
 
 FILE = """\
@@ -46,9 +48,24 @@ def test_the_file_counts_from_the_configurations_folder(tmp_path: Path) -> None:
 
 def test_every_third_picture_is_looked_at_while_the_place_is_sure_and_all_in_doubt(tmp_path: Path) -> None:
     s, frame = senses(tmp_path), with_tag()
-    assert [len(s.marks(frame, sure=True)) for _ in range(6)] == [0, 0, 1, 0, 0, 1]
-    assert [len(s.marks(frame, sure=False)) for _ in range(3)] == [1, 1, 1]
-    assert senses(tmp_path, marks=False).marks(frame, sure=False) == ()
+    assert [len(s.shown(frame, True, NOTHING).marks) for _ in range(6)] == [0, 0, 1, 0, 0, 1]
+    assert [len(s.shown(frame, False, NOTHING).marks) for _ in range(3)] == [1, 1, 1]
+    assert senses(tmp_path, marks=False).shown(frame, False, NOTHING) is NOTHING
+
+
+def test_lamps_are_looked_for_where_the_file_has_some(tmp_path: Path) -> None:
+    gray = np.full((480, 640), 90, np.uint8)
+    cv2.circle(gray, (200, 260), 14, 250, -1)
+    frame = Frame(1, 10**9, gray)
+    assert senses(tmp_path).shown(frame, False, NOTHING).lamps is None
+    (tmp_path / "beacons.yaml").write_text("version: 1\nlamps: [{name: L1, x_m: 1, y_m: 2}]\n")
+    config = replace(Config(), beacons=replace(Config().beacons, file=str(tmp_path / "beacons.yaml")))
+    s = BeaconSenses(config, "ceilvo/r", lambda: 0, lambda e: None, simulated_calibration())
+    lamps = s.shown(frame, False, NOTHING).lamps
+    assert lamps is not None
+    (lamp,) = lamps
+    assert np.hypot(*(lamp.at_px - [200.0, 260.0])) < 1.0
+    assert [s.shown(frame, True, NOTHING).lamps is None for _ in range(3)].count(False) == 1
 
 
 def test_ranges_come_by_zenoh_where_that_is_chosen(tmp_path: Path) -> None:
@@ -63,7 +80,12 @@ def test_ranges_come_by_zenoh_where_that_is_chosen(tmp_path: Path) -> None:
 
 def test_by_default_nothing_is_heard() -> None:
     s = BeaconSenses(Config(), "ceilvo/r", lambda: 0, lambda e: None)
-    assert s.keys == () and s.counters() == {} and s.ranges(10**18) == () and s.marks(with_tag(), False) == ()
+    assert (
+        s.keys == ()
+        and s.counters() == {}
+        and s.ranges(10**18) == ()
+        and s.shown(with_tag(), False, NOTHING) is NOTHING
+    )
 
 
 def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:

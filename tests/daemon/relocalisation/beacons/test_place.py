@@ -17,7 +17,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.daemon.relocalisation.beacons.mark_poses import corners
 from ceilvo.daemon.replay.inputs import KnownBeacons, Sighting, input_json, read_input
 from ceilvo.daemon.replay.snapshot import freeze, restore, snapshot_json
-from ceilvo.senses.beacons import Anchor, Beacons, Mark, MarkSeen, Range
+from ceilvo.senses.beacons import Anchor, Beacons, Lamp, LampSeen, Mark, MarkSeen, Range
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.sim.radio import Radio, RadioSpec, in_corners
 from ceilvo.sim.rig import simulated_calibration
@@ -153,9 +153,71 @@ def test_a_search_that_a_wrong_mark_has_ended_is_put_right_by_the_ceiling() -> N
     assert after[-1].state is State.TRACKING and np.hypot(off[0], off[1]) < 0.05
 
 
+LAMPS = tuple(
+    Lamp(f"L{k}", *(SPOT + off).tolist(), sigma_m=0.005)
+    for k, off in enumerate(np.array([[0.1, 0.2], [-0.7, 0.5], [0.8, -0.3], [-0.5, -0.6], [0.4, 0.9], [6.0, 1.0]]))
+)
+
+
+def tell_lamps(drive: Drive, hang: tuple[Lamp, ...]) -> None:
+    """LAMPS are known, and so they hang."""
+    c = simulated_calibration(tile_m=0.6)
+    drive.pipeline.relocaliser.know(Beacons(lamps=LAMPS))
+    places = np.array([[one.x_m, one.y_m] for one in hang])
+    size = np.array([c.camera.width_px, c.camera.height_px])
+
+    def seen(stamp_ns: int) -> Heard:
+        at = se2.transform(Pose(se2.inverse(drive.pose)), places)
+        s = np.column_stack([at, np.ones(len(at))]) @ c.level_from_ceiling.T
+        px = c.level_view.to_raw(s[:, :2] / s[:, 2:])
+        return Heard(lamps=tuple(LampSeen(one) for one in px[np.all((px > 5.0) & (px < size - 5.0), axis=1)]))
+
+    drive.senses = seen
+
+
+@pytest.mark.parametrize(("lights", "found"), [(1, False), (2, False), (5, True)])
+def test_several_lamps_that_lie_as_nowhere_else_end_a_search_and_one_or_two_do_not(lights: int, found: bool) -> None:
+    drive, world = small_drive(6)
+    at_spot(drive, world)
+    drive.load(*_map(drive), pose=np.array([9.0, -7.0, 2.0]))  # type: ignore[arg-type]
+    tell_lamps(drive, LAMPS[:lights])
+    drive.conditions.dark = True
+    after = estimates(drive, 1.0)
+    off = after[-1].pose - drive.pose
+    print(after[-1].state, off)
+    assert (np.hypot(off[0], off[1]) < 0.03) == found
+    assert drive.pipeline.relocaliser.sure == found
+
+
+def test_a_lamp_that_hangs_elsewhere_is_named_and_one_that_is_off_too() -> None:
+    drive, world = small_drive(6)
+    at_spot(drive, world)
+    drive.load(*_map(drive), pose=drive.pose)  # type: ignore[arg-type]
+    assert drive.settle(20.0)
+    tell_lamps(drive, (replace(LAMPS[0], y_m=LAMPS[0].y_m + 0.25), LAMPS[1], *LAMPS[3:]))
+    after = estimates(drive, 4.0)
+    news = drive.pipeline.relocaliser.take_news()
+    learnt = drive.pipeline.relocaliser.beacons_learnt()["lamps"]
+    print(news, learnt, after[-1].pose - drive.pose)
+    assert learnt == {"ignored": ["L0"], "missing": ["L2"]}
+    assert len(news) == 2 and "lamp L0 is 0.25 m off" in news[0] and "lamp L2 is not seen" in news[1]
+    assert all(e.state is State.TRACKING for e in after)
+
+
+def test_while_vision_measures_lamps_change_nothing() -> None:
+    plain, _ = small_drive(4)
+    lit, _ = small_drive(4)
+    rng = np.random.default_rng(3)
+    tell_lamps(lit, tuple(replace(one, x_m=one.x_m + 0.1 * rng.standard_normal()) for one in LAMPS))
+    a, b = estimates(plain, 5.0), estimates(lit, 5.0)
+    assert sum(e.state is State.TRACKING for e in a) > 40
+    assert all(np.array_equal(x.pose, y.pose) and np.array_equal(x.cov, y.cov) for x, y in zip(a, b, strict=True))
+
+
 def test_inputs_and_states_with_beacons_are_read_back() -> None:
     heard = Heard(ranges=(Range("A", 5, 1.25),), marks=(MarkSeen(3, np.arange(8.0).reshape(4, 2)),))
-    known = KnownBeacons(Beacons((Anchor("A", 1.0, 2.0, 3.0),), (MARK,)))
+    heard = replace(heard, lamps=(LampSeen(np.array([3.5, 4.5])),))
+    known = KnownBeacons(Beacons((Anchor("A", 1.0, 2.0, 3.0),), (MARK,), LAMPS))
     assert read_input(input_json(known, 4), _no_frame) == (4, known)
     drive, world = small_drive(4)
     with_ranges(drive, world, RadioSpec())
