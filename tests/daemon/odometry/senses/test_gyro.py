@@ -1,5 +1,7 @@
 """A gyro of known bias and scale, against the ceiling's direction."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ceilvo.config.sections.senses import Senses
@@ -51,3 +53,20 @@ def test_a_direction_that_jumps_teaches_nothing() -> None:
         gyro.learn(turn(0.0, rng), 0.5 * (k == 3), 1e-8, 0.0)
     assert gyro.state.refused == 1
     assert np.array_equal(gyro.state.bias_scale, before)
+
+
+def test_how_sure_it_is_of_bias_and_scale_is_right_where_stamps_err() -> None:
+    ratio = []
+    for seed in range(30):
+        gyro, rng = Gyro(Senses(gyro_walk_dps=0.0)), np.random.default_rng(50 + seed)
+        far = 0.0
+        for k in range(900):
+            true = DT_S * (0.08 + (1.2 if (k // 60) % 3 == 1 else 0.0))
+            before, far = far, 0.002 * float(rng.standard_normal()) * true / DT_S
+            said = turn(true, rng)
+            moved = replace(said, turned_rad=said.turned_rad + far - before)
+            gyro.learn(moved, true, 1e-8, 0.0)
+        ratio.append((gyro.state.bias_scale - [BIAS, SCALE]) / np.sqrt(np.diag(gyro.cov)))
+    rms = np.sqrt(np.mean(np.square(ratio), axis=0))
+    print("errors over their sigma, rms:", rms)
+    assert np.all(rms > 0.5) and np.all(rms < 1.3)

@@ -73,3 +73,25 @@ def test_a_slip_teaches_nothing_and_scales_stay_within_their_bound() -> None:
         learnt.learn(learnt.step(wheels), np.array([0.03, 0.0, 0.0]), EYE, DT_S, 0.0)
     assert learnt.state.refused > refused
     assert np.array_equal(learnt.state.off, before)
+
+
+@pytest.mark.parametrize("stamp_s", [0.0, 0.002])
+def test_how_sure_it_is_of_the_scales_is_right_whether_stamps_err_or_not(stamp_s: float) -> None:
+    """What a stretch has too much at its end the next one lacks, so stamps hardly hide the scales."""
+    ratio, noise = [], 0.003
+    for seed in range(30):
+        scales, rng = WheelScales(Senses(track_m=0.4)), np.random.default_rng(100 + seed)
+        late_s = 0.0
+        for k in range(500):
+            true = np.array([0.05, 0.0, 0.06 * np.sin(0.05 * k) if (k // 40) % 2 else 0.0])
+            before_s, late_s = late_s, stamp_s * float(rng.standard_normal())
+            said = counted(true, 0.4) * (DT_S + late_s - before_s) / DT_S
+            way = float(np.hypot(*said[:2])) + 0.25 * abs(said[2])
+            said = said + noise * np.sqrt(way) * rng.standard_normal(3) * [1.0, 0.0, 1.0]
+            wheels = WheelMotion(Displacement(se2.driven(said, np.ones(1))[0]), np.eye(3))
+            scales.learn(scales.step(wheels), se2.driven(true, np.ones(1))[0], EYE, DT_S, 0.0)
+        off, sigma = scales.state.off - (np.array([LEFT, RIGHT, TRACK]) - 1.0), np.sqrt(np.diag(scales.state.cov))
+        ratio.append((off / sigma)[:2])
+    rms = float(np.sqrt(np.mean(np.square(ratio))))
+    print(f"errors over their sigma, rms: {rms:.2f}")
+    assert 0.75 < rms < 1.25
