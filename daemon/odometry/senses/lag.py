@@ -60,7 +60,7 @@ class LagState:
         next_s: where the next window begins.
         delay_s, sigma_s: of the long memory; None before it is known.
         differs: times in a row that the short memory was elsewhere; jumps: of the delay so far; jumped_s: the size of
-            the last one; jumped_at_s: when it was noticed.
+            the last one; jumped_at_s: when it was noticed; jumped_now: in the last step.
     """
 
     long: Array = field(default_factory=lambda: np.zeros((len(LAGS_S), CHANNELS, 6)))
@@ -73,6 +73,7 @@ class LagState:
     jumps: int = 0
     jumped_s: float = 0.0
     jumped_at_s: float = -math.inf
+    jumped_now: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,12 @@ class Lag:
         """Time begins anew; what is known of the delay stays."""
         self.state.next_s, self.state.jumped_at_s = 0.0, -math.inf
 
+    def begin_anew(self, delay_s: float) -> None:
+        """The delay is another one now, about so much; how much it is shall be learnt."""
+        s = self.state
+        s.long, s.short, s.counts, s.differs = 0.0 * s.long, 0.0 * s.short, 0.0 * s.counts, 0
+        s.delay_s, s.sigma_s = delay_s, _SURE_S
+
     def skip(self, now_s: float) -> None:
         """What was gathered until now since the last window tells nothing: wheels slip."""
         self.state.next_s = max(self.state.next_s, now_s)
@@ -123,6 +130,7 @@ class Lag:
     def step(self, now: Series) -> None:
         """After a row was added."""
         s, t = self.state, now.time_s
+        s.jumped_now = False
         if len(t) < 4:
             return
         last = int(np.searchsorted(t, t[-1] + _EARLIEST_S, side="right")) - 1
@@ -151,9 +159,9 @@ class Lag:
             far = recent[1] < _KNOWN_RECENTLY_S and off > _JUMP_S + _JUMP_SIGMAS * math.hypot(recent[1], found[1])
             s.differs = s.differs + 1 if far and s.delay_s is not None else 0
             if s.differs >= _NEEDED:
-                s.jumps, s.jumped_s, s.jumped_at_s = s.jumps + 1, recent[0] - found[0], now_s
-                s.long, s.short, s.counts, s.differs = 0.0 * s.long, 0.0 * s.short, 0.0 * s.counts, 0
-                found = recent[0], min(recent[1], _SURE_S)
+                s.jumps, s.jumped_s, s.jumped_at_s, s.jumped_now = s.jumps + 1, recent[0] - found[0], now_s, True
+                self.begin_anew(recent[0])
+                return
         if found is not None:
             s.delay_s, s.sigma_s = found
 

@@ -105,8 +105,7 @@ class MotionSenses:
         self.wheels_lag, self.gyro_lag, self.gyro_path = Lag(), Lag(), GyroPath()
         self._gap, self._twist, self._seen = Reckoning.start(_ALL), np.zeros(3), False
         self._off_floor, self._watched, self._eye_twist = False, True, np.zeros(3)
-        self._walk = np.zeros(_ALL)
-        self._walk[PARAMETERS] = self.gyro.walk
+        self._walk = np.append(np.zeros(PARAMETERS), [self.gyro.walk, 0.0])
 
     @property
     def on(self) -> bool:
@@ -228,9 +227,8 @@ class MotionSenses:
         return Step(twist, by, noise)
 
     def _gap_ends(self, rate: Array, by_gyro: Turn | None) -> Array:
-        """(3,) variance of a gap's way by where its start lies between the senses' samples, at a twist (3,) a second:
-        what was told beyond a sample is off by as much as the twist has changed since. (Where its end lies shifts the
-        newest pose only, and no way after it.)"""
+        """(3,) variance of a gap's way by where its start lies between samples, at a twist (3,) a second: what was told
+        beyond a sample is off by as much as the twist has changed since. (Its end shifts the newest pose only.)"""
         change = rate - self._twist
         if by_gyro is not None:
             change[2] = by_gyro.turned_rad / by_gyro.span_s - self.gyro.state.rate_radps
@@ -333,10 +331,16 @@ class MotionSenses:
         self.wheels.learn(by_wheels, motion.prev_from_curr, motion.cov, elapsed_s, late_sigma_s)
 
     def _follow(self, motion: Motion, turn: Turn | None, seen: bool, elapsed_s: float) -> None:
-        """The delay of the gyro against the eye."""
+        """The delay of the gyro against the eye; where the wheels' is the same, each begins anew when the other has
+        jumped."""
         self.gyro_path.add(motion, turn, seen, elapsed_s)
         if self._config.time and len(self.gyro_path):
             self.gyro_lag.step(self.gyro_path.series())
+        if self._config.time and self._config.gyro == "base":
+            for one, other in ((self.wheels_lag, self.gyro_lag), (self.gyro_lag, self.wheels_lag)):
+                if one.state.jumped_now and one.state.delay_s is not None:
+                    other.begin_anew(one.state.delay_s)
+                one.state.jumped_now = False
 
 
 def _ends(rate: Array, by_gyro: Turn | None) -> Array:
