@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import cv2
@@ -82,9 +82,9 @@ class Drive:
         self._ride = Ride(world.room, world.map_from_ceiling, self._condition, self._rng("ride"))
         self.pipeline = Pipeline(calibration, config, self._rng("pipeline"))
         told = [d.beacons for d in self.devices]
-        anchors, marks = (tuple(b for t in told for b in getattr(t, name)) for name in ("anchors", "marks"))
-        if anchors or marks:
-            self.pipeline.relocaliser.know(Beacons(anchors, marks))
+        known = (tuple(b for t in told for b in getattr(t, f.name)) for f in fields(Beacons))
+        if any(t != Beacons() for t in told):
+            self.pipeline.relocaliser.know(Beacons(*known))
         self._known = landmarks_of(world.features, self._eye.missed, self._rng("map")), world.features.axis_rad
 
     def _rng(self, name: str) -> np.random.Generator:

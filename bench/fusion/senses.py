@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ceilvo.bench.fusion.beacons import MarksSense, RangesSense
+from ceilvo.bench.fusion.beacons import LampsSense, MarksSense, RangesSense
 from ceilvo.bench.fusion.devices import GyroSense, WheelsSense
 from ceilvo.bench.fusion.robot import Moment
 from ceilvo.bench.fusion.said import Said
@@ -47,6 +47,7 @@ SENSES: Mapping[str, Sense] = {
     "gyro": GyroSense(),
     "ranges": RangesSense(),
     "marks": MarksSense(),
+    "lamps": LampsSense(),
 }
 """By name."""
 OUTFITS: Mapping[str, tuple[str, ...]] = {
@@ -55,7 +56,10 @@ OUTFITS: Mapping[str, tuple[str, ...]] = {
     "+ gyro": ("wheels", "gyro"),
     "+ ranges": ("wheels", "gyro", "ranges"),
     "+ marks": ("wheels", "gyro", "ranges", "marks"),
+    "+ lamps": ("wheels", "gyro", "ranges", "marks", "lamps"),
     "ranges only": ("ranges",),
     "marks only": ("marks",),
+    "wheels, lamps": ("wheels", "lamps"),
+    "lamps only": ("lamps",),
 }
-"""What is compared, each with one sense more than the one before; and ranges and marks without wheels and gyro."""
+"""What is compared, each with one sense more than the one before; and some without the others."""

@@ -57,4 +57,4 @@ def test_outfits_grow_by_a_sense_each_and_some_senses_also_stand_alone() -> None
     growing, alone = worn[: len(SENSES) + 1], worn[len(SENSES) + 1 :]
     assert [len(names) for names in growing] == list(range(len(SENSES) + 1))
     assert all(set(a) < set(b) for a, b in pairwise(growing))
-    assert alone and all(len(names) == 1 for names in alone)
+    assert sum(len(names) == 1 for names in alone) >= 3

@@ -331,8 +331,7 @@ class MotionSenses:
         self.wheels.learn(by_wheels, motion.prev_from_curr, motion.cov, elapsed_s, late_sigma_s)
 
     def _follow(self, motion: Motion, turn: Turn | None, seen: bool, elapsed_s: float) -> None:
-        """The delay of the gyro against the eye; where the wheels' is the same, each begins anew when the other has
-        jumped."""
+        """The delay of the gyro; where it is the wheels' too, each begins anew when the other has jumped."""
         self.gyro_path.add(motion, turn, seen, elapsed_s)
         if self._config.time and len(self.gyro_path):
             self.gyro_lag.step(self.gyro_path.series())
