@@ -22,7 +22,8 @@ from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.stage import HeightsState
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
-from ceilvo.daemon.relocalisation.beacons.lamps.relocaliser import LampRelocaliser
+from ceilvo.daemon.relocalisation.beacons.lamps.stage import Lamps
+from ceilvo.daemon.relocalisation.beacons.relocaliser import BeaconRelocaliser
 from ceilvo.daemon.relocalisation.beacons.state import BeaconState
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
@@ -72,7 +73,8 @@ class Pipeline:
         self.vision = CrossingFinder(calibration, config.features)
         self.odometry = HeightsOdometry(config.odometry, calibration)
         self.dead_reckoning = DeadReckoning(process)
-        self.relocaliser = LampRelocaliser(make_filter(settings, rng), calibration, config)
+        self.relocaliser = BeaconRelocaliser(make_filter(settings, rng), calibration, config)
+        self.lamps = Lamps(self.relocaliser, calibration, config)
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
         self.seq = 0
@@ -116,6 +118,7 @@ class Pipeline:
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
+        self.lamps.followed(self.dead_reckoning.state, track, heard.lamps)
         if len(self.odometry.heights.misplaced) and track.gap is None:
             forget_near(self.filter, self.odometry.heights.misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)

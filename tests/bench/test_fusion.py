@@ -7,6 +7,7 @@ import pytest
 
 from ceilvo.bench.fusion import conditions, robot, run
 from ceilvo.bench.fusion.conditions import CONDITIONS
+from ceilvo.bench.fusion.lateness import Lateness
 from ceilvo.bench.fusion.robot import TICK_S, Moment, Ride
 from ceilvo.bench.fusion.senses import OUTFITS, SENSES
 
@@ -58,3 +59,12 @@ def test_outfits_grow_by_a_sense_each_and_some_senses_also_stand_alone() -> None
     assert [len(names) for names in growing] == list(range(len(SENSES) + 1))
     assert all(set(a) < set(b) for a, b in pairwise(growing))
     assert sum(len(names) == 1 for names in alone) >= 3
+
+
+def test_pictures_are_as_late_as_is_said() -> None:
+    rng, late = np.random.default_rng(1), Lateness(0.08, 0.01, 0.13, 5.0)
+    before, after = (np.array([late.of(t, rng) for _ in range(500)]) for t in (4.9, 5.0))
+    for drawn, mean_s in ((before, 0.08), (after, 0.13)):
+        assert abs(float(np.mean(drawn)) - mean_s) < 0.001
+        assert np.all(np.abs(drawn - mean_s) <= 0.01) and np.ptp(drawn) > 0.018
+    assert late.most_s == pytest.approx(0.14)

@@ -58,24 +58,24 @@ HELD_M = 0.15
 
 
 class BeaconRelocaliser(Relocaliser):
-    """A Relocaliser that is told of ranges and marks, or of none: then it is that one."""
+    """A Relocaliser that is told of ranges and marks, or of none: then it is that one. bridge: within a gap."""
 
     def __init__(self, filter_: PoseFilter, calibration: Calibration, config: Config) -> None:
         super().__init__(filter_, calibration, config)
         self._tag_m = np.array([config.beacons.tag_x_m, config.beacons.tag_y_m, config.beacons.tag_z_m])
         self._noise_m = config.beacons.noise_m
-        self._bridge, self._trust = Bridge(), Trust()
+        self.bridge, self._trust = Bridge(), Trust()
         self._beacons = BeaconState()
         self._crossings: Crossings
 
     @property
     def beacons(self) -> BeaconState:
-        self._beacons.bridge, self._beacons.trust = self._bridge.state, self._trust.state
+        self._beacons.bridge, self._beacons.trust = self.bridge.state, self._trust.state
         return self._beacons
 
     @beacons.setter
     def beacons(self, state: BeaconState) -> None:
-        self._beacons, self._bridge.state, self._trust.state = state, state.bridge, state.trust
+        self._beacons, self.bridge.state, self._trust.state = state, state.bridge, state.trust
 
     # -- what it is told
 
@@ -91,11 +91,11 @@ class BeaconRelocaliser(Relocaliser):
             out["ranges"] = {"heard": b.heard, "taken": b.taken, "noise_m": b.anchors.noise_m, "anchors": anchors}
         if b.marks.marks:
             out["marks"] = {"ignored": sorted(self._trust.state.wrong)}
-        return out
+        return out | ({"lamps": b.lamps.learnt()} if b.marks.lamps else {})
 
     def take_news(self) -> list[str]:
         """What happened that somebody should read, each once."""
-        return self._trust.take_news()
+        return self._trust.take_news() + self._beacons.lamps.take_news()
 
     # -- what happens to the robot
 
@@ -104,13 +104,15 @@ class BeaconRelocaliser(Relocaliser):
         b = self._beacons
         b.window.clear()
         b.located, b.wide, b.fix_ns = False, True, 0
-        self._bridge.end()
+        b.lamps.forget()
+        self.bridge.end()
 
     def raise_doubt(self, doubt: Doubt) -> None:
         super().raise_doubt(doubt)
         b = self._beacons
         if self.state.pending is not None and doubt.elsewhere >= UNLIKELY:
             b.window.clear()
+            b.lamps.forget()
             b.located, b.wide = False, b.wide or doubt.elsewhere >= JUMPED
 
     def followed(self, path: DeadReckoningState, track: Track, crossings: int, heard: Heard) -> None:
@@ -122,7 +124,7 @@ class BeaconRelocaliser(Relocaliser):
         which, range_m, tags = self._placed(path, heard.ranges)
         if track.gap is not None:
             self._move_bridge(track)
-        elif self._bridge.lives:
+        elif self.bridge.lives:
             self._end_bridge(track)
         if len(which):
             self._take_ranges(which, range_m, tags, path.odom)
@@ -151,27 +153,27 @@ class BeaconRelocaliser(Relocaliser):
     def _move_bridge(self, track: Track) -> None:
         assert track.gap is not None
         pose, cov, _ = self.filter.estimate()
-        self._bridge.move(pose, cov, track.gap, self._beacons.anchors, self._tag_m)
+        self.bridge.move(pose, cov, track.gap, self._beacons.anchors, self._tag_m)
 
     def _end_bridge(self, track: Track) -> None:
         """Where vision did not tie the end of the gap to its beginning, the bridge's pose is the better one."""
         final, s = track.final, self.state
-        if final is not None and final.restarted and self._bridge.helps:
+        if final is not None and final.restarted and self.bridge.helps:
             pose, cov, _ = self.filter.estimate()
             start = np.asarray(se2.compose(pose, se2.inverse(final.prev_from_curr)))
-            self._bridge.move(start, cov, final, self._beacons.anchors, self._tag_m)
-            pose, cov = self._bridge.pose
+            self.bridge.move(start, cov, final, self._beacons.anchors, self._tag_m)
+            pose, cov = self.bridge.pose
             self.filter.jump(pose, cov)
             if s.pending is not None:
                 sure = float(np.sqrt(se2.greatest_variance(cov[:2, :2]))) < HELD_M
                 elsewhere = min(s.pending.elsewhere, FIX_WRONG if sure else 1.0)
                 s.pending = replace(s.pending, cov=cov, elsewhere=elsewhere)
-        self._bridge.end()
+        self.bridge.end()
 
     def carry(self, track: Track, pose: Pose, cov: Array) -> tuple[Pose, Array]:
         """The filter's pose (3,) with covariance (3, 3), moved over a gap."""
-        if self._bridge.lives and self._bridge.helps and track.gap is not None:
-            return self._bridge.pose
+        if self.bridge.lives and self.bridge.helps and track.gap is not None:
+            return self.bridge.pose
         return track.carry(pose, cov)
 
     # -- ranges
@@ -180,10 +182,10 @@ class BeaconRelocaliser(Relocaliser):
         b = self._beacons
         b.window.add(tags_odom_m, which, range_m)
         pose = self.filter.estimate()[0]
-        if self._bridge.lives:
+        if self.bridge.lives:
             here = lever(odom, self._tag_m[:2])
-            turn = se2.rotation(se2.wrap(float(self._bridge.state.mean[2] - odom[2])))
-            self._bridge.hear(b.anchors, self._tag_m, which, range_m, (tags_odom_m - here) @ turn.T)
+            turn = se2.rotation(se2.wrap(float(self.bridge.state.mean[2] - odom[2])))
+            self.bridge.hear(b.anchors, self._tag_m, which, range_m, (tags_odom_m - here) @ turn.T)
         elif self.sure:
             tags = se2.transform(Pose(se2.compose(pose, se2.inverse(odom))), tags_odom_m)
             b.anchors.learn(which, tags, float(self._tag_m[2]), range_m)
@@ -312,25 +314,25 @@ class BeaconRelocaliser(Relocaliser):
         b = self._beacons
         in_a_row = b.shown == mark.number and stamp_ns - b.shown_ns <= MARK_AGAIN_NS
         b.shown, b.shown_ns, b.shown_times = mark.number, stamp_ns, b.shown_times + 1 if in_a_row else 1
-        if self.sure and not self._bridge.lives:
+        if self.sure and not self.bridge.lives:
             pose, cov, _ = self.filter.estimate()
             self._trust.hold(mark, pose, cov)
         elif not self._trust.believed(mark):
             return
         elif self.sure:
-            if self._trust.fits(mark, *self._bridge.pose) or not self._bridge.state.marks:
-                if self._trust.hold(mark, *self._bridge.pose):
-                    self._bridge.see(mark)
+            if self._trust.fits(mark, *self.bridge.pose) or not self.bridge.state.marks:
+                if self._trust.hold(mark, *self.bridge.pose):
+                    self.bridge.see(mark)
             else:
-                self._trust.contradict(mark, list(self._bridge.state.marks))
-                self._bridge.widen(mark)
+                self._trust.contradict(mark, list(self.bridge.state.marks))
+                self.bridge.widen(mark)
         elif b.shown_times >= MARK_PICTURES and not self._trust.doubted(mark):
-            self._begin_anew_at(mark.pose, mark.cov, f"mark {mark.number}", MARK_WRONG, gap)
+            self.begin_anew_at(mark.pose, mark.cov, f"mark {mark.number}", MARK_WRONG, gap)
             b.settled = mark.number
             if gap is not None:
-                self._bridge.see(mark)
+                self.bridge.see(mark)
 
-    def _begin_anew_at(self, pose: Array, cov: Array, what: str, wrong: float, gap: Motion | None) -> None:
+    def begin_anew_at(self, pose: Array, cov: Array, what: str, wrong: float, gap: Motion | None) -> None:
         """The robot is at a pose (3,) with cov (3, 3), as what was seen says, but for the chance `wrong`."""
         b, s = self._beacons, self.state
         start = pose if gap is None else np.asarray(se2.compose(pose, se2.inverse(gap.prev_from_curr)))
@@ -342,6 +344,6 @@ class BeaconRelocaliser(Relocaliser):
         s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
         b.window.clear()
         b.located = b.wide = False
-        self._bridge.end()
+        self.bridge.end()
         if gap is not None:
-            self._bridge.move(start, cov, gap, b.anchors, self._tag_m)
+            self.bridge.move(start, cov, gap, b.anchors, self._tag_m)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
 from ceilvo.daemon.relocalisation.beacons.bridge import BridgeState
-from ceilvo.daemon.relocalisation.beacons.lamps.state import LampState
+from ceilvo.daemon.relocalisation.beacons.lamp_state import LampState
 from ceilvo.daemon.relocalisation.beacons.range_window import RangeWindow
 from ceilvo.daemon.relocalisation.beacons.trust import TrustState
 from ceilvo.senses.beacons import Beacons

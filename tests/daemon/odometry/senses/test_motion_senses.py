@@ -143,3 +143,17 @@ def test_a_snapshot_goes_on_as_the_run_does() -> None:
         learn(senses, driven(10.0))
     assert value_json(one.state) == value_json(other.state)
     json.dumps(learnt(one, ALL), allow_nan=False)
+
+
+@pytest.mark.parametrize(("where", "together"), [("base", True), ("topic", False)])
+def test_wheels_and_gyro_of_one_base_learn_their_delay_anew_together(where: str, together: bool) -> None:
+    senses = MotionSenses(replace(ALL, gyro=where))
+    learn(senses, driven(30.0))
+    senses.wheels_lag.state.jumped_now, senses.wheels_lag.state.delay_s = True, 0.12
+    windows = senses.gyro_lag.state.counts.copy()
+    assert np.any(windows > 0.0)
+    learn(senses, driven(0.1))
+    s = senses.gyro_lag.state
+    assert (s.delay_s == 0.12 and not np.any(s.counts)) == together
+    learn(senses, driven(30.0))
+    assert abs(senses.gyro_lag.known_s) < 0.003, "what was told is only where it begins"

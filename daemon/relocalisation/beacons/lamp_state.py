@@ -10,6 +10,8 @@ from ceilvo.daemon.relocalisation.beacons.trust import TrustState
 from ceilvo.types import Array
 
 SPOT_COLUMNS = 6
+MISSING = 20
+"""Pictures in a row without a light where a lamp should be, after which that is said; chosen: two seconds or more."""
 
 
 @dataclass(slots=True)
@@ -29,3 +31,16 @@ class LampState:
     odom: Array | None = None
     missed: dict[str, int] = field(default_factory=dict)
     chance: float = 1.0
+
+    def forget(self) -> None:
+        """What was seen on the way, which is at another place now."""
+        self.spots, self.odom, self.chance = np.zeros((0, SPOT_COLUMNS)), None, 1.0
+
+    def learnt(self) -> dict[str, list[str]]:
+        """For people, by name."""
+        missing = sorted(name for name, times in self.missed.items() if times >= MISSING)
+        return {"ignored": sorted(self.trust.wrong), "missing": missing}
+
+    def take_news(self) -> list[str]:
+        out, self.trust.news = self.trust.news, []
+        return out
