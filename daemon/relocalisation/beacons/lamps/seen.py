@@ -58,6 +58,7 @@ class LampView:
     def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
         self._calibration, self._max_view_deg = calibration, max_view_deg
         self._polygon: Array | None = None
+        self._reach_m = calibration.ceiling_height_m * float(np.tan(np.radians(max_view_deg))) + MOVED_M
         self._seen_var = (TILT_RAD * calibration.ceiling_height_m) ** 2 + BLOB_M**2
 
     @property
@@ -93,8 +94,10 @@ class LampView:
         fits = np.zeros((len(lamps), len(lights)), bool)
         found: dict[tuple[int, int], Pair] = {}
         off_m = np.full(fits.shape, np.inf)
-        wide = np.zeros(len(lamps))
-        for i, lamp in enumerate(lamps):
+        wide = np.full(len(lamps), np.inf)
+        near = np.hypot(*(expected - self.foot_m).T) < self._reach_m
+        for i in np.flatnonzero(near).tolist():
+            lamp = lamps[i]
             by = np.column_stack([-turn, [expected[i, 1], -expected[i, 0]]])
             own = (self._seen_var + lamp.sigma_m**2) * np.eye(2)
             total = by @ cov @ by.T + own
