@@ -244,8 +244,11 @@ class PlaceBelief:
         self.seen, self.spot, self.told = self.seen[which], self.spot[which], self.told[which]
 
     def doubt_unknown(self, log_odds: float) -> None:
-        """Something happened after which the robot may be anywhere, with these log-odds against the tracked place."""
-        self.unknown = float(np.logaddexp(self.unknown, log_odds + self.settled[0]))
+        """Something happened after which the robot may be anywhere, with these log-odds against where it was.
+
+        Wherever that was: while another place leads, it is that one which has become doubtful.
+        """
+        self.unknown = float(np.logaddexp(self.unknown, log_odds + np.max(self.settled)))
 
     def forget(self) -> None:
         """Drop places that have lost; the tracked one alone is left when it is sure."""

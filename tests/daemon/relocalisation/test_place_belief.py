@@ -196,6 +196,17 @@ def test_a_place_that_is_found_again_is_no_likelier_than_the_ground_it_was_part_
     assert np.log(share[2] / unknown) == pytest.approx(part + 1.0, abs=0.2)
 
 
+def test_a_doubt_is_of_the_likeliest_place_too() -> None:
+    """A robot that is carried off while another place than the tracked one has all but won."""
+    belief = doubted()
+    belief.weigh(alike(np.array([-9.0, 3.0, -9.0, -9.0])))
+    belief._settle()
+    belief.doubt_unknown(np.log(0.5))
+    share, unknown = belief.shares()
+    assert np.argmax(share) == 1
+    assert unknown / share[1] == pytest.approx(0.5, rel=0.01)
+
+
 def test_a_picture_that_stands_says_no_more_with_every_doubt() -> None:
     """Frozen, with noise, while the wheels turned: each frame was in doubt anew and the same picture proved it wrong
     anew, until all places but the one of the picture were 1e-8 (79 s wrong, half a turn)."""
