@@ -82,7 +82,8 @@ def test_a_picture_that_stands_while_wheels_turn_says_nothing_of_the_place(lap: 
         pipeline, estimates = run(replace(lap, crossings=lap.crossings[:frames]), picture, lambda k: lap.wheels[k])
         assert wrong(estimates, truth[:frames]) == []
         assert pipeline.checks.counters[Kind.STANDS.value] == 1
-        assert pipeline.relocaliser.state.pending is not None
+        pending = pipeline.relocaliser.state.pending
+        assert pending is not None and pending.reach_m < 2.0 * np.hypot(*(truth[frames - 1] - truth[FAULT])[:2])
         beliefs.append(pipeline.relocaliser.state.belief)
     for name in ("places", "log_weight", "seen", "spot"):
         assert np.array_equal(getattr(beliefs[0], name), getattr(beliefs[1], name))
