@@ -16,7 +16,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
-from ceilvo.daemon.odometry.cross_checks.suspicion import Severity, Suspicions
+from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
 from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.stage import HeightsState
@@ -130,7 +130,8 @@ class Pipeline:
         if ride is not None:
             self.relocaliser.raise_doubt(ride)
         view = None
-        if crossings is not None and len(crossings) and track.gap is None:
+        stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
+        if crossings is not None and len(crossings) and track.gap is None and not stands:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
         return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view, suspicions)

@@ -151,6 +151,12 @@ def of_stored(cov: Array, recent: bool, before: float) -> Doubt:
     return Doubt("stored map and pose", cov, min(moved + before, RESET_WRONG), np.inf, aligned)
 
 
+def of_suspicion(reason: str, reach_m: float, pending: Doubt | None) -> Doubt:
+    """To be put on a pending doubt: one suspicion, frame after frame, does not reach further with each."""
+    far_m = 0.0 if pending is None else pending.reach_m
+    return Doubt(reason, elsewhere=JUMPED, reach_m=reach_m - far_m if reach_m > far_m else 0.0)
+
+
 def both(a: Doubt, b: Doubt) -> Doubt:
     """Of one after the other: the largest of each, and of leads the later ones."""
     elsewhere, reach_m = max(a.elsewhere, b.elsewhere), a.reach_m + b.reach_m

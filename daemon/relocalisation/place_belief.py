@@ -198,7 +198,12 @@ class PlaceBelief:
         self.spot_m = self.spot_rad = 0.0
 
     def renew(self) -> None:
-        """Something happened: what was seen before says how likely places were, but no longer which are alike."""
+        """Something happened: what was seen before says how likely places were, but no longer which are alike.
+
+        A spot that was not left shows the same again: a picture that stands was another proof with every frame.
+        """
+        if not self.at_another_spot:
+            self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self._settle()
         self.log_weight, self.seen = self.settled, np.zeros((len(self), 2))
 
@@ -219,6 +224,8 @@ class PlaceBelief:
                 at.update(dict.fromkeys(_keys(g), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
+                if weight[n] > settled[i]:  # most of its weight is new, and has the same past
+                    self.log_weight[i], self.seen[i] = settled[i] - combined(likeliest), likeliest
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
         self.log_weight = np.concatenate([self.log_weight, weight[fresh] - combined(likeliest)])
@@ -237,8 +244,11 @@ class PlaceBelief:
         self.seen, self.spot, self.told = self.seen[which], self.spot[which], self.told[which]
 
     def doubt_unknown(self, log_odds: float) -> None:
-        """Something happened after which the robot may be anywhere, with these log-odds against the tracked place."""
-        self.unknown = float(np.logaddexp(self.unknown, log_odds + self.settled[0]))
+        """Something happened after which the robot may be anywhere, with these log-odds against where it was.
+
+        Wherever that was: while another place leads, it is that one which has become doubtful.
+        """
+        self.unknown = float(np.logaddexp(self.unknown, log_odds + np.max(self.settled)))
 
     def forget(self) -> None:
         """Drop places that have lost; the tracked one alone is left when it is sure."""

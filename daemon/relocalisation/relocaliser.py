@@ -189,8 +189,8 @@ class Relocaliser:
             self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt, track.watched))
 
     def suspect(self, reason: str, reach_m: float) -> None:
-        """Something says that the robot may have got elsewhere, at most so far."""
-        self.raise_doubt(Doubt(reason, elsewhere=doubts.JUMPED, reach_m=reach_m))
+        """Something says that the robot may have got elsewhere, at most so far since that began."""
+        self.raise_doubt(doubts.of_suspicion(reason, reach_m, self.state.pending))
 
     def raise_doubt(self, doubt: Doubt) -> None:
         """What may have happened since the last view."""

@@ -69,6 +69,27 @@ def test_old_pictures_are_dead_reckoned_and_named(lap: Drive, truth: np.ndarray,
     assert ("frozen" if size == 1 else "old buffers") in estimates[FAULT + 5].reason
 
 
+def test_a_picture_that_stands_while_wheels_turn_says_nothing_of_the_place(lap: Drive, truth: np.ndarray) -> None:
+    """Frozen, with noise of its own: every frame of it was weighed as if the robot saw the same from where it went."""
+
+    def picture(k: int) -> Crossings:
+        at = lap.crossings[min(k, FAULT)]
+        noise_m = np.random.default_rng([3, k]).normal(0.0, 5e-5, at.xy_base_m.shape)
+        return replace(at, xy_base_m=at.xy_base_m + noise_m) if k > FAULT else at
+
+    beliefs = []
+    for frames in (FAULT + 30, FAULT + 60):
+        pipeline, estimates = run(replace(lap, crossings=lap.crossings[:frames]), picture, lambda k: lap.wheels[k])
+        assert wrong(estimates, truth[:frames]) == []
+        assert pipeline.checks.counters[Kind.STANDS.value] == 1
+        pending = pipeline.relocaliser.state.pending
+        assert pending is not None and pending.reach_m < 2.0 * np.hypot(*(truth[frames - 1] - truth[FAULT])[:2])
+        beliefs.append(pipeline.relocaliser.state.belief)
+    for name in ("places", "log_weight", "seen", "spot"):
+        assert np.array_equal(getattr(beliefs[0], name), getattr(beliefs[1], name))
+    assert beliefs[0].unknown == beliefs[1].unknown
+
+
 def test_reversed_wheels_are_left_out_and_vision_goes_on(lap: Drive, truth: np.ndarray) -> None:
     def wheels(k: int) -> WheelMotion:
         return WheelMotion(Displacement(lap.wheels[k].prev_from_curr * [-1.0, -1.0, 1.0]), lap.wheels[k].cov)
