@@ -24,6 +24,8 @@ _CELL_PX = 4
 """Every so many pixels a lens is asked whether it is invertible; chosen: folds are broad, and the question is slow."""
 _COARSE_PX = 4
 """Every so many pixels a lens is followed; chosen: it bends lines by less than 1/100 px in between."""
+_ROWS = 8 * _CELL_PX
+"""So many at once; chosen: what is in between stays in the processor's cache."""
 _BRIGHT = 240
 """Grey level from which a pixel is of a lamp; chosen: below what saturates, for lenses and compression soften it."""
 _GLARE_DEG = 0.7
@@ -58,15 +60,23 @@ class LevelPicture:
         low, high = (np.rint(f(seen, axis=(0, 1))).astype(np.int64) for f in (np.nanmin, np.nanmax))
         self._low, self._high = low.astype(np.float64), high.astype(np.float64)
         x, y = (np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True))
-        grid = np.stack(np.meshgrid(x, y), -1)
-        at = _reduced_px(view, x, y)
         height, width = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
-        known = _invertible(view, grid) & np.all((at > 1.0) & (at < [width - 2.0, height - 2.0]), axis=2)
-        known &= np.hypot(x, y[:, None]) < self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
-        at[~known] = -1.0
-        self._known = known.astype(np.uint8) * 255
-        table = at.astype(np.float32)
-        self._maps = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
+        (across, down), near = _reduced_px(view, x, y), _invertible(view, x, y)
+        reach_px = self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
+        shape = len(y), len(x)
+        self._known = np.zeros(shape, np.uint8)
+        self._maps = np.empty((*shape, 2), np.int16), np.empty(shape, np.uint16)
+        for k in range(0, len(y), _ROWS):  # memory that is touched once costs more than sums
+            rows, bands = slice(k, k + _ROWS), slice(k // _CELL_PX, (k + _ROWS) // _CELL_PX)
+            at = np.tensordot(down[rows], across, 1)
+            known = near[bands].repeat(_CELL_PX, axis=0)[: len(at)] & np.all(
+                (at > 1.0) & (at < [width - 2.0, height - 2.0]), axis=2
+            )
+            known &= np.hypot(x, y[rows, None]) < reach_px
+            at[~known] = -1.0
+            table = at.astype(np.float32)
+            self._maps[0][rows], self._maps[1][rows] = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
+            self._known[rows] = 255 * known
         side = 2 * round(np.radians(_GLARE_DEG) * self.focal_px) + 1
         self._glare = np.ones((side, side), np.uint8)
 
@@ -98,13 +108,14 @@ class LevelPicture:
         )
 
 
-def _reduced_px(view: LevelView, x: Array, y: Array) -> Array:
-    """(H, W, 2) where the reduced picture shows level pixels, x (W,) and y (H,) from the principal point."""
+def _reduced_px(view: LevelView, x: Array, y: Array) -> tuple[Array, Array]:
+    """Where the reduced picture shows level pixels, x (W,) and y (H,) from the principal point: (N, W, 2) at some rows,
+    and the shares (H, N) of those in each row."""
     some_x, some_y = (np.append(v[:-1:_COARSE_PX], v[-1]) for v in (x, y))
     level = np.stack(np.meshgrid(some_x, some_y), -1).reshape(-1, 2)
     raw = view.to_raw(level + np.array([view.camera.cx_px, view.camera.cy_px]))
     at = view.reduced_px(raw).reshape(len(some_y), len(some_x), 2)
-    return np.asarray(np.einsum("yi,ijk,xj->yxk", _between(some_y, y), at, _between(some_x, x), optimize=True))
+    return np.asarray(np.einsum("xj,ijk->ixk", _between(some_x, x), at, optimize=True)), _between(some_y, y)
 
 
 def _between(at: Array, wanted: Array) -> Array:
@@ -116,14 +127,15 @@ def _between(at: Array, wanted: Array) -> Array:
     return shares
 
 
-def _invertible(view: LevelView, grid: Array) -> Bools:
-    """(H, W) whether the lens is, at level pixels (H, W, 2): looked up at every _CELL_PX-th and so for those beside."""
+def _invertible(view: LevelView, x: Array, y: Array) -> Bools:
+    """(M, W) whether the lens is, at level pixels x (W,) and M bands of _CELL_PX of the rows y: looked up at every
+    _CELL_PX-th pixel and so for those beside."""
     centre = np.array([view.camera.cx_px, view.camera.cy_px])
-    some = grid[::_CELL_PX, ::_CELL_PX]
+    some = np.stack(np.meshgrid(x[::_CELL_PX], y[::_CELL_PX]), -1)
     raw = view.to_raw(some.reshape(-1, 2) + centre)
     back = view.from_raw(np.nan_to_num(raw, nan=-1.0)) - centre
     known = (np.hypot(*(back - some.reshape(-1, 2)).T) < _INVERTIBLE_PX).reshape(some.shape[:2])
-    return np.asarray(known.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)[: grid.shape[0], : grid.shape[1]])
+    return np.asarray(known.repeat(_CELL_PX, axis=1)[:, : len(x)])
 
 
 def rays_from_aligned(psi_rad: float, tilt_rad: Array) -> Array:
