@@ -194,16 +194,18 @@ class LevelView:
         return made
 
     def _made(self, max_view_deg: float, step_px: int) -> Array32:
-        w, h = self.camera.width_px // self.reduction, self.camera.height_px // self.reduction
-        x = step_px * np.arange(-(-(w - 1) // step_px) + 1, dtype=np.float64)
-        y = step_px * np.arange(-(-(h - 1) // step_px) + 1, dtype=np.float64)
+        count = -(-(self.camera.height_px // self.reduction - 1) // step_px) + 1
+        bands = range(0, count, _ROWS_AT_ONCE)
+        return np.concatenate(
+            [self.rows_of_lookup(max_view_deg, step_px, k, min(k + _ROWS_AT_ONCE, count)) for k in bands]
+        )
+
+    def rows_of_lookup(self, max_view_deg: float, step_px: int, first: int, last: int) -> Array32:
+        """(last - first, columns, 2) these rows of lookup(), made now."""
+        columns = -(-(self.camera.width_px // self.reduction - 1) // step_px) + 1
+        x, y = (step_px * np.arange(*ends, dtype=np.float64) for ends in ((0, columns), (first, last)))
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
         centre = np.array([self.camera.cx_px, self.camera.cy_px])
-        reach_px = self.focal_px * np.tan(np.radians(max_view_deg))
-        made = np.empty((len(y), len(x), 2), np.float32)
-        for k in range(0, len(y), _ROWS_AT_ONCE):
-            rows = slice(k, k + _ROWS_AT_ONCE)
-            grid = np.stack(np.meshgrid(x, y[rows]), axis=-1)
-            uv = (self.from_raw(self.whole_px(grid.reshape(-1, 2))) - centre).reshape(grid.shape)
-            uv[~(np.hypot(uv[..., 0], uv[..., 1]) <= reach_px)] = np.nan
-            made[rows] = uv
-        return made
+        uv = (self.from_raw(self.whole_px(grid.reshape(-1, 2))) - centre).reshape(grid.shape)
+        uv[~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))] = np.nan
+        return np.asarray(uv, np.float32)

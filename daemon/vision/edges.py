@@ -53,7 +53,7 @@ class EdgeDetector:
         self._lookup = view.lookup(config.max_view_deg, LOOKUP_STEP_PX)
         self._samples = noise_samples(view, config.max_view_deg)
         shape = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
-        usable = _interpolated(np.isfinite(self._lookup[..., 0]), shape)
+        usable = interpolated(np.isfinite(self._lookup[..., 0]), shape)
         usable[[0, -1], :] = False
         usable[:, [0, -1]] = False
         self._usable = usable.astype(np.uint8) * 255
@@ -108,7 +108,7 @@ def thresholds(framed: NDArray[np.uint8], config: Features, samples: Ints) -> tu
     return config.canny_low_ratio * high, high
 
 
-def _interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def interpolated(known: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """(H, W) pixels all four corners of whose cell of the look-up are known; the last of an odd width has no cell."""
     cell = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
     fine = cell.repeat(LOOKUP_STEP_PX, axis=0).repeat(LOOKUP_STEP_PX, axis=1)[: shape[0], : shape[1]]

@@ -8,9 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
+from ceilvo.daemon.vision.edges import interpolated
+from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX
 from ceilvo.types import Array, Ints
 
 Gray = NDArray[np.uint8]
+
+_BAND = 16
+"""Rows of the picture whose places are made at once; chosen: a lamp spans a few of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +55,34 @@ class Places:
         self.view = calibration.level_view
         camera, k = self.view.camera, self.view.reduction
         self.width, self.height = camera.width_px // k, camera.height_px // k
-        self._table = np.asarray(self.view.lookup(max_view_deg)[: self.height, : self.width], np.float64)
-        self.known: Gray = np.uint8(255) * np.all(np.isfinite(self._table), axis=2)
-        down, right = np.gradient(self._table, axis=0), np.gradient(self._table, axis=1)
-        self._area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
+        self._max_view_deg = max_view_deg
+        self._table = np.empty((self.height, self.width, 2))
+        self._made = np.zeros(-(-self.height // _BAND), np.bool_)
+        seen = np.isfinite(self.view.lookup(max_view_deg, LOOKUP_STEP_PX)[..., 0])
+        self.known: Gray = np.uint8(255) * interpolated(seen, (self.height, self.width))
 
     def window(self, rows: slice, columns: slice) -> tuple[Array, Array]:
         """(h, w, 2) level pixels and (h, w) the area of each of a window's pixels there."""
-        return self._table[rows, columns], self._area[rows, columns]
+        top, left = max(rows.start - 1, 0), max(columns.start - 1, 0)
+        self._make(np.arange(top // _BAND, min(rows.stop, self.height - 1) // _BAND + 1))
+        around = self._table[top : rows.stop + 1, left : columns.stop + 1]
+        down, right = np.gradient(around, axis=0), np.gradient(around, axis=1)
+        area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
+        inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+        return around[inner], area[inner]
+
+    def _make(self, bands: Ints) -> None:
+        """The table where it is looked at: the whole takes as long as ten frames."""
+        for band in bands[~self._made[bands]].tolist():
+            first, last = band * _BAND, min((band + 1) * _BAND, self.height)
+            self._table[first:last] = self.view.rows_of_lookup(self._max_view_deg, 1, first, last)[:, : self.width]
+            self._made[band] = True
 
     def at(self, pixels: Array) -> tuple[Array, Array]:
         """(N, 2) level pixels of pixels (N, 2), and (N, 2, 2) their change with a pixel's; nan where not known."""
         column = np.clip(np.floor(pixels[:, 0]).astype(np.int64), 0, self.width - 2)
         row = np.clip(np.floor(pixels[:, 1]).astype(np.int64), 0, self.height - 2)
+        self._make(np.unique(np.concatenate([row, row + 1]) // _BAND))
         fx, fy = (pixels - np.column_stack([column, row])).T[:, :, None]
         a, b = self._table[row, column], self._table[row, column + 1]
         c, d = self._table[row + 1, column], self._table[row + 1, column + 1]
