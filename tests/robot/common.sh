@@ -17,7 +17,7 @@ wait_for() {
   shift
   until "$@"; do
     [ "$(mono)" -lt "$until" ] || { step "gave up waiting for: $*"; return 1; }
-    sleep 0.05
+    sleep "${EVERY_S:-0.05}"
   done
 }
 poses() { grep -c '/pose"' "$out/samples.jsonl" 2>/dev/null || true; }

@@ -64,6 +64,14 @@ def _text(path: Path) -> str:
     return path.read_text(errors="replace") if path.exists() else ""
 
 
+def _after_kills(life: Life) -> Iterator[float]:
+    """Seconds from each kill to the first pose that came after another process was seen."""
+    for name in [n for n in life.facts if n.startswith("kill") and n.endswith("_ns")]:
+        seen_ns = life.ns(name.replace("kill", "life"))
+        came = (recv_ns for recv_ns, *_ in life.poses if 0 < seen_ns < recv_ns)
+        yield (next(came, float("inf")) - life.ns(name)) / 1e9
+
+
 def checks(life: Life) -> Iterator[Check]:
     f = life.facts
     phases = {k[6:]: v for k, v in f.items() if k.startswith("phase_")}
@@ -111,7 +119,7 @@ def checks(life: Life) -> Iterator[Check]:
         kept = life.within(back, PROCESS_S)
         yield Check("memory: same process", f.get("memory_same_process", "-"), "", None)
         yield Check("memory: good again after", f"{back:.2f} s", f"<= {PROCESS_S:g} s", kept, back)
-    kills = [int(v) / 1e3 for k, v in f.items() if k.startswith("kill") and k.endswith("_ms")]
+    kills = list(_after_kills(life))
     slowest = max(kills, default=float("inf"))
     yield Check(
         "kill -9: next pose after",

@@ -162,7 +162,8 @@ def test_nothing_written_down_is_not_a_success(run: Any) -> None:
 def fault_life(timed: bool, flagged_s: float = 0.2, recovered_s: float = 1.0) -> Any:
     """A robot whose camera stalled from 1 s to 4 s; poses come every 0.1 s."""
     facts = {"phase_stalled": "ok", "status_absent": "INIT: camera", "status_stall": "LOST", "rejected": "0"}
-    facts |= {"stall_begin_ns": "1000000000", "stall_end_ns": "4000000000", "kill1_ms": "3000"}
+    facts |= {"stall_begin_ns": "1000000000", "stall_end_ns": "4000000000"}
+    facts |= {"kill1_ns": "5100000000", "life1_ns": "5300000000"}
     facts |= {"memory_same_process": "yes", "memory_end_ns": "8000000000", "calibration_end": "status 78, failed"}
     poses = []
     for k in range(100):
@@ -183,6 +184,21 @@ def test_a_robot_that_bears_its_faults_passes() -> None:
 def test_late_and_slow_is_noticed_where_time_means_something() -> None:
     assert faults_failed(fault_life(True, 0.5, 3.0)) == {"stall: flagged after", "stall: good again after"}
     assert faults_failed(fault_life(False, 0.5, 3.0)) == set()
+
+
+@pytest.mark.parametrize(("came_s", "kept"), [(9.8, True), (10.3, False), (None, False)])
+def test_a_kill_counts_until_a_pose_of_the_next_life_comes(came_s: float | None, kept: bool) -> None:
+    life = fault_life(timed=True)
+    life.poses[:] = [p for p in life.poses if 1e-9 * p[0] < 5.3]
+    if came_s is not None:
+        life.poses.append((round(came_s * SECOND_NS), "TRACKING", ""))
+    assert ("kill -9: next pose after" not in faults_failed(life)) == kept
+
+
+def test_a_kill_that_nobody_survived_is_noticed() -> None:
+    life = fault_life(timed=True)
+    del life.facts["life1_ns"]
+    assert "kill -9: next pose after" in faults_failed(life)
 
 
 def test_a_fault_without_effect_or_end_is_noticed() -> None:
