@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import pytest
 
@@ -160,17 +159,6 @@ def test_a_standing_camera_is_live_whatever_its_noise_and_under_light_that_flick
         gray = clear.render(pose, np.random.default_rng([9, k])).astype(np.float64)
         seen.append(np.asarray(np.clip(np.round(gray + swing * np.sin(0.02 * rows + 2.1 * k)), 0, 255), np.uint8))
     assert set(judged(crossings_of(seen, noise))) == {""}
-
-
-@pytest.mark.parametrize("quality", [50, 75, 90, 98])
-def test_a_standing_camera_that_compresses_its_pictures_is_live(quality: int) -> None:
-    def sent(gray: np.ndarray) -> np.ndarray:
-        said, data = cv2.imencode(".jpg", gray, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        assert said
-        return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), np.uint8)
-
-    for noise in (0.3, 1.0):
-        assert set(judged(crossings_of([sent(gray) for gray in stand(noise)], noise))) == {""}
 
 
 def test_a_lamp_that_goes_out_while_the_robot_stands_is_no_frozen_camera() -> None:
