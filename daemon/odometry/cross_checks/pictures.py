@@ -5,10 +5,8 @@ A live camera has noise of its own in every picture. Two pictures that differ by
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,14 +45,6 @@ _NOISELESS_GREY = 1e-6
 _EQUAL_SIGMAS = 0.01
 """Of the crossings' own error, rms, that is none where there are no samples: standing pictures had 0.056 at the least
 (noise 0.1 times the simulator's), one picture with one random bit 0.002."""
-_MISSED = 20.0
-"""Samples that noise of a bell's shape would have beyond the largest difference of two pictures; where there are none,
-the noise was put on one picture: chance e^-20."""
-_WHITE_SIGMAS = 4.0
-"""Of the correlation of differences side by side, up to which they are noise; light that flickers goes with rows."""
-_SMALL_GREY = 8
-"""Largest difference of two pictures that are asked whether their noise was put on; chosen for time: live pictures of a
-drive differ by more at some edge."""
 _LIGHT_CHANGED = 0.05
 """Relative change of brightness from one standing picture to the next after which noise is learnt anew; chosen."""
 _DIMMER = 0.7
@@ -175,7 +165,7 @@ class Pictures:
             return _same_crossings(a, b)
         known = s.noise_grey > _LEAST_NOISE_GREY and float(a.sample.mean()) > _DIMMER * s.noise_mean_grey
         quiet = known and difference < _QUIET * s.noise_grey
-        return quiet or (self._never_equal and float(np.mean(a.sample == b.sample)) > _EQUAL_SHARE) or _bounded(a, b)
+        return quiet or (self._never_equal and float(np.mean(a.sample == b.sample)) > _EQUAL_SHARE)
 
     @property
     def _never_equal(self) -> bool:
@@ -196,35 +186,6 @@ def _difference(a: Picture, b: Picture) -> float | None:
         return None
     clear, difference = kernel.calm_difference(a.sample, b.sample, _CALM_SHARE, _BLACK, _GLARE)
     return difference if clear >= _FEWEST_SAMPLES else None
-
-
-def _bounded(a: Picture, b: Picture) -> bool:
-    """Whether two pictures differ by noise that no camera has: white, but without the tails of a bell.
-
-    Noise of a standing camera is at least as long-tailed as a bell, so its mean difference says how many samples must
-    differ by more than the largest difference there is: of n that differ by 0 or 1, and half of them do, n / 34.
-    """
-    if int(np.max(cv2.absdiff(a.sample, b.sample))) > _SMALL_GREY:
-        return False
-    clear = (np.minimum(a.sample, b.sample) > _BLACK) & (np.maximum(a.sample, b.sample) < _GLARE)
-    off = np.subtract(a.sample, b.sample, dtype=np.int16)[clear].astype(np.float64)
-    most, power = float(np.max(np.abs(off), initial=0.0)), float(off @ off)
-    if power == 0.0 or len(off) * _beyond(most, float(np.mean(np.abs(off)))) < _MISSED:
-        return False
-    return abs(float(off[1:] @ off[:-1])) < _WHITE_SIGMAS * power / math.sqrt(len(off))
-
-
-def _beyond(most: float, mean: float) -> float:
-    """Share of whole differences above `most`, of rounded normal noise whose mean absolute difference is `mean`."""
-    sigma = mean * math.sqrt(0.5 * math.pi)
-    return _excess(most, sigma) - _excess(most + 1.0, sigma)
-
-
-def _excess(level: float, sigma: float) -> float:
-    """Mean of what |x| has above a level, of normal x."""
-    z = level / sigma
-    density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    return 2.0 * sigma * (density - 0.5 * z * math.erfc(z / math.sqrt(2.0)))
 
 
 def _same_crossings(a: Picture, b: Picture) -> bool:

@@ -138,29 +138,6 @@ def test_noise_that_no_camera_has_does_not_disguise_an_old_picture(
     assert "" not in said[len(drive(1.0)) :]
 
 
-@pytest.mark.parametrize("noise", [0.5, 1.0, 3.0])
-def test_a_random_last_bit_is_known_before_the_cameras_own_noise_was_seen(noise: float) -> None:
-    """It drives from its first picture on, and nothing says what two pictures of a stand would differ by."""
-    rng = np.random.default_rng(4)
-    drives = drive(noise)[STANDS + 4 :]
-    said = judged(crossings_of([*drives, *(last_bit(drives[-1], rng) for _ in range(8))], noise))
-    assert said == [""] * len(drives) + [Kind.FROZEN.value] * 8
-
-
-@pytest.mark.parametrize("noise", [0.1, 0.2, 0.3, 0.5, 1.0])
-@pytest.mark.parametrize("swing", [0.0, 0.4, 1.0])
-def test_a_standing_camera_is_live_whatever_its_noise_and_under_light_that_flickers(noise: float, swing: float) -> None:
-    """Nothing is known of it; bands of light a grey level apart go over its rows."""
-    rows = np.arange(stand(noise)[0].shape[0])[:, None]
-    clear = world(noise).renderer
-    pose = world(noise).truth_at((STANDS + DRIVES - 1) / RATE_HZ)
-    seen = []
-    for k in range(12):
-        gray = clear.render(pose, np.random.default_rng([9, k])).astype(np.float64)
-        seen.append(np.asarray(np.clip(np.round(gray + swing * np.sin(0.02 * rows + 2.1 * k)), 0, 255), np.uint8))
-    assert set(judged(crossings_of(seen, noise))) == {""}
-
-
 def test_a_lamp_that_goes_out_while_the_robot_stands_is_no_frozen_camera() -> None:
     """Darker pictures have less noise."""
     dim = [np.asarray(0.3 * gray + 2.0, np.uint8) for gray in stand(1.0)]
