@@ -74,7 +74,7 @@ class Pipeline:
         self.odometry = HeightsOdometry(config.odometry, calibration)
         self.dead_reckoning = DeadReckoning(process)
         self.relocaliser = BeaconRelocaliser(make_filter(settings, rng), calibration, config)
-        self.lamps = Lamps(self.relocaliser, calibration, config)
+        self.relocaliser.follow_lamps = Lamps(self.relocaliser, calibration, config).followed
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
         self.seq = 0
@@ -114,11 +114,12 @@ class Pipeline:
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
         self.odometry.heights.learn(motion)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
+        stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
-        self.lamps.followed(self.dead_reckoning.state, track, heard.lamps)
+        self.relocaliser.follow_lamps(self.dead_reckoning.state, track, heard.lamps)
         if len(self.odometry.heights.misplaced) and track.gap is None:
             forget_near(self.filter, self.odometry.heights.misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
@@ -130,7 +131,6 @@ class Pipeline:
         if ride is not None:
             self.relocaliser.raise_doubt(ride)
         view = None
-        stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         if crossings is not None and len(crossings) and track.gap is None and not stands:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")

@@ -18,7 +18,7 @@ from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
 from ceilvo.daemon.relocalisation.beacons.bridge import Bridge
 from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, mark_pose
 from ceilvo.daemon.relocalisation.beacons.range_window import Fix, find, lever
-from ceilvo.daemon.relocalisation.beacons.state import BeaconState
+from ceilvo.daemon.relocalisation.beacons.state import BeaconState, FollowLamps, no_lamps
 from ceilvo.daemon.relocalisation.beacons.trust import Trust
 from ceilvo.daemon.relocalisation.doubts import JUMPED, UNLIKELY, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
@@ -66,6 +66,7 @@ class BeaconRelocaliser(Relocaliser):
         self._noise_m = config.beacons.noise_m
         self.bridge, self._trust = Bridge(), Trust()
         self._beacons = BeaconState()
+        self.follow_lamps: FollowLamps = no_lamps
         self._crossings: Crossings
 
     @property

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from ceilvo.daemon.odometry.dead_reckoning import DeadReckoningState, Track
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
 from ceilvo.daemon.relocalisation.beacons.bridge import BridgeState
 from ceilvo.daemon.relocalisation.beacons.lamp_state import LampState
 from ceilvo.daemon.relocalisation.beacons.range_window import RangeWindow
 from ceilvo.daemon.relocalisation.beacons.trust import TrustState
-from ceilvo.senses.beacons import Beacons
+from ceilvo.senses.beacons import Beacons, LampSeen
 from ceilvo.types import Array
+
+FollowLamps = Callable[[DeadReckoningState, Track, "tuple[LampSeen, ...] | None"], None]
+"""What is done with the lights of a picture, None where none were looked for (lamps/stage.py)."""
+
+
+def no_lamps(path: DeadReckoningState, track: Track, lamps: tuple[LampSeen, ...] | None) -> None:
+    """Nothing."""
 
 
 @dataclass(slots=True)
