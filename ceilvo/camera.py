@@ -194,7 +194,7 @@ class LevelView:
         return made
 
     def _made(self, max_view_deg: float, step_px: int) -> Array32:
-        count = -(-(self.camera.height_px // self.reduction - 1) // step_px) + 1
+        count = _steps(self.camera.height_px // self.reduction, step_px)
         bands = range(0, count, _ROWS_AT_ONCE)
         return np.concatenate(
             [self.rows_of_lookup(max_view_deg, step_px, k, min(k + _ROWS_AT_ONCE, count)) for k in bands]
@@ -202,10 +202,15 @@ class LevelView:
 
     def rows_of_lookup(self, max_view_deg: float, step_px: int, first: int, last: int) -> Array32:
         """(last - first, columns, 2) these rows of lookup(), made now."""
-        columns = -(-(self.camera.width_px // self.reduction - 1) // step_px) + 1
+        columns = _steps(self.camera.width_px // self.reduction, step_px)
         x, y = (step_px * np.arange(*ends, dtype=np.float64) for ends in ((0, columns), (first, last)))
         grid = np.stack(np.meshgrid(x, y), axis=-1)
         centre = np.array([self.camera.cx_px, self.camera.cy_px])
         uv = (self.from_raw(self.whole_px(grid.reshape(-1, 2))) - centre).reshape(grid.shape)
         uv[~(np.hypot(uv[..., 0], uv[..., 1]) <= self.focal_px * np.tan(np.radians(max_view_deg)))] = np.nan
         return np.asarray(uv, np.float32)
+
+
+def _steps(pixels: int, step_px: int) -> int:
+    """Every step_px-th of so many pixels, the last one at or beyond the frame's edge."""
+    return -(-(pixels - 1) // step_px) + 1

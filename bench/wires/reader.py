@@ -12,16 +12,15 @@ import logging
 import math
 import os
 import sys
-from collections.abc import Callable
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
 POSE, TF, ODOM = "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 DIAGNOSTICS, TRIGGER = "diagnostic_msgs/msg/DiagnosticArray", "std_srvs/srv/Trigger"
-_ASKED = 5
-"""Times that the graph is asked for each kind of thing: the SDK waits for a fixed time, which is short on a
-busy computer; chosen."""
+_ANSWER_S = 20.0
+"""Wait at most so long for an answer about the graph, which ends when the router has said everything; the SDK's own
+.5 s lose endpoints on a busy computer. Chosen."""
 
 
 class _Kept(logging.Handler):
@@ -70,26 +69,13 @@ class Reader:
         """Topics with types, and the endpoints of each by node, hash and quality of service."""
         from zenoh_ros2_sdk import discovery
 
-        topics = self._asked(discovery.get_topic_names_and_types)
+        router: dict[str, Any] = {"router_port": self._port, "timeout": _ANSWER_S}
         out: dict[str, Any] = {}
-        for topic, kinds in topics.items():
-            ends: list[Any] = []
-            for _ in range(_ASKED):
-                info = discovery.get_topic_info(topic, router_port=self._port, verbose=True)
-                ends = [] if info is None else info.publishers or []
-                if ends:
-                    break
-            found = [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]
-            out[topic] = {"types": kinds, "publishers": found}
-        out["services"] = self._asked(discovery.get_service_names_and_types)
-        return out
-
-    def _asked(self, question: Callable[..., Any]) -> dict[str, Any]:
-        """All that several answers to one question name; each may miss some."""
-        out: dict[str, Any] = {}
-        for _ in range(_ASKED):
-            out |= dict(question(router_port=self._port))
-        return out
+        for topic, kinds in discovery.get_topic_names_and_types(**router):
+            info = discovery.get_topic_info(topic, verbose=True, **router)
+            ends = [] if info is None else info.publishers
+            out[topic] = {"types": kinds, "publishers": [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]}
+        return out | {"services": dict(discovery.get_service_names_and_types(**router))}
 
     def initial_pose(self, x_m: float, y_m: float, theta_rad: float) -> None:
         from zenoh_ros2_sdk import ROS2Publisher

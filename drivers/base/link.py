@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 from ceilvo import config
 from ceilvo.config.serial_budget import wire_budget
-from ceilvo.drivers.base.protocol import moved_on, no_estimate, telegram_of
+from ceilvo.drivers.base.protocol import no_estimate, telegram_of
 from ceilvo.drivers.base.wheel_track import WheelTrack
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
+from ceilvo.senses.prediction import predicted
 from ceilvo.types import Estimate, State
 
 _log = logging.getLogger("ceilvo.base")
@@ -165,15 +166,22 @@ class BaseLink:
         self._heartbeat = (self._heartbeat + 1) & 0xFFFF
         estimate = self._latest
         now_ns = self._clock()
-        telegram = no_estimate(self._heartbeat) if estimate is None else telegram_of(estimate, now_ns, self._heartbeat)
+        telegram = no_estimate(self._heartbeat) if estimate is None else self._told(estimate, now_ns)
         telegram = replace(telegram, version=self._settings.protocol)
-        if estimate is not None and self._settings.predict:
-            telegram = moved_on(telegram, estimate, now_ns, self._wheels.aside(estimate.stamp_ns, now_ns))
         if telegram.state in GOOD and telegram.age_s > self._settings.stale_s:
             telegram = replace(telegram, state=State.DEAD_RECKONING, quality=0.0)
         if self._final_state is None:
             return telegram
         return replace(telegram, state=self._final_state, quality=0.0)
+
+    def _told(self, estimate: Estimate, now_ns: int) -> PoseTelegram:
+        """As the estimate is, or as it should be at now_ns."""
+        ahead_s = 0.0
+        if self._settings.predict:
+            wheels = self._wheels.aside(estimate.stamp_ns, now_ns)
+            pose, cov, ahead_s = predicted(estimate, now_ns, wheels)
+            estimate = replace(estimate, pose=pose, cov=cov)
+        return replace(telegram_of(estimate, now_ns, self._heartbeat), predicted_s=ahead_s)
 
     def _send(self, telegram: PoseTelegram) -> bool:
         try:

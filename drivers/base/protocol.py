@@ -14,8 +14,7 @@ from ceilvo import se2
 from ceilvo.config.serial_budget import pose_registers, status_registers
 from ceilvo.drivers.telegrams import PROTOCOL_VERSION, WITH_MOTION, BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
-from ceilvo.senses.prediction import predicted
-from ceilvo.types import Estimate, State, WheelMotion
+from ceilvo.types import Estimate, State
 
 POSE_ADDRESS = 1000
 """First holding register of the pose block, zero-based as in the frame."""
@@ -68,23 +67,6 @@ def telegram_of(estimate: Estimate, now_ns: int, heartbeat: int) -> PoseTelegram
     age_s = max(0.0, 1e-9 * (now_ns - estimate.stamp_ns))
     return PoseTelegram(
         estimate.state, estimate.quality, estimate.seq, age_s, x, y, theta, sx, sy, st, vx, vy, omega, heartbeat
-    )
-
-
-def moved_on(telegram: PoseTelegram, estimate: Estimate, now_ns: int, wheels: WheelMotion | None) -> PoseTelegram:
-    """The telegram with the pose as it should be at now_ns; wheels: what they did since the estimate's stamp."""
-    pose, cov, ahead_s = predicted(estimate, now_ns, wheels)
-    x, y, theta = (float(v) for v in pose)
-    sx, sy, st = (_sigma(float(cov[i, i])) for i in range(3))
-    return replace(
-        telegram,
-        x_m=x,
-        y_m=y,
-        theta_rad=theta,
-        sigma_x_m=sx,
-        sigma_y_m=sy,
-        sigma_theta_rad=st,
-        predicted_s=ahead_s,
     )
 
 

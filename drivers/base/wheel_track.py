@@ -118,14 +118,13 @@ class WheelTrack:
                 return None
             samples = np.array(self._samples, dtype=np.int64)
             offset_ns = min(self._offsets_ns)
-        origin_ns = int(samples[0, 0])
-        t = np.asarray(1e-9 * (samples[:, 0] - origin_ns), dtype=np.float64)
+        times = self._times(samples[:, 0], offset_ns, stamp0_ns, stamp1_ns)
+        if times is None:
+            return None
+        t, t0, t1 = times
         path = np.column_stack(
             (samples[:, 1:3] * LENGTH_UNIT_M, np.unwrap(samples[:, 3].astype(np.float64) * ANGLE_UNIT_RAD))
         )
-        t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in (stamp0_ns, stamp1_ns))
-        if not (self._covers(t, t0) and self._covers(t, t1)):
-            return None
         start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "wheels" * seamless)
         return self._motion(t, path, t0, t1, start, end)
 
@@ -142,11 +141,10 @@ class WheelTrack:
             clock = np.array([s[0] for s in self._samples], dtype=np.int64)
             counts = np.array(self._turned, dtype=np.int64)
             offset_ns = min(self._offsets_ns)
-        origin_ns = int(clock[0])
-        t = np.asarray(1e-9 * (clock - origin_ns), dtype=np.float64)
-        t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in (stamp0_ns, stamp1_ns))
-        if not (self._covers(t, t0) and self._covers(t, t1)):
+        times = self._times(clock, offset_ns, stamp0_ns, stamp1_ns)
+        if times is None:
             return None
+        t, t0, t1 = times
         path = counts * np.array([GYRO_UNIT_RAD, GAINED_UNIT_MPS, GAINED_UNIT_MPS])
         start, end = self._between(t, path, (t0, t1), (stamp0_ns, stamp1_ns), "gyro" * self._seamless)
         moved = end - start
@@ -189,6 +187,14 @@ class WheelTrack:
         self._turned.append(turned)
         self._offsets_ns.append(stamp_ns - clock_ns)
         self._last = (status, stamp_ns)
+
+    def _times(self, clock_ns: NDArray[np.int64], offset_ns: int, *stamps_ns: int) -> tuple[Array, float, float] | None:
+        """(N,) seconds of the samples and those of both stamps, from the first sample on; None where they do not cover
+        both."""
+        origin_ns = int(clock_ns[0])
+        t = np.asarray(1e-9 * (clock_ns - origin_ns), dtype=np.float64)
+        t0, t1 = (1e-9 * (stamp - offset_ns - origin_ns) for stamp in stamps_ns)
+        return (t, t0, t1) if self._covers(t, t0) and self._covers(t, t1) else None
 
     def _covers(self, t: Array, at_s: float) -> bool:
         if at_s < t[0] or at_s > t[-1] + self._coast_s:

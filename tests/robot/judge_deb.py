@@ -21,6 +21,12 @@ def checks(f: Facts, journal: str) -> Iterator[Check]:
         found = f.get(fact, "-").strip()
         return Check(name, found or "nothing", promise or "nothing", found == promise)
 
+    def kept(name: str, fact: str) -> Check:
+        """Digests of two files, as before the upgrade."""
+        digests = f.get("kept_before", "").split()
+        same_ones = len(digests) == 2 and f.get(fact, "").split() == digests
+        return Check(name, f.get(fact, "-"), " ".join(digests), same_ones)
+
     yield Check("installed in", _seconds(f, "install_ms"), "", None)
     yield same("installed", "installed", "installed 0.1.0-1")
     yield same("starts with the computer: daemon, pages, maps", "enabled", "enabled disabled disabled")
@@ -34,13 +40,7 @@ def checks(f: Facts, journal: str) -> Iterator[Check]:
     yield same("the doctor finds", "doctor", "kernel:OK map:OK unit:OK")
     yield Check("upgraded in", _seconds(f, "upgrade_ms"), "", None)
     yield same("upgraded", "upgraded", "installed 0.1.0-2")
-    kept = f.get("kept_before", "").split()
-    yield Check(
-        "configuration and calibration kept",
-        f.get("kept_after", "-"),
-        " ".join(kept),
-        len(kept) == 2 and f.get("kept_after", "").split() == kept,
-    )
+    yield kept("configuration and calibration kept", "kept_after")
     yield same("new defaults beside it", "new_defaults", "config.yaml.dpkg-dist")
     before, after = (int(f.get(f"landmarks_{when}") or 0) for when in ("before", "after"))
     yield Check("landmarks of the map", f"{before}, {after} after", "kept", 0 < before <= after)
@@ -50,12 +50,7 @@ def checks(f: Facts, journal: str) -> Iterator[Check]:
     yield same("removed", "removed", "config-files 0.1.0-2")
     yield same("runs when removed", "active_removed", "inactive")
     yield same("commands and program when removed", "commands_removed", "")
-    yield Check(
-        "configuration and calibration when removed",
-        f.get("kept_removed", "-"),
-        " ".join(kept),
-        len(kept) == 2 and f.get("kept_removed", "").split() == kept,
-    )
+    yield kept("configuration and calibration when removed", "kept_removed")
     yield same("map when removed", "map_removed", "yes")
     yield same("purged", "purged", "none")
     yield same("left by purge", "left", "")

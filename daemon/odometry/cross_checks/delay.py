@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ceilvo.daemon.odometry.cross_checks.paths import Paths
+from ceilvo.daemon.odometry.senses.lag import vertex
 from ceilvo.types import Array
 
 _STEP_S = 0.02
@@ -150,12 +151,5 @@ def _minimum(cost: Array, terms: int) -> tuple[float, float] | None:
 
     Differences that are larger than their variances say make it less certain; terms: how many there were.
     """
-    k = int(np.argmin(cost))
-    if not _REACH <= k < len(cost) - _REACH:
-        return None
-    at_s = np.arange(-_REACH, _REACH + 1) * _STEP_S
-    half_curvature, slope, _ = np.polyfit(at_s, cost[k - _REACH : k + _REACH + 1], 2).tolist()
-    if half_curvature <= 0.0:
-        return None
-    scale = max(float(cost[k]) / terms, 1.0)
-    return float(LAGS_S[k]) - 0.5 * slope / half_curvature, math.sqrt(scale / half_curvature)
+    least = vertex(cost, LAGS_S, _STEP_S, _REACH)
+    return None if least is None else (least[0], math.sqrt(max(float(np.min(cost)) / terms, 1.0) / least[1]))

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.types import Array
 
@@ -214,11 +216,20 @@ def _least(sums: Array, counts: Array) -> tuple[float, float] | None:
         return None
     noise = np.maximum(cost.min(axis=0) / np.maximum(counts, 1.0), _LEAST_NOISE)
     total = (cost / noise)[:, enough].sum(axis=1)
-    k = int(np.argmin(total))
-    if not _REACH <= k < len(total) - _REACH:
+    least = vertex(total, LAGS_S, _STEP_S, _REACH)
+    return None if least is None else (least[0], math.sqrt(1.0 / least[1]))
+
+
+def vertex(cost: Array, lags_s: NDArray[np.floating[Any]], step_s: float, reach: int) -> tuple[float, float] | None:
+    """Of the parabola through the least of costs (L,) and `reach` on either side of it: its lag, s, and half of its
+    curvature, s^-2; None where the least is at an end, or flat.
+
+    Args:
+        lags_s: (L,) of the costs, step_s apart.
+    """
+    k = int(np.argmin(cost))
+    if not reach <= k < len(cost) - reach:
         return None
-    at_s = np.arange(-_REACH, _REACH + 1) * _STEP_S
-    half_curvature, slope, _ = np.polyfit(at_s, total[k - _REACH : k + _REACH + 1], 2).tolist()
-    if half_curvature <= 0.0:
-        return None
-    return float(LAGS_S[k]) - 0.5 * slope / half_curvature, math.sqrt(1.0 / half_curvature)
+    at_s = np.arange(-reach, reach + 1) * step_s
+    half_curvature, slope, _ = np.polyfit(at_s, cost[k - reach : k + reach + 1], 2).tolist()
+    return (float(lags_s[k]) - 0.5 * slope / half_curvature, half_curvature) if half_curvature > 0.0 else None

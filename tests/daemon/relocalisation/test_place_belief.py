@@ -167,16 +167,21 @@ def beside_one_that_unknown_ground_looks_like(tracked: list[float]) -> PlaceBeli
     return belief
 
 
-def test_a_place_that_is_found_late_is_no_likelier_than_the_ground_it_was_part_of() -> None:
-    """It had the tracked place's past, which no other place had been like: unknown ground was 1e-8 all at once, and a
-    robot in a room that had been renovated said TRACKING, 1.5 m off."""
-    belief = beside_one_that_unknown_ground_looks_like([-20.0, -18.0])
+def assert_no_likelier_than_the_ground_it_was_part_of(belief: PlaceBelief) -> None:
+    """RIVALS[1], that is found now and then fits."""
     part = -6.0
     belief.add(RIVALS[1:2], np.array([belief.unknown + part - belief.settled[0]]))
     belief.weigh(np.array([[-30.0, -30.0], [-60.0, -60.0], [1.0, 1.0]]))
     share, unknown = belief.shares()
     assert np.argmax(share) == 2
     assert np.log(share[2] / unknown) == pytest.approx(part + 1.0, abs=0.2)
+
+
+def test_a_place_that_is_found_late_is_no_likelier_than_the_ground_it_was_part_of() -> None:
+    """It had the tracked place's past, which no other place had been like: unknown ground was 1e-8 all at once, and a
+    robot in a room that had been renovated said TRACKING, 1.5 m off."""
+    belief = beside_one_that_unknown_ground_looks_like([-20.0, -18.0])
+    assert_no_likelier_than_the_ground_it_was_part_of(belief)
 
 
 def test_a_place_that_is_found_again_is_no_likelier_than_the_ground_it_was_part_of() -> None:
@@ -188,12 +193,7 @@ def test_a_place_that_is_found_again_is_no_likelier_than_the_ground_it_was_part_
     for _ in range(2):
         belief.weigh(np.array([[-20.0, -18.0], [16.0, -3.5], [10.0, -4.5]]))
         belief._settle()
-    part = -6.0
-    belief.add(RIVALS[1:2], np.array([belief.unknown + part - belief.settled[0]]))
-    belief.weigh(np.array([[-30.0, -30.0], [-60.0, -60.0], [1.0, 1.0]]))
-    share, unknown = belief.shares()
-    assert np.argmax(share) == 2
-    assert np.log(share[2] / unknown) == pytest.approx(part + 1.0, abs=0.2)
+    assert_no_likelier_than_the_ground_it_was_part_of(belief)
 
 
 def test_a_doubt_is_of_the_likeliest_place_too() -> None:
