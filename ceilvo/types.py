@@ -55,6 +55,10 @@ class State(IntEnum):
     STOPPED = 6
 
 
+GOOD = (State.TRACKING, State.DEGRADED)
+"""The ceiling says where the robot is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One grey image; stamp_ns is the camera's own, CLOCK_MONOTONIC."""

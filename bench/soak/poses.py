@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.bench.soak.fault_plan import AFTER_FAULT_S, LEAD_S, Stroke
 from ceilvo.bench.soak.parts import Heard
-from ceilvo.drivers.base.link import GOOD
 from ceilvo.sim.world import World
-from ceilvo.types import State
+from ceilvo.types import GOOD, State
 
 _NS = 1e-9  # s in a nanosecond
 

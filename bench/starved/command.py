@@ -31,10 +31,9 @@ from ceilvo.bench.soak.poses import Poses
 from ceilvo.bench.speed.latency import spread
 from ceilvo.bench.starved.drawn_lap import DrawnLap
 from ceilvo.config import Config
-from ceilvo.drivers.base.link import GOOD
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
-from ceilvo.types import State
+from ceilvo.types import GOOD, State
 
 _SEED = 7
 _SETTLED_S = 3.0  # from the start of the world, not counted; chosen: the map has begun

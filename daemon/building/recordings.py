@@ -17,10 +17,9 @@ from ceilvo.daemon.refinement.survey import index_of
 from ceilvo.daemon.replay.inputs import FrameInput, Input, Sighting
 from ceilvo.daemon.replay.replay import Outputs, replay
 from ceilvo.daemon.replay.rerun import Rerun, opened, runs_in
-from ceilvo.types import Array, Estimate, Landmarks, State
+from ceilvo.types import GOOD, Array, Estimate, Landmarks
 
 _NS = 1e-9
-_GOOD = (State.TRACKING, State.DEGRADED)
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def driven(run: Rerun) -> Driven:
             taker.add(pipeline, estimate, pipeline.vision.view.crossings)
 
     estimates = replay(given.inputs, pipeline, given.calibration, Outputs(), source=str(run.source), watch=watch)
-    good = sum(e.state in _GOOD for e in estimates)
+    good = sum(e.state in GOOD for e in estimates)
     axis_rad = pipeline.relocaliser.state.map_axis_rad or 0.0
     begun = datetime.fromtimestamp(_NS * given.tally.begun_ns, tz=timezone.utc).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     taken = replace(taker.taken(), session=f"{given.config.robot.name}/{begun}")

@@ -12,11 +12,10 @@ from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.admission import FARTHEST_M
 from ceilvo.se2 import transform
-from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, Observations, Pose, State
+from ceilvo.types import GOOD, NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, Observations, Pose
 
 EVERY_M, EVERY_RAD = 0.25, np.radians(15.0)
 """From one to the next; chosen: a view is 2 m wide and more, so each landmark is in ten of them."""
-_GOOD = (State.TRACKING, State.DEGRADED)
 _UNKNOWN = np.full((3, 3), np.nan)
 """Covariance of a motion that nobody saw."""
 
@@ -63,7 +62,7 @@ class KeyPoseTaker:
         self._motion, self._motion_cov = np.zeros(3), np.zeros((3, 3))
 
     def _wanted(self, pipeline: Pipeline, estimate: Estimate) -> bool:
-        if estimate.state not in _GOOD or not estimate.motion.ok or not pipeline.relocaliser.sure:
+        if estimate.state not in GOOD or not estimate.motion.ok or not pipeline.relocaliser.sure:
             return False
         return not self._poses or bool(
             np.hypot(*self._motion[:2]) >= EVERY_M or abs(float(self._motion[2])) >= EVERY_RAD

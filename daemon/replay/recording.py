@@ -33,12 +33,14 @@ from ceilvo.drivers.recording.storage import Ring, SingleFile
 from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError, FileFormatError
 from ceilvo.json_values import json_value
-from ceilvo.types import Array, Estimate, Frame, State
+from ceilvo.types import GOOD, Array, Estimate, Frame, State
 
 log = logging.getLogger("ceilvo")
 
 JPEG_QUALITY = 80
 """Of pictures that are to look at; chosen."""
+_PATIENCE_S = 3.0
+"""By which the flight recorder begins at the latest, while there is no good pose; chosen."""
 _SILENT_BASE_S = 1.0
 """A base silent for longer is a fault worth a recording; chosen: many times its period."""
 
@@ -102,7 +104,9 @@ class RecordingTap:
                 self._recorder.begin(self._state(estimate, pipeline))
 
     def published(self, estimate: Estimate) -> None:
-        """How long its stages took."""
+        """How long its stages took; a good one says that the daemon has started."""
+        if estimate.state in GOOD:
+            self._recorder.hurry()
         laps = dict(estimate.latency_ms)
         if laps:
             self._put(mcap_file.LATENCY, estimate.stamp_ns, {"stamp_ns": estimate.stamp_ns, "latency_ms": laps})
@@ -217,7 +221,7 @@ def recording_of(
     if not settings.enabled or state_dir is None:
         return None
     head = _head(config, calibration, clock, "flight", settings.frames)
-    recorder = Recorder(Ring(state_dir / "recorder", settings, head), clock, note)
+    recorder = Recorder(Ring(state_dir / "recorder", settings, head), clock, note, _PATIENCE_S)
     features = settings.features and settings.frames != "lossless"
     return RecordingTap(recorder, clock, scenery, settings.frames, features, settings.jpeg_rate_hz)
 

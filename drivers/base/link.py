@@ -18,7 +18,7 @@ from ceilvo.drivers.rate_limit import QuietLog
 from ceilvo.drivers.telegrams import BaseStatus, PoseTelegram
 from ceilvo.errors import BaseLinkError
 from ceilvo.senses.prediction import predicted
-from ceilvo.types import Estimate, State
+from ceilvo.types import GOOD, Estimate, State
 
 _log = logging.getLogger("ceilvo.base")
 
@@ -28,7 +28,6 @@ _FAILURES_BEFORE_REOPENING = 5
 """Telegrams in a row without an answer (docs/base-protocol.md)."""
 _JOIN_S = 1.0
 """That stopping waits for an exchange that hangs; chosen."""
-GOOD = (State.TRACKING, State.DEGRADED)
 _WARN_PERIOD_S = 5.0
 """Between two warnings of one link."""
 _WARNED_PER_S, _WARN_BURST = 0.2, 10

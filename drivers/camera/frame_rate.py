@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
-from statistics import median
 from typing import Literal
+
+import numpy as np
 
 _WINDOW_S, _INTERVALS = 1.0, 5
 """Frames whose median interval is the camera's period: those of the last second, at least so many; chosen: two stalls
@@ -111,7 +111,7 @@ class FrameRate:
         self._blocks.append(self._busy_s / self._steps)
         self._begin_block()
         if len(self._blocks) == _BLOCKS:
-            self._judge(median(self._blocks))
+            self._judge(float(np.median(self._blocks)))
 
     def news(self) -> RateNews | None:
         """What has not been said yet, None for nothing."""
@@ -130,7 +130,7 @@ class FrameRate:
             whole = True
         if len(times) <= _INTERVALS:
             return
-        self._period_s = median(b - a for a, b in pairwise(times))
+        self._period_s = float(np.median(np.diff(times)))
         if whole:
             self._compare()
 

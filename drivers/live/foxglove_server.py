@@ -111,7 +111,7 @@ class View:
             self._particles = np.column_stack([f["x_m"], f["y_m"], f["theta_rad"]]).astype(np.float64)
 
 
-_POSE_JSON = mcap_file.Channel("/pose/figures", "ceilvo.pose.1", b'{"type":"object"}')
+_POSE_JSON = mcap_file.Channel("/pose/figures", "ceilvo.pose.1", varied=True)
 """State, quality and the rest, to plot."""
 
 

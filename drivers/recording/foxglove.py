@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from ceilvo.drivers.pictures import decoded
@@ -37,7 +30,7 @@ _LINE_STRIP = 0
 def raw_image(unix_ns: int, gray: NDArray[np.uint8], frame_id: str) -> bytes:
     """A foxglove.RawImage of a grey picture (H, W), bit for bit."""
     h, w = gray.shape
-    m = RawImage(width=w, height=h, encoding="mono8", step=w, data=gray.tobytes(), frame_id=frame_id)
+    m = _kind("RawImage")(width=w, height=h, encoding="mono8", step=w, data=gray.tobytes(), frame_id=frame_id)
     return _stamped(m, unix_ns)
 
 
@@ -47,7 +40,7 @@ def read_raw_image(data: bytes) -> NDArray[np.uint8]:
     Raises:
         FileFormatError: it is anything else.
     """
-    m = _parsed(RawImage, data)
+    m = _parsed(_kind("RawImage"), data)
     try:
         if m.encoding != "mono8" or m.step != m.width or not m.width or not m.height:
             raise ValueError("not a mono8 picture without gaps")
@@ -58,7 +51,7 @@ def read_raw_image(data: bytes) -> NDArray[np.uint8]:
 
 def compressed_image(unix_ns: int, data: bytes, image_format: str, frame_id: str) -> bytes:
     """A foxglove.CompressedImage; image_format is "jpeg" or "png"."""
-    return _stamped(CompressedImage(data=data, format=image_format, frame_id=frame_id), unix_ns)
+    return _stamped(_kind("CompressedImage")(data=data, format=image_format, frame_id=frame_id), unix_ns)
 
 
 def compressed_bytes(data: bytes) -> tuple[bytes, str]:
@@ -67,7 +60,7 @@ def compressed_bytes(data: bytes) -> tuple[bytes, str]:
     Raises:
         FileFormatError: it is anything else.
     """
-    m = _parsed(CompressedImage, data)
+    m = _parsed(_kind("CompressedImage"), data)
     return bytes(m.data), str(m.format)
 
 
@@ -77,7 +70,7 @@ def read_compressed_image(data: bytes) -> NDArray[np.uint8]:
     Raises:
         FileFormatError: it is anything else.
     """
-    gray = decoded(_parsed(CompressedImage, data).data)
+    gray = decoded(_parsed(_kind("CompressedImage"), data).data)
     if gray is None:
         raise FileFormatError(f"picture of {len(data)} bytes cannot be decoded; the recording is damaged")
     return gray
@@ -85,7 +78,7 @@ def read_compressed_image(data: bytes) -> NDArray[np.uint8]:
 
 def pose_in_frame(unix_ns: int, frame_id: str, pose: Array) -> bytes:
     """A foxglove.PoseInFrame of (3,) [m, m, rad]: a place on the floor and a turn about z."""
-    m = PoseInFrame(frame_id=frame_id)
+    m = _kind("PoseInFrame")(frame_id=frame_id)
     _set_pose(m.pose, pose)
     return _stamped(m, unix_ns)
 
@@ -93,12 +86,12 @@ def pose_in_frame(unix_ns: int, frame_id: str, pose: Array) -> bytes:
 def log_line(unix_ns: int, level: int, name: str, message: str) -> bytes:
     """A foxglove.Log; level is Python's (20 = info)."""
     number: Any = min(max(level // 10, 1), 5)  # as LogLevel counts
-    return _stamped(Log(level=number, name=name, message=message), unix_ns)
+    return _stamped(_kind("Log")(level=number, name=name, message=message), unix_ns)
 
 
 def frame_transforms(unix_ns: int, *transforms: tuple[str, str, Array]) -> bytes:
     """A foxglove.FrameTransforms of (parent, child, parent_from_child): (3,) planar, or (7,) x y z qx qy qz qw."""
-    m = FrameTransforms()
+    m = _kind("FrameTransforms")()
     for parent, child, value in transforms:
         t = m.transforms.add(parent_frame_id=parent, child_frame_id=child)
         _set_time(t.timestamp, unix_ns)
@@ -112,7 +105,7 @@ def camera_calibration(
     unix_ns: int, frame_id: str, size_px: tuple[int, int], model: str, distortion: Iterable[float], matrix: Array
 ) -> bytes:
     """A foxglove.CameraCalibration; size is width and height, matrix (3, 3), model ROS's name of the lens model."""
-    m = CameraCalibration(frame_id=frame_id, width=size_px[0], height=size_px[1], distortion_model=model)
+    m = _kind("CameraCalibration")(frame_id=frame_id, width=size_px[0], height=size_px[1], distortion_model=model)
     m.D.extend(distortion)
     m.K.extend(matrix.ravel().tolist())
     m.R.extend(np.eye(3).ravel().tolist())
@@ -124,7 +117,7 @@ def scene_update(
     unix_ns: int, frame_id: str, landmarks_m: Array, particles: Array, path_m: Array, pose: Array, ceiling_m: float
 ) -> bytes:
     """A foxglove.SceneUpdate: landmarks (L, 2) on the ceiling, particles (N, 3) and the path (P, 2) on the floor."""
-    m = SceneUpdate()
+    m = _kind("SceneUpdate")()
     near = landmarks_m
     if len(near) > MOST_SPHERES:
         near = near[np.argpartition(np.hypot(*(near - pose[:2]).T), MOST_SPHERES)[:MOST_SPHERES]]
@@ -159,7 +152,7 @@ def read_scene(data: bytes) -> tuple[Array, Array]:
     Raises:
         FileFormatError: it is anything else.
     """
-    entities = {e.id: e for e in _parsed(SceneUpdate, data).entities}
+    entities = {e.id: e for e in _parsed(_kind("SceneUpdate"), data).entities}
     spheres = entities["landmarks"].spheres if "landmarks" in entities else ()
     arrows = entities["particles"].arrows if "particles" in entities else ()
     xy = [(s.pose.position.x, s.pose.position.y) for s in spheres]
@@ -170,8 +163,10 @@ def read_scene(data: bytes) -> tuple[Array, Array]:
 # -- schemas
 
 
-def _schema(message: Any) -> bytes:
-    """The FileDescriptorSet of a message and of all that it needs."""
+def schema(name: str) -> bytes:
+    """The FileDescriptorSet of a message, "foxglove.Log" as an example, and of all that it needs."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
     files = FileDescriptorSet()
     seen: set[str] = set()
 
@@ -182,18 +177,22 @@ def _schema(message: Any) -> bytes:
                 add(needed)
             file.CopyToProto(files.file.add())
 
-    add(message.DESCRIPTOR.file)
+    add(_kind(name.removeprefix("foxglove.")).DESCRIPTOR.file)
     return bytes(files.SerializeToString())
 
-
-RAW_IMAGE_SCHEMA, COMPRESSED_IMAGE_SCHEMA = _schema(RawImage), _schema(CompressedImage)
-POSE_SCHEMA, LOG_SCHEMA, TRANSFORMS_SCHEMA = _schema(PoseInFrame), _schema(Log), _schema(FrameTransforms)
-CALIBRATION_SCHEMA, SCENE_SCHEMA = _schema(CameraCalibration), _schema(SceneUpdate)
 
 # -- parts
 
 
+@cache
+def _kind(name: str) -> Any:
+    """A message of Foxglove. Protocol Buffers are slow to load: the daemon's first pose does not wait for them."""
+    return getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+
+
 def _parsed(message: Any, data: bytes) -> Any:
+    from google.protobuf.message import DecodeError
+
     try:
         return message.FromString(data)
     except DecodeError as e:

@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.writer import CompressionType, Writer
-
 from ceilvo import __version__
 from ceilvo.drivers.recording import foxglove
 
@@ -24,10 +22,9 @@ SYNC_S = 5.0
 """Chunks are on the disk at least this often: what a power cut loses."""
 _CHUNK_BYTES = 1 << 20
 """Of a chunk at the most; it ends after a second in any case (docs/recording.md)."""
-
-
+_PROTOBUF = "protobuf"
 _ANYTHING = b'{"type":"object"}'
-"""Messages of several kinds on one topic, which nobody plots."""
+"""The schema of every JSON object."""
 _MAY_BE_NULL = frozenset(
     (
         *("failure", "rms_m", "fit_residual", "unique_ancestors", "ess", "nis", "nis_low", "nis_high", "mode_weight"),
@@ -39,23 +36,34 @@ _MAY_BE_NULL = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """Schema and encoding of a topic; an empty schema is inferred from the first message, which is JSON then."""
+    """Schema and encoding of a topic.
+
+    Attributes:
+        varied: its messages are JSON of several kinds, which nobody plots.
+    """
 
     topic: str
     schema_name: str
-    schema: bytes = b""
     encoding: str = "json"
+    varied: bool = False
+
+    @property
+    def schema(self) -> bytes:
+        """Empty: it is inferred from the first message, which is JSON then."""
+        if self.encoding == _PROTOBUF:
+            return foxglove.schema(self.schema_name)
+        return _ANYTHING if self.varied else b""
 
 
-FRAMES = Channel("/camera", "foxglove.RawImage", foxglove.RAW_IMAGE_SCHEMA, "protobuf")
-PICTURES = Channel("/camera/jpeg", "foxglove.CompressedImage", foxglove.COMPRESSED_IMAGE_SCHEMA, "protobuf")
-POSE = Channel("/pose", "foxglove.PoseInFrame", foxglove.POSE_SCHEMA, "protobuf")
-EVENT = Channel("/event", "foxglove.Log", foxglove.LOG_SCHEMA, "protobuf")
-TRANSFORMS = Channel("/tf", "foxglove.FrameTransforms", foxglove.TRANSFORMS_SCHEMA, "protobuf")
-CAMERA = Channel("/camera/calibration", "foxglove.CameraCalibration", foxglove.CALIBRATION_SCHEMA, "protobuf")
-SCENE = Channel("/scene", "foxglove.SceneUpdate", foxglove.SCENE_SCHEMA, "protobuf")
-FEATURES = Channel("/features", "ceilvo.features.1", _ANYTHING)
-INPUT = Channel("/input", "ceilvo.input.1", _ANYTHING)
+FRAMES = Channel("/camera", "foxglove.RawImage", _PROTOBUF)
+PICTURES = Channel("/camera/jpeg", "foxglove.CompressedImage", _PROTOBUF)
+POSE = Channel("/pose", "foxglove.PoseInFrame", _PROTOBUF)
+EVENT = Channel("/event", "foxglove.Log", _PROTOBUF)
+TRANSFORMS = Channel("/tf", "foxglove.FrameTransforms", _PROTOBUF)
+CAMERA = Channel("/camera/calibration", "foxglove.CameraCalibration", _PROTOBUF)
+SCENE = Channel("/scene", "foxglove.SceneUpdate", _PROTOBUF)
+FEATURES = Channel("/features", "ceilvo.features.1", varied=True)
+INPUT = Channel("/input", "ceilvo.input.1", varied=True)
 ESTIMATE = Channel("/estimate", "ceilvo.estimate.1")
 LATENCY = Channel("/latency", "ceilvo.latency.1")
 TELEGRAM = Channel("/telegram", "ceilvo.telegram.1")
@@ -95,6 +103,8 @@ class McapFile:
 
     def __init__(self, path: Path, head: Head, stamp_ns: int, **metadata: str) -> None:
         """Refuses a path that exists."""
+        from mcap.writer import CompressionType, Writer  # slow to load: the daemon's first pose does not wait for it
+
         self.path = path
         self._head = head
         self._channels: dict[Channel, int] = {}
@@ -152,7 +162,7 @@ class McapFile:
 
     def _register(self, channel: Channel, first: bytes) -> int:
         schema = channel.schema or json.dumps(_schema_of(json.loads(first))).encode()
-        kind = "protobuf" if channel.encoding == "protobuf" else "jsonschema"
+        kind = _PROTOBUF if channel.encoding == _PROTOBUF else "jsonschema"
         schema_id = self._writer.register_schema(channel.schema_name, kind, schema)
         return self._writer.register_channel(channel.topic, channel.encoding, schema_id)
 

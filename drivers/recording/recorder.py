@@ -94,8 +94,19 @@ class _Item:
 class Recorder:
     """Thread-safe; put(), begin() and fault() take microseconds and never raise."""
 
-    def __init__(self, storage: Storage, clock: Clock, on_stop: Callable[[str], None] = lambda why: None) -> None:
-        """on_stop is called from the thread, once each time that recording stops by itself."""
+    def __init__(
+        self,
+        storage: Storage,
+        clock: Clock,
+        on_stop: Callable[[str], None] = lambda why: None,
+        patience_s: float = 0.0,
+    ) -> None:
+        """
+        Args:
+            on_stop: called from the thread, once each time that recording stops by itself.
+            patience_s: after its start the thread leaves the processor to others for so long, or until hurry() is
+                called, there is a fault or the queue is half full.
+        """
         self._storage, self._clock, self._on_stop = storage, clock, on_stop
         self._changed = threading.Condition()
         self._queue: deque[_Item] = deque()
@@ -106,6 +117,8 @@ class Recorder:
         self._retry_ns: int | None = None
         self._due = False
         self._ending = False
+        self._patience_s = patience_s
+        self._hurry = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
 
     @property
@@ -121,6 +134,10 @@ class Recorder:
 
     def start(self) -> None:
         self._thread.start()
+
+    def hurry(self) -> None:
+        """Nothing more important is being done."""
+        self._hurry.set()
 
     def put(self, *messages: Message, size: int = 0) -> None:
         """Messages that belong together: all of them are written, or all dropped. size: of what they hold, bytes."""
@@ -140,6 +157,7 @@ class Recorder:
         with self._changed:
             self._ending = True
             self._changed.notify()
+        self._hurry.set()
         if self._thread.ident is not None:
             self._thread.join(_DRAIN_S)
         return not self._thread.is_alive()
@@ -154,10 +172,13 @@ class Recorder:
             self._waiting_bytes += item.size
             self._faults += bool(item.fault)
             self._changed.notify()
+            if item.fault or 2 * self._waiting_bytes > QUEUE_BYTES or 2 * len(self._queue) > QUEUE_ITEMS:
+                self._hurry.set()
 
     # -- the thread
 
     def _run(self) -> None:
+        self._hurry.wait(self._patience_s)
         try:
             while self._turn():
                 pass

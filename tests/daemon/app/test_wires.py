@@ -27,7 +27,7 @@ for wire in wires.others:
     wire.close()
 """
 COMMON = Path(__file__).resolve().parents[2] / "common"
-OTHERS = {"rosbags", "xxhash", "cyclonedds", "paho", "foxglove", "zenoh_ros2_sdk"}
+OTHERS = {"rosbags", "xxhash", "cyclonedds", "paho", "foxglove", "zenoh_ros2_sdk", "mcap", "foxglove_schemas_protobuf"}
 
 
 def look(*settings: str) -> tuple[int, bool, list[str], set[str]]:

@@ -39,11 +39,11 @@ def written(path: Path, count: int = 40, raw: bool = False) -> Path:
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**33 * S), st.integers(0, 2**32 - 1))
 def test_pictures_are_what_protocol_buffers_decode(width: int, height: int, unix_ns: int, seed: int) -> None:
     gray = noise(seed, height, width)
-    for name, schema, data in (
-        ("RawImage", foxglove.RAW_IMAGE_SCHEMA, foxglove.raw_image(unix_ns, gray, "camera")),
-        ("CompressedImage", foxglove.COMPRESSED_IMAGE_SCHEMA, foxglove.compressed_image(unix_ns, b"x", "jpeg", "c")),
+    for name, data in (
+        ("foxglove.RawImage", foxglove.raw_image(unix_ns, gray, "camera")),
+        ("foxglove.CompressedImage", foxglove.compressed_image(unix_ns, b"x", "jpeg", "c")),
     ):
-        decode = DecoderFactory().decoder_for("protobuf", Schema(1, schema, "protobuf", f"foxglove.{name}"))
+        decode = DecoderFactory().decoder_for("protobuf", Schema(1, foxglove.schema(name), "protobuf", name))
         assert decode is not None
         m = decode(data)
         assert m.timestamp.seconds * S + m.timestamp.nanos == unix_ns

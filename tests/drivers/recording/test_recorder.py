@@ -54,6 +54,38 @@ def test_a_disk_that_hangs_holds_nobody_up_and_drops_are_counted() -> None:
     assert done.messages + done.dropped == 200
 
 
+@pytest.mark.parametrize("why", ("hurry", "fault", "full", "end"))
+def test_a_recorder_that_waits_for_the_first_pose_begins_when_there_is_a_reason_and_loses_nothing(why: str) -> None:
+    storage = Blocked()
+    storage.go.set()
+    recorder = Recorder(storage, lambda: 0, patience_s=1e6)
+    recorder.start()
+    for i in range(3):
+        recorder.put(text(0, {}, i))
+    assert not storage.entered.wait(0.1), "it has begun"
+    if why == "hurry":
+        recorder.hurry()
+    elif why == "fault":
+        recorder.fault("of a test")
+    elif why == "full":
+        recorder.put(text(0, {}, 3), size=QUEUE_BYTES // 2 + 1)
+    else:
+        assert recorder.stop()
+    assert storage.entered.wait(PATIENCE_S)
+    assert recorder.stop()
+    assert storage.written == list(range(4 if why == "full" else 3)) and recorder.counters().dropped == 0
+
+
+def test_a_recorder_begins_by_itself_when_no_pose_comes() -> None:
+    storage = Blocked()
+    storage.go.set()
+    recorder = Recorder(storage, lambda: 0, patience_s=0.05)
+    recorder.start()
+    recorder.put(text(0, {}, 0))
+    assert storage.entered.wait(PATIENCE_S)
+    assert recorder.stop()
+
+
 class Failing(Blocked):
     """A disk that is full from the third message on, until it is not."""
 
