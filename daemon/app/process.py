@@ -145,6 +145,7 @@ class Daemon:
         """
         with ExitStack() as ending:
             self._own(ending)
+            ending.callback(self._outputs.close)
             ending.callback(self._store.close)
             ending.enter_context(self._fleet.kept_up())
             stored = load(self._config, self._store, self._outputs.event)
@@ -210,8 +211,7 @@ class Daemon:
                 trim = now + _TRIM_NS
                 give_back_memory()
             if screen is not None:
-                title = f"ceilvo {self._config.robot.name}"
-                events, room = self.events, self._plan.room_m
+                title, events, room = f"ceilvo {self._config.robot.name}", self.events, self._plan.room_m
                 screen.update(lambda: self._telemetry.snapshot(title, self._camera_reason, room, events))  # noqa: B023
 
     def _is_over(self, now_ns: int) -> bool:
