@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ceilvo.bench.fusion.conditions import CONDITIONS
-from ceilvo.bench.fusion.run import Case, as_key, from_key, run_case
+from ceilvo.bench.fusion.run import Case, alike, as_key, from_key, run_case
 from ceilvo.bench.fusion.senses import OUTFITS
 from ceilvo.bench.results.store import Result, Store, exit_code, fingerprint, run_all
 from ceilvo.tasks.workers import Workers
@@ -42,11 +42,13 @@ def _run(a: argparse.Namespace) -> None:
     files = [f.relative_to(f.parents[1]).as_posix() for f in sorted(Path(__file__).parent.glob("*.py"))]
     store = Store(a.out / "fusion.jsonl", fingerprint(files), from_key)
     seeds = range(a.first, a.first + a.seeds)
-    cases = [Case(o, c, s) for s in seeds for c in a.conditions for o in a.outfits]
+    starts = alike(a.conditions)
+    cases = [Case(o, names, s) for s in seeds for names in starts for o in a.outfits]
     run_all(store, cases, as_key, run_case, Workers(a.jobs))
-    for condition in a.conditions:
-        found = {o: [store.results[Case(o, condition, s)] for s in seeds] for o in a.outfits}
-        Console(width=140).print(_table(condition, found))
+    for names in starts:
+        for condition in names:
+            found = {o: [store.results[Case(o, names, s)][condition] for s in seeds] for o in a.outfits}
+            Console(width=140).print(_table(condition, found))
 
 
 def _table(condition: str, found: dict[str, list[Result]]) -> Table:

@@ -1,5 +1,6 @@
 """The bench itself: what happens in each condition, and that outfits are compared under the same."""
 
+import copy
 from itertools import islice, pairwise
 
 import numpy as np
@@ -45,11 +46,33 @@ def test_conditions_are_what_their_names_say() -> None:
 
 @pytest.mark.usefixtures("soon")
 def test_a_drive_gives_the_same_figures_again_and_every_outfit_the_same_way() -> None:
-    cases = [run.Case(o, "normal", 3) for o in ("vision", "+ gyro", "+ gyro")]
-    drives = [run.Drive(c) for c in cases]
+    drives = [run.Drive(o, "normal", 3) for o in ("vision", "+ gyro", "+ gyro")]
     rows = [list(islice(d.rows(), 40)) for d in drives]
     assert [r.way_m for r in rows[0]] == [r.way_m for r in rows[1]]
     assert all(np.array_equal(a.error, b.error) for a, b in zip(rows[1], rows[2], strict=True))
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize("condition", ["slip 20 % for 1 m", "blackout 10 s", "carried"])
+def test_a_drive_that_shares_its_start_is_to_the_bit_the_one_that_is_driven_alone(condition: str) -> None:
+    alone = list(islice(run.Drive("+ lamps", condition, 3).rows(), 30))
+    before = run.Drive("+ lamps", "normal", 3)
+    before.begin()
+    for _ in range(2):  # and the first leaves nothing behind for the second
+        shared = copy.deepcopy(before)
+        shared.meet(condition)
+        rows = list(islice(shared.rows(), 30))
+        assert [(r.time_s, r.way_m, r.nees, r.estimate.state) for r in rows] == [
+            (r.time_s, r.way_m, r.nees, r.estimate.state) for r in alone
+        ]
+        assert all(np.array_equal(a.error, b.error) for a, b in zip(rows, alone, strict=True))
+
+
+def test_conditions_share_a_start_where_pictures_are_as_late() -> None:
+    shared = run.alike(CONDITIONS)
+    assert sorted(name for names in shared for name in names) == sorted(CONDITIONS)
+    assert [len({CONDITIONS[name].late_s for name in names}) for names in shared] == [1] * len(shared)
+    assert max(map(len, shared)) == len(CONDITIONS) - 1
 
 
 def test_outfits_grow_by_a_sense_each_and_some_senses_also_stand_alone() -> None:
