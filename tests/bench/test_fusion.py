@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from ceilvo.bench.fusion import conditions, robot, run
+from ceilvo.bench.fusion.command import pairs_of
 from ceilvo.bench.fusion.conditions import CONDITIONS
 from ceilvo.bench.fusion.lateness import Lateness
 from ceilvo.bench.fusion.robot import TICK_S, Moment, Ride
 from ceilvo.bench.fusion.senses import OUTFITS, SENSES
+from ceilvo.bench.results.paired import difference
 
 ROOM = (0.0, 0.0, 20.0, 20.0)
 
@@ -82,6 +84,24 @@ def test_outfits_grow_by_a_sense_each_and_some_senses_also_stand_alone() -> None
     assert [len(names) for names in growing] == list(range(len(SENSES) + 1))
     assert all(set(a) < set(b) for a, b in pairwise(growing))
     assert sum(len(names) == 1 for names in alone) >= 3
+
+
+def test_a_sense_is_compared_with_what_has_all_but_it() -> None:
+    pairs = pairs_of(list(OUTFITS))
+    assert {("+ wheels", "vision"), ("+ gyro", "+ wheels"), ("lamps only", "vision")} <= set(pairs)
+    assert {("wheels, lamps", "+ wheels"), ("wheels, lamps", "lamps only")} <= set(pairs)
+    assert all(len(set(OUTFITS[a]) - set(OUTFITS[b])) == 1 and set(OUTFITS[b]) < set(OUTFITS[a]) for a, b in pairs)
+
+
+def test_a_paired_difference_is_clear_where_chance_does_not_do() -> None:
+    rng = np.random.default_rng(1)
+    ground, noise = 100.0 * rng.standard_normal(30), rng.standard_normal((2, 30))
+    same, more = difference(ground + noise[0], ground + noise[1]), difference(ground + 2.0 + noise[0], ground)
+    assert same.clear == 0 and abs(same.mean) < 1.0
+    assert more.clear == 1 and abs(more.mean - 2.0) < 0.6 and abs(more.error - 30**-0.5) < 0.06
+    assert difference(ground, ground).clear == 0 and str(difference(ground, ground)) == "0"
+    with pytest.raises(ValueError, match="pairs"):
+        difference(ground, ground[1:])
 
 
 def test_pictures_are_as_late_as_is_said() -> None:

@@ -25,7 +25,7 @@ _STEP_S = 0.01
 """Of the raster; chosen: a third of a frame."""
 _EARLIEST_S, _LATEST_S = -0.2, 0.6
 """Lags looked for, as delay.py of the cross-checks."""
-LAGS_S = np.arange(round(_EARLIEST_S / _STEP_S), round(_LATEST_S / _STEP_S) + 1) * _STEP_S
+LAGS_S: Array = np.asarray(np.arange(round(_EARLIEST_S / _STEP_S), round(_LATEST_S / _STEP_S) + 1) * _STEP_S)
 _REACH = 3
 """Of the parabola to either side of the least, in steps."""
 _WINDOW_S = 0.14
@@ -184,8 +184,9 @@ class Lag:
         s.differs += 1
         if np.max(s.evidence) > _SAID:
             best = vertex(-s.evidence, LAGS_S, _STEP_S, 1)
-            self.begin_anew(float(LAGS_S[int(np.argmax(s.evidence))]) if best is None else best[0])
-            s.jumps, s.jumped_s, s.jumped_at_s, s.jumped_now = s.jumps + 1, s.delay_s - delay_s, now_s, True
+            now_late_s = float(LAGS_S[int(np.argmax(s.evidence))]) if best is None else best[0]
+            self.begin_anew(now_late_s)
+            s.jumps, s.jumped_s, s.jumped_at_s, s.jumped_now = s.jumps + 1, now_late_s - delay_s, now_s, True
         elif not np.any(s.evidence):
             self._remember(s.short, s.counts[1], s.differs)
             self._no_evidence()
