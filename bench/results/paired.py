@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from ceilvo.types import Array
 
-CLEAR = 3.0
-"""Standard errors from nothing, beyond which a difference is one; chosen: in a table of a hundred cells noise alone
-says so less than once with thirty seeds."""
+CHANCE = 0.0027
+"""That noise alone is a clear difference (Student's t, as three standard deviations of many pairs); chosen: less than
+once in a table of a hundred cells."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,10 @@ class Difference:
     @property
     def clear(self) -> int:
         """1 or -1 where it is one, by its sign; 0 where it may be chance."""
-        return int(np.sign(self.mean)) if abs(self.mean) > CLEAR * self.error else 0
+        if self.pairs < 2:
+            return 0
+        most = float(stats.t.ppf(1.0 - 0.5 * CHANCE, self.pairs - 1)) * self.error
+        return int(np.sign(self.mean)) if abs(self.mean) > most else 0
 
     def __str__(self) -> str:
         return f"{self.mean:+.2f} ± {self.error:.2f}" if self.mean or self.error else "0"

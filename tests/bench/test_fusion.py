@@ -100,6 +100,7 @@ def test_a_paired_difference_is_clear_where_chance_does_not_do() -> None:
     assert same.clear == 0 and abs(same.mean) < 1.0
     assert more.clear == 1 and abs(more.mean - 2.0) < 0.6 and abs(more.error - 30**-0.5) < 0.06
     assert difference(ground, ground).clear == 0 and str(difference(ground, ground)) == "0"
+    assert difference(np.array([1.0, 1.1]), np.zeros(2)).clear == 0, "two pairs show little"
     with pytest.raises(ValueError, match="pairs"):
         difference(ground, ground[1:])
 
