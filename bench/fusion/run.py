@@ -21,6 +21,7 @@ from ceilvo.bench.place.ceiling.worlds import WorldSpec, landmarks_of, make_worl
 from ceilvo.bench.place.robot.tally import CLAIMED, WRONG_M, WRONG_RAD
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.senses.beacons import Beacons
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Crossings, Estimate, Pose
@@ -138,7 +139,7 @@ class Drive:
         self._recent = [*self._recent[-late_ticks:], moment] if late_ticks else [moment]
         self._way_m += float(np.hypot(*moment.moved[:2])) if moment.time_s > BEGIN_S else 0.0
         if k == 0:
-            self.pipeline.load_map(*self._known, Pose(moment.pose), _START_SIGMA, recent=True)
+            self.pipeline.load_map(*self._known, Pose(moment.pose), _START_SIGMA, ago_s=JUST_NOW_S)
         if k % _FRAME_TICKS:
             return None
         said = Said()

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,7 @@ from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
+from ceilvo.daemon.vision.finder.crossing_finder import rehearse
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.namesake import refuse_namesake
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
@@ -49,7 +50,7 @@ from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.drivers.ports import Base, Camera
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
-from ceilvo.types import State
+from ceilvo.types import GOOD, State
 
 if TYPE_CHECKING:
     from ceilvo.daemon.app.screen import Screen
@@ -80,7 +81,7 @@ class Plan:
         room_m: x_min, y_min, x_max, y_max for the screen's plot.
         seconds: end this long after the first frame; None = run until stopped.
         summary_file: where to write the run's figures as JSON.
-        screen: draw the live screen.
+        screen: makes the live screen.
         record: write a recording to this file.
     """
 
@@ -91,7 +92,7 @@ class Plan:
     room_m: tuple[float, float, float, float] | None = None
     seconds: float | None = None
     summary_file: Path | None = None
-    screen: bool = False
+    screen: Callable[[], AbstractContextManager[Screen | None]] = nullcontext
     record: Path | None = None
 
 
@@ -169,7 +170,7 @@ class Daemon:
             self._hearing.start()
             self._thread.start()
             self._notifier.ready("waiting for the camera")
-            with _screen() if self._plan.screen else nullcontext() as screen:
+            with self._plan.screen() as screen:
                 self._supervise(screen)
             summary = self._telemetry.summary()
         summary |= self._recorder_counters()
@@ -196,6 +197,7 @@ class Daemon:
         health = self._clock()
         trim = health + _TRIM_NS
         reported: State | None = None
+        rehearsed = False
         while not self._stop.wait(_TICK_S):
             now, last = self._clock(), self._estimator.last
             if not self._crashes.empty() or self._is_over(now):
@@ -203,6 +205,9 @@ class Daemon:
             if last is not None and last.state is not reported:
                 reported = last.state
                 self._report_status(reported)
+                if reported in GOOD and not rehearsed:
+                    rehearsed = True
+                    rehearse(self._plan.calibration, self._config.features)
             if now >= health:
                 health = now + int(1e9 * self._config.zenoh.health_period_s)
                 self._report_health()
@@ -311,12 +316,6 @@ class Daemon:
         if last is not None and last.motion.failure == self._camera_reason:
             return _SILENT_PERIOD_S
         return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES * self._capture.rate.used_period_s)
-
-
-def _screen() -> Screen:
-    from ceilvo.daemon.app.screen import Screen  # a service has no terminal
-
-    return Screen()
 
 
 def plan_real(
