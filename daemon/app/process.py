@@ -37,7 +37,6 @@ from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
-from ceilvo.daemon.vision.finder.crossing_finder import rehearse
 from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.namesake import refuse_namesake
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
@@ -50,7 +49,7 @@ from ceilvo.drivers.host.systemd_notify import Notifier
 from ceilvo.drivers.ports import Base, Camera
 from ceilvo.errors import CeilvoError
 from ceilvo.files import write_atomic
-from ceilvo.types import GOOD, State
+from ceilvo.types import State
 
 if TYPE_CHECKING:
     from ceilvo.daemon.app.screen import Screen
@@ -197,7 +196,6 @@ class Daemon:
         health = self._clock()
         trim = health + _TRIM_NS
         reported: State | None = None
-        rehearsed = False
         while not self._stop.wait(_TICK_S):
             now, last = self._clock(), self._estimator.last
             if not self._crashes.empty() or self._is_over(now):
@@ -205,9 +203,6 @@ class Daemon:
             if last is not None and last.state is not reported:
                 reported = last.state
                 self._report_status(reported)
-                if reported in GOOD and not rehearsed:
-                    rehearsed = True
-                    rehearse(self._plan.calibration, self._config.features)
             if now >= health:
                 health = now + int(1e9 * self._config.zenoh.health_period_s)
                 self._report_health()

@@ -80,16 +80,6 @@ class CrossingFinder:
         return crossings
 
 
-def rehearse(calibration: Calibration, config: Features) -> None:
-    """Look at a black picture once, with eyes of its own.
-
-    What looks for points is first needed when something goes wrong, and code that comes from a disk then takes longer
-    than a robot has until a bad frame must be told (measured on the virtual robot: 300 ms for the first black frame).
-    """
-    black = np.zeros((calibration.camera.height_px, calibration.camera.width_px), np.uint8)
-    CrossingFinder(calibration, config)(Frame(0, 0, black), None)
-
-
 def _raster(height: int, width: int) -> Ints:
     """(_SAMPLES_A_SIDE^2,) pixels of an even raster, counted row after row."""
     rows, columns = (np.linspace(0, n - 1, _SAMPLES_A_SIDE + 2)[1:-1].astype(np.int64) for n in (height, width))

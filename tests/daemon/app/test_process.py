@@ -16,7 +16,6 @@ from subscriber import Subscriber, config_of, free_port
 
 from ceilvo.calibration import Calibration
 from ceilvo.camera import CameraModel
-from ceilvo.daemon.app import process
 from ceilvo.daemon.app.process import Daemon, Plan, run
 from ceilvo.drivers.bus.messages import Pose
 from ceilvo.drivers.camera.mock_camera import Crash, Good, MockCamera
@@ -97,16 +96,6 @@ def test_a_full_map_is_said_once(world: World, base: SimBase) -> None:
     daemon = Daemon(Plan(config, world.calibration, camera), Notifier({}))
     assert daemon.run()["frames"] == 30
     assert len([e for e in daemon.events if "filter.max_landmarks" in e]) == 1
-
-
-def test_what_a_bad_picture_needs_is_rehearsed_once_when_the_place_is_known(
-    world: World, base: SimBase, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rehearsed: list[Calibration] = []
-    monkeypatch.setattr(process, "rehearse", lambda calibration, features: rehearsed.append(calibration))
-    camera = SimCamera(World(WorldSpec(seed=SEED)), 15.0, duration_s=2.0)
-    Daemon(Plan(config_of(world, base.port, free_port()), world.calibration, camera), Notifier({})).run()
-    assert rehearsed == [world.calibration]
 
 
 def test_second_start_uses_the_stored_map(world: World, base: SimBase, tmp_path: Path) -> None:
