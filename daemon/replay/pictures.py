@@ -1,7 +1,8 @@
 """Pictures of the running pipeline, drawn by a process of their own.
 
 Drawing one is 20 ms of Python, which the estimator would wait for in the same process. The other process begins with
-the first picture and ends when nobody has asked for a while, or with the daemon however that ends.
+the first picture and ends when nobody has asked for a while, or with the daemon however that ends. As a service it is
+started by systemd behind a socket, at the lowest priority; else it is a child.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -36,6 +38,9 @@ _END_S = 0.3
 """Patience with its end; chosen."""
 
 
+_SOCKET = "CEILVO_PICTURES"
+"""Environment variable: where systemd starts the process."""
+
 _Question = tuple[View, Landmarks, Array | None]
 
 
@@ -51,7 +56,7 @@ class Pictures:
 
     @property
     def pid(self) -> int | None:
-        """Of the process, while there is one."""
+        """Of a child, while there is one."""
         process = self._process
         return None if process is None or process.poll() is not None else process.pid
 
@@ -85,7 +90,7 @@ class Pictures:
             self._end()
 
     def _answer(self, question: _Question) -> bytes:
-        if self._process is None or self._process.poll() is not None:
+        if self._pipe is None or (self._process is not None and self._process.poll() is not None):
             self._end()
             self._begin()
         assert self._pipe is not None
@@ -96,10 +101,12 @@ class Pictures:
         return self._pipe.recv_bytes()
 
     def _begin(self) -> None:
-        self._pipe, theirs = Pipe()
-        with theirs:
-            words = [sys.executable, "-m", __name__, str(theirs.fileno()), f"{self._idle_s:g}"]
-            self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
+        self._pipe = _behind(os.environ.get(_SOCKET, ""))
+        if self._pipe is None:
+            self._pipe, theirs = Pipe()
+            with theirs:
+                words = [sys.executable, "-m", __name__, str(theirs.fileno()), f"{self._idle_s:g}"]
+                self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
         self._pipe.send(self._calibration)
 
     def _end(self) -> None:
@@ -112,6 +119,16 @@ class Pictures:
                 self._process.kill()
                 self._process.wait()
         self._process = self._pipe = None
+
+
+def _behind(path: str) -> Connection | None:
+    """To the process behind a socket; None where nothing listens."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as s:
+        try:
+            s.connect(path)
+        except OSError:
+            return None
+        return Connection(s.detach())
 
 
 def drawn(view: View, landmarks: Landmarks, predicted: Array | None, calibration: Calibration) -> Image:

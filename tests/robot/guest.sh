@@ -55,7 +55,7 @@ be_found() {
 be_seen() {
   /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$out/pictures.jsonl" "$STEM/image" &
   wait_for 20 test -s "$out/pictures.jsonl" && note picture "$(sed -n '1s/.*"body": "\(.*\)".*/\1/p' "$out/pictures.jsonl")"
-  note artists "$(pgrep -u ceilvo -c -f replay.pictures)"
+  note artists "$(pgrep -c -f replay.pictures) $(ps -o cls= -p "$(pgrep -o -f replay.pictures)" | tr -d " ")"
   kill $!
 }
 

@@ -24,7 +24,7 @@ FED_HZ = 14.0
 RESTART_S = 5.0
 STOP_S = 2.0
 EXPOSURE = 1.1
-_PICTURE = "ffd8ffd9 by 1"
+_PICTURE = "ffd8ffd9 by 1 IDL"
 """Both ends of a JPEG."""
 MIN_SHARE_OF_FRAMES = 0.9
 LENGTH_UNIT_M = 1e-4

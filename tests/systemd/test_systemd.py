@@ -163,6 +163,21 @@ def test_its_memory_is_promised_by_a_slice_of_the_first_rank() -> None:
     assert unit["MemoryMin"] == of_slice["MemoryMin"] == ["192M"]
 
 
+def test_pictures_are_drawn_at_the_lowest_priority_and_closed_in_further_than_the_daemon() -> None:
+    daemon, artist = unit_settings(), unit_settings(UNIT.with_name("ceilvo-pictures@.service"))
+    socket_ = unit_settings(UNIT.with_name("ceilvo-pictures.socket"))
+    assert artist["CPUSchedulingPolicy"] == ["idle"] and artist["Nice"] == ["19"]
+    assert f"CEILVO_PICTURES={socket_['ListenStream'][0]}" in daemon["Environment"]
+    assert "ceilvo-pictures.socket" in daemon["Wants"][0]
+    assert (socket_["SocketUser"], socket_["SocketMode"]) == (daemon["User"], ["0600"])
+    closed = {
+        n for n in daemon if n.startswith(("Protect", "Private", "Restrict", "SystemCall", "NoNew", "Cap", "Mem"))
+    }
+    assert {n for n in closed - {"MemoryMin"} if artist.get(n) != daemon[n]} == {"RestrictAddressFamilies"}
+    assert artist["RestrictAddressFamilies"] == ["AF_UNIX"] and artist["PrivateNetwork"] == ["yes"]
+    assert "DeviceAllow" not in artist and artist["PrivateDevices"] == ["yes"]
+
+
 analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -96,6 +98,54 @@ def test_it_ends_when_nobody_asks_and_comes_back(seen: tuple[View, Landmarks, Ar
         first = made.jpeg(*seen)
         until(lambda: made.pid is None, "nobody asks any more")
         assert made.jpeg(*seen) == first
+
+
+@pytest.fixture
+def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]:
+    """Starts the process for each connection, as systemd does; the processes so far."""
+    path, started = tmp_path / "socket", list[subprocess.Popen[bytes]]()
+    monkeypatch.setenv("CEILVO_PICTURES", str(path))
+    pids: list[int] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
+        listener.bind(str(path))
+        listener.listen()
+
+        def serve() -> None:
+            while True:
+                try:
+                    connection, _ = listener.accept()
+                except OSError:
+                    return
+                with connection:
+                    words = [sys.executable, "-m", "ceilvo.daemon.replay.pictures", "0", "0.2"]
+                    started.append(subprocess.Popen(words, stdin=connection))
+                    pids.append(started[-1].pid)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield pids
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+    for process in started:
+        process.wait()
+
+
+def test_behind_a_socket_it_is_the_same(manager: list[int], seen: tuple[View, Landmarks, Array]) -> None:
+    view, landmarks, pose = seen
+    made = Pictures(WORLD.calibration)
+    with closing(made):
+        first = made.jpeg(*seen)
+        np.testing.assert_array_equal(pixels(first), pixels(jpeg(drawn(view, landmarks, pose, WORLD.calibration))))
+        until(lambda: is_zombie(manager[0]), "nobody asks any more")
+        assert made.jpeg(*seen) == first
+        assert len(manager) == 2 and made.pid is None, "no child"
+
+
+def test_where_nothing_listens_it_is_a_child(
+    made: Pictures, seen: tuple[View, Landmarks, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CEILVO_PICTURES", str(tmp_path / "nobody"))
+    assert made.jpeg(*seen)[:2] == b"\xff\xd8" and made.pid is not None
 
 
 def test_it_ends_with_its_daemon_however_that_ends(seen: tuple[View, Landmarks, Array], tmp_path: Path) -> None:
