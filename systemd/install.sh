@@ -248,7 +248,7 @@ do_install() {
 do_uninstall() {
   [ "$(id -u)" = 0 ] || die "must be run as root: sudo $0 uninstall"
   local cmd
-  if [ -z "$root" ] && [ -e "$UNIT" ]; then systemctl disable --now --quiet ceilvod.service ceilvo-modules.service || true; fi
+  if [ -z "$root" ] && [ -e "$UNIT" ]; then systemctl disable --now --quiet ceilvod.service ceilvo-modules.service ceilvo-pictures.socket || true; fi
   if [ -z "$root" ] && [ -e "$MAPD_UNIT" ]; then systemctl disable --now --quiet ceilvo-mapd.service || true; fi
   if [ -z "$root" ] && [ -e "$WEB_UNIT" ]; then systemctl disable --now --quiet ceilvo-web.service || true; fi
   rm -f "$root$WEB_UNIT" "$root$WEB_SYSUSERS"

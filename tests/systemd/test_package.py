@@ -115,7 +115,8 @@ def test_an_upgrade_restarts_what_runs_and_starts_nothing(tmp_path: Path) -> Non
     assert said == "0 " and log == []
     _, log = run_script("prerm", "remove", tmp_path=tmp_path)
     units = ("ceilvod", "ceilvo-web", "ceilvo-mapd", "ceilvo-modules")
-    assert log == ["deb-systemd-invoke stop " + " ".join(f"{name}.service" for name in units)]
+    stopped = [*(f"{name}.service" for name in units), "ceilvo-pictures.socket"]
+    assert log == ["deb-systemd-invoke stop " + " ".join(stopped)]
 
 
 def test_it_is_not_installed_over_the_installers_copy(tmp_path: Path) -> None:
