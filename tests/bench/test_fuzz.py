@@ -1,4 +1,4 @@
-"""Mutated input into every reader for a minute of processor time: our own errors, soon, and in little memory.
+"""Mutated input into every reader for 40 s of processor time: our own errors, soon, and in little memory.
 
 FUZZ_SECONDS=600 takes longer, FUZZ_SEED=7 tries others. `make fuzz` is the same by coverage, ten minutes each.
 """
