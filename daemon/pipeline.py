@@ -29,7 +29,7 @@ from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState
 from ceilvo.daemon.relocalisation.floors import Floors
-from ceilvo.daemon.relocalisation.relocaliser import RelocaliserState
+from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
 from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore

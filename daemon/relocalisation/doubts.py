@@ -95,13 +95,14 @@ class Doubt:
         there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
         return np.asarray(np.maximum(there - near, LEAST))
 
-    def alignment(self, here: Array, tile_m: Array) -> float:
+    def alignment(self, here: Array, tile_m: Array, turned: bool = True) -> float:
         """Log-likelihood ratio of tiles that lie as the pose says, off by `here` (3,), against tiles that lie anyhow.
 
-        A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle.
+        A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle; not
+        turned: by none, for another ceiling hangs along the same walls.
         """
         var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
-        period = np.array([*tile_m, 0.5 * np.pi])
+        period = np.array([*tile_m, 0.5 * np.pi if turned else 0.0])
         fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
         return float(np.clip(np.sum(fits[period > 0.0]), -MOST_ALIGNED, MOST_ALIGNED))
 

@@ -10,7 +10,7 @@ from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import REACH_M
 from ceilvo.daemon.slam.association import Near
 from ceilvo.se2 import transform
-from ceilvo.types import Array, Observations, Pose
+from ceilvo.types import NO_LANDMARK, Array, Observations, Pose
 
 HALF = 0.5
 """A view of which the map explains less teaches nothing."""
@@ -23,16 +23,29 @@ FARTHEST_M = 1.0
 """No feature is matched with a landmark further off: the largest filter.association_gate_m."""
 
 
-def of_sure_place(view: Observations, pose: Array, coverage: Coverage) -> Observations | None:
-    """A view from a pose (3,) that is sure: all of it, or None where the map knows the ground but not what is there."""
+def of_sure_place(view: Observations, pose: Array, coverage: Coverage, near: Near | None = None) -> Observations | None:
+    """A view from a pose (3,) that is sure: all of it, or None where the map knows the ground but not what is there.
+
+    Where half of it lies on its landmarks and a part does not, that part is of others: tiles that were hung anew
+    took the pose along, by a part of a tile.
+
+    Args:
+        near: of the map; None: whatever is labelled is matched.
+    """
     known = coverage.knows(transform(Pose(pose), view.xy_base_m))
     count = int(np.count_nonzero(known))
-    strange = count >= FEWEST_KNOWN and np.count_nonzero((view.label >= 0) & known) < HALF * count
+    matched = view.label >= 0
+    if near is not None and np.any(matched):
+        fits = np.hypot(*_residuals(view.of(matched), pose, near).T) <= REACH_M
+        if HALF <= np.mean(fits) < CONVINCING:
+            matched[matched] = fits
+            view = replace(view, label=np.where(matched, view.label, NO_LANDMARK))
+    strange = count >= FEWEST_KNOWN and np.count_nonzero(matched & known) < HALF * count
     return None if strange else view
 
 
 def of_doubtful_place(
-    view: Observations, pose: Array, coverage: Coverage, submap: bool, near: Near | None = None
+    view: Observations, pose: Array, coverage: Coverage, submap: bool, near: Near | None = None, led: bool = False
 ) -> Observations | None:
     """A view from a pose (3,) that is in doubt: what is matched where nearly all is, and what nobody has mapped.
 
@@ -40,12 +53,18 @@ def of_doubtful_place(
 
     Args:
         submap: what is learnt goes into a map of its own.
-        near: of the map, where another place is likelier: all places move with this one, so what would put it right
-            and them wrong is not told.
+        near: of the map: a feature that lies further off than a place is known is another one, as of tiles that were
+            hung anew; None: whatever is labelled is matched.
+        led: another place is likelier: all places move with this one, so what would put it right and them wrong is not
+            told.
     """
     matched = view.label >= 0
+    if near is not None and np.any(matched):
+        off = _residuals(view.of(matched), pose, near)
+        led = led and bool(np.hypot(*np.median(off, axis=0)) > REACH_M)
+        matched[matched] = np.hypot(*off.T) <= REACH_M
     convincing = np.count_nonzero(matched) >= CONVINCING * len(view)
-    if convincing and (near is None or _lies_there(view.of(matched), pose, near)):
+    if convincing and not led:
         return replace(view.of(matched), visible_m=np.empty((0, 2)))
     known = coverage.knows(transform(Pose(pose), view.xy_base_m))
     if not submap or np.count_nonzero(known) >= FEWEST_KNOWN:
@@ -53,9 +72,8 @@ def of_doubtful_place(
     return replace(view.of(~known), visible_m=np.empty((0, 2)))
 
 
-def _lies_there(view: Observations, pose: Array, near: Near) -> bool:
-    """Whether labelled features, seen from a pose (3,), are where their landmarks are."""
+def _residuals(view: Observations, pose: Array, near: Near) -> Array:
+    """(K, 2) of labelled features, seen from a pose (3,), to their landmarks."""
     at = transform(Pose(pose), view.xy_base_m)
     labels, landmarks = near(at, FARTHEST_M)
-    off = landmarks.xy_map_m[np.searchsorted(labels, view.label)] - at
-    return bool(np.hypot(*np.median(off, axis=0)) <= REACH_M)
+    return np.asarray(landmarks.xy_map_m[np.searchsorted(labels, view.label)] - at)

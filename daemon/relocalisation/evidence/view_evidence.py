@@ -160,6 +160,10 @@ class ViewEvidence:
         views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
         return np.asarray((1.0 - np.minimum(views / VIEWS, 1.0)) @ speaks / max(float(np.sum(speaks)), _TINY))
 
+    def known(self, poses: Array) -> Array:
+        """(M,) share of what is weighed that poses (M, 3) see on ground that the map knows."""
+        return np.asarray(np.mean(self._around.coverage.knows(_moved(poses, self._view.xy_base_m)), axis=1))
+
     def _speaks_for(self, pose: Array, grid: TypeGrid) -> Array:
         """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
         at, types = _moved(pose, self._view.xy_base_m), self._types[self._turns(pose)]
