@@ -8,15 +8,14 @@ from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
-from ceilvo.daemon.relocalisation.doubts import Doubt
+from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief, of_tracked
-from ceilvo.daemon.relocalisation.prior import log_odds_of_found
 from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
@@ -32,7 +31,7 @@ CONTRADICTION = "what is seen contradicts the map"
 AMBIGUOUS = "ambiguous"
 """Begins the reason while several places of the map are likely."""
 NOT_THIS_MAP = "not this map"
-"""Begins the reason while the robot is most likely where the map does not know, see evidence/not_this_map.py."""
+"""Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
@@ -265,6 +264,9 @@ class Relocaliser:
             known = float(evidence.known(expected[None])[0])
             self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
         s.belief.doubt_unknown(unknown)
+        s.listed = (
+            (s.listed or s.began == 0.0) and lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
+        )
         s.pending = None
         s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
@@ -277,7 +279,7 @@ class Relocaliser:
         tracked pose (3,), moved onto its place where that lies a few centimetres off."""
         s = self.state
         found = s.survey.index.candidates(view, most=MOST_FOUND)
-        s.belief.cut = not found.complete
+        s.belief.cut = not (found.complete or s.listed)
         if not len(found):
             return pose
         poses = s.survey.index.refined(found.pose, view)

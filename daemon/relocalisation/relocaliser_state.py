@@ -8,7 +8,7 @@ import numpy as np
 
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.not_this_map import NotThisMapState
+from ceilvo.daemon.relocalisation.not_this_map import NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.schedule import ScheduleState
@@ -34,6 +34,7 @@ class RelocaliserState:
         survey: of the map, to find a place on it.
         schedule: when a view is news.
         not_this_map: whether the robot is on the map at all.
+        listed: all places where the robot may be were listed one by one; what the index leaves out is none of them.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -53,3 +54,4 @@ class RelocaliserState:
     survey: MapSurvey = field(default_factory=MapSurvey)
     schedule: ScheduleState = field(default_factory=ScheduleState)
     not_this_map: NotThisMapState = field(default_factory=NotThisMapState)
+    listed: bool = False

@@ -324,8 +324,10 @@ def _tables(chance: Chance, least_unmapped: float) -> tuple[Array, Array, Array]
     mistaken = TYPE_MISTAKEN[:, None]
     known = np.log(1.0 - unmapped)
     out: list[list[Array]] = [[], [], []]
+    held = np.where(chance.rare[:, None], 1.0 - unmapped, 1.0)  # what the map lacks it lacks at wrong places, too
     for wrong in chance.seen_at_wrong_places:
-        same, other, none = (np.log(p)[:, None] for p in wrong)
+        same, other = (np.log(p[:, None] * held) for p in wrong[:2])
+        none = np.log(1.0 - (wrong[0] + wrong[1])[:, None] * held)
         out[0].append(known + np.log(1.0 - mistaken) - same)
         out[1].append(known + np.log(mistaken) - other)
         out[2].append(np.minimum(np.log(np.maximum(unmapped, least_unmapped)) - none, 0.0))

@@ -6,9 +6,9 @@ import pytest
 from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked
+from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.se2 import inverse, transform
 from ceilvo.types import Array, Landmarks, Observations

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.doubts import Doubt
+from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_poses
@@ -39,8 +40,6 @@ SPOILT = 0.001
 picture; chosen."""
 HALF = 0.5
 """A view of which the map knows less of the ground is from there."""
-_PLACES_PER_M2 = 4.0 / 0.6**2
-"""As of prior.py: four headings on every tile of 0.6 m."""
 _NEVER = -np.inf
 _CELL_M = 0.1
 _LEAST_M2 = 1e-3
@@ -78,7 +77,7 @@ class NotThisMapState:
     view_m2: float = 0.0
     places: Array = field(default_factory=lambda: np.zeros((1, 3)))
     ratio: Array = field(default_factory=lambda: np.zeros((1, 0, 2)))
-    on: Array = field(default_factory=lambda: np.zeros((1, 0), bool))
+    on: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((1, 0), bool))
     odds: float = np.inf
     said: bool = False
     times: int = 0
@@ -133,7 +132,7 @@ class NotThisMap:
     def begin(self, unknown: float, area_m2: float, beyond: float) -> None:
         """With a doubt: log-odds of unknown ground against the tracked place, ground that the map knows, and the share
         of it that lies further off than rivals are listed one by one."""
-        each = unknown - float(np.log(max(area_m2, 1.0) * _PLACES_PER_M2))
+        each = unknown - float(np.log(max(area_m2, 1.0) * PLACES_PER_M2))
         beyond = unknown + float(np.log(beyond)) if beyond > 0.0 else _NEVER
         self.state = NotThisMapState(area_m2, unknown, beyond, each, times=self.state.times)
 
