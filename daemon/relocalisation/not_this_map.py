@@ -125,7 +125,8 @@ class NotThisMap:
         if lattice is not None:
             reach_m = lattice.reach_m(listed_m)
             off = offset(lattice.aligned(pose, view), pose)
-            unknown -= doubt.alignment(off, lattice.tile_m, turned=False) if doubt.unmeasured else 0.0
+            fits = doubt.alignment(off, lattice.tile_m, turned=False) if doubt.unmeasured else 0.0
+            unknown -= max(fits, 0.0)  # tiles that do not lie so are features without landmarks, and count as those
         beyond = ground.share_beyond(pose[:2], reach_m) if doubt.anywhere else 0.0
         self.begin(unknown, ground.area_m2, beyond)
 
