@@ -310,11 +310,12 @@ class Relocaliser:
 
     def _decided(self, pose: Array) -> bool:
         s = self.state
-        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
+        said = self._on_map.said  # then no place of the map is likely enough, whatever the belief has of this one
+        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not said else None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
-        if s.belief.doubt() >= self._rate:
+        if s.belief.doubt() >= self._rate or said:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.submap_from, s.leads = "", 0.0, None, np.zeros((0, 3))
