@@ -51,7 +51,7 @@ class Lattice:
 
     def reach_m(self, reach_m: float) -> float:
         """How far shifts within reach are listed along both axes."""
-        return min(reach_m, *(MOST_SHIFTS // 2 * t for t in self.tile_m if t > 0))
+        return float(min(reach_m, *(MOST_SHIFTS // 2 * t for t in self.tile_m if t > 0)))
 
     def shifts(self, reach_m: float) -> Array:
         """(S, 2) all whole tiles within reach, none of them zero."""

@@ -230,10 +230,10 @@ class NotThisMap:
         return np.asarray(np.logaddexp.reduce(np.log(CHANGED_CHANCE) + np.sum(each, axis=-1), axis=-1))
 
 
-def _same(places: Array, known: Array) -> Array:
+def _same(places: Array, known: Array) -> NDArray[np.bool_]:
     """(N,) whether places (N, 3) are among known ones (M, 3)."""
     keys = [np.round(p / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64) for p in (places, known)]
     for key in keys:
         key[:, 2] %= 4
     rows = {tuple(row) for row in keys[1].tolist()}
-    return np.array([tuple(row) in rows for row in keys[0].tolist()], bool)
+    return np.array([tuple(row) in rows for row in keys[0].tolist()], np.bool_)
