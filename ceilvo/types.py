@@ -55,8 +55,7 @@ class State(IntEnum):
     STOPPED = 6
 
 
-GOOD = (State.TRACKING, State.DEGRADED)
-"""The ceiling says where the robot is."""
+GOOD = (State.TRACKING, State.DEGRADED)  # the ceiling says where the robot is
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +74,12 @@ class Lines:
     Lines of axis 0 have their normal n at psi, those of axis 1 at psi + 90 deg.
 
     Attributes:
-        psi_rad: dominant direction in base, in [-pi/4, pi/4).
-        psi_sigma_rad: its standard deviation.
+        psi_rad, psi_sigma_rad: dominant direction in base, in [-pi/4, pi/4), and its standard deviation.
         axis: (L,) 0 or 1.
-        offset_px: (L,) distance from the level view's principal point along the normal.
-        sigma_px: (L,) standard deviation of the offset.
+        offset_px, sigma_px: (L,) distance from the level view's principal point along the normal, and its sigma.
         kind: (L,) LineKind.
         support: (L,) edge points in the fit.
-        tilt_rad: (2,) rotation of the camera about base x and y against its calibration, estimated in the same fit.
-        tilt_sigma_rad: (2,) its standard deviation.
+        tilt_rad, tilt_sigma_rad: (2,) rotation of the camera about base x and y against its calibration, and sigma.
         free_tilt_rad, free_tilt_sigma_rad: (2,) the same from this frame alone.
         points: (P, 2) px, edge points in the level view that support a line, for pictures and coverage checks.
         point_line: (P,) index of their line.

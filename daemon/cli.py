@@ -238,7 +238,7 @@ def _run_simulated(options: argparse.Namespace) -> int:
     believed = None if options.calibration is None else read_calibration(options.calibration)
     summary = options.summary or DEFAULT_SUMMARY
     tilt_rad = math.radians(options.tilt_deg)
-    with simulation(config, options.seed, options.seconds, summary, True, believed, tilt_rad) as plan:
+    with simulation(config, options.seed, options.seconds, summary, believed, tilt_rad) as plan:
         return app.run(replace(plan, record=options.record))
 
 

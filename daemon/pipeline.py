@@ -6,6 +6,7 @@ run, a replay and a test do the same.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -272,18 +273,19 @@ class Pipeline:
         map_axis_rad: float,
         pose: Pose,
         cov: Array,
-        recent: bool = False,
+        ago_s: float = math.inf,
         elsewhere: float = 0.0,
         floors: Floors | None = None,
     ) -> None:
-        """Start on a map of an earlier run, which ended just now or long ago; the pose is to be confirmed.
+        """Start on a map of an earlier run; the pose is to be confirmed.
 
         Args:
+            ago_s: since the pose was stored; inf where nobody knows.
             elsewhere: that run's own.
             floors: of the map, in whose common frame all else is; None for one.
         """
         self.relocaliser.floor_tracker.state = FloorTrackerState(floors or Floors())
-        doubt = doubts.of_stored(cov, recent, elsewhere)
+        doubt = doubts.of_stored(cov, ago_s, elsewhere)
         self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, doubt)
         self._begin("stored map and pose, to be confirmed")
 

@@ -1,4 +1,4 @@
-"""Image files as grey pixels; ceilvo/__init__.py limits their size, of which a few hundred bytes may say a gigabyte."""
+"""Image files; ceilvo/__init__.py limits their size, of which a few hundred bytes may say a gigabyte."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 Gray = NDArray[np.uint8]
 
+_JPEG_QUALITY = 80
+"""Of 100, of pictures that are to look at; chosen."""
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the calibration knows the sensor's rows and columns
 
 
@@ -21,3 +23,9 @@ def decoded(data: bytes | Gray) -> Gray | None:
     except cv2.error:
         return None
     return None if image is None else np.asarray(image, np.uint8)
+
+
+def jpeg(image: Gray) -> bytes:
+    """A picture to look at: (H, W) grey or (H, W, 3) BGR."""
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+    return np.asarray(data, np.uint8).tobytes()

@@ -26,6 +26,7 @@ CONF=/etc/ceilvo
 STATE=/var/lib/ceilvo
 UNIT=/etc/systemd/system/ceilvod.service
 MODULES_UNIT=/etc/systemd/system/ceilvo-modules.service
+SLICE_UNIT=/etc/systemd/system/ceilvo.slice
 WANTED=/etc/systemd/system/multi-user.target.wants/ceilvod.service
 RULES=/etc/udev/rules.d/60-ceilvo.rules
 SYSUSERS=/etc/sysusers.d/ceilvo.conf
@@ -150,7 +151,7 @@ install_share() {
   local f
   install -d "$1"
   install -m755 "$here/install.sh" "$here/network.sh" "$1/"
-  for f in ceilvod.service ceilvo-modules.service ceilvo-mapd.service ceilvo-web.service 60-ceilvo.rules sysusers.conf sysusers-mapd.conf sysusers-web.conf; do
+  for f in ceilvod.service ceilvo-modules.service ceilvo.slice ceilvo-mapd.service ceilvo-web.service 60-ceilvo.rules sysusers.conf sysusers-mapd.conf sysusers-web.conf; do
     install -m644 "$here/$f" "$1/$f"
   done
   for f in "$here/service.md" "$here/../docs/service.md" "$here/fleet.md" "$here/../docs/fleet.md" "$here/web.md" "$here/../docs/web.md"; do
@@ -201,6 +202,7 @@ install_service() {
   install -D -m644 "$here/60-ceilvo.rules" "$root$RULES"
   put_unit "$root$UNIT"
   put_unit "$root$MODULES_UNIT"
+  put_unit "$root$SLICE_UNIT"
   install -d "$root${WANTED%/*}"
   ln -sfn "$UNIT" "$root$WANTED"
   install -d -m750 "$root$STATE"
@@ -247,7 +249,7 @@ do_uninstall() {
   if [ -z "$root" ] && [ -e "$WEB_UNIT" ]; then systemctl disable --now --quiet ceilvo-web.service || true; fi
   rm -f "$root$WEB_UNIT" "$root$WEB_SYSUSERS"
   rm -rf "$root$WEB_UNIT.d"
-  rm -f "$root$WANTED" "$root$UNIT" "$root$MODULES_UNIT" "$root$RULES" "$root$SYSUSERS" "$root$MAPD_UNIT" "$root$MAPD_SYSUSERS"
+  rm -f "$root$WANTED" "$root$UNIT" "$root$MODULES_UNIT" "$root$SLICE_UNIT" "$root$RULES" "$root$SYSUSERS" "$root$MAPD_UNIT" "$root$MAPD_SYSUSERS"
   rm -rf "$root$UNIT.d" "$root$MAPD_UNIT.d"
   for cmd in $COMMANDS; do
     if [ "$(readlink "$root/usr/local/bin/$cmd" || true)" = "$APP/bin/$cmd" ]; then rm -f "$root/usr/local/bin/$cmd"; fi

@@ -15,13 +15,16 @@ from rich.console import Console
 from rich.table import Table
 
 from ceilvo.bench.fusion.conditions import CONDITIONS
-from ceilvo.bench.fusion.run import Case, as_key, from_key, run_case
+from ceilvo.bench.fusion.run import Case, alike, as_key, from_key, run_case
 from ceilvo.bench.fusion.senses import OUTFITS
+from ceilvo.bench.results.paired import Difference, difference
 from ceilvo.bench.results.store import Result, Store, exit_code, fingerprint, run_all
 from ceilvo.tasks.workers import Workers
 
 FIRST_FIGURE_SEED = 1000
 """Lower ones are for tuning."""
+_NO_FIGURES = ("command.py", "motion.py")
+"""Sources that a drive's figures do not depend on."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,14 +42,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(a: argparse.Namespace) -> None:
-    files = [f.relative_to(f.parents[1]).as_posix() for f in sorted(Path(__file__).parent.glob("*.py"))]
+    sources = [f for f in sorted(Path(__file__).parent.glob("*.py")) if f.name not in _NO_FIGURES]
+    files = [f.relative_to(f.parents[1]).as_posix() for f in sources]
     store = Store(a.out / "fusion.jsonl", fingerprint(files), from_key)
     seeds = range(a.first, a.first + a.seeds)
-    cases = [Case(o, c, s) for s in seeds for c in a.conditions for o in a.outfits]
+    starts = alike(a.conditions)
+    cases = [Case(o, names, s) for s in seeds for names in starts for o in a.outfits]
     run_all(store, cases, as_key, run_case, Workers(a.jobs))
-    for condition in a.conditions:
-        found = {o: [store.results[Case(o, condition, s)] for s in seeds] for o in a.outfits}
-        Console(width=140).print(_table(condition, found))
+    for names in starts:
+        for condition in names:
+            found = {o: [store.results[Case(o, names, s)][condition] for s in seeds] for o in a.outfits}
+            Console(width=140).print(_table(condition, found))
+    for names in starts:
+        for condition in names:
+            found = {o: [store.results[Case(o, names, s)][condition] for s in seeds] for o in a.outfits}
+            Console(width=140).print(_compared(condition, found))
 
 
 def _table(condition: str, found: dict[str, list[Result]]) -> Table:
@@ -71,3 +81,32 @@ def _table(condition: str, found: dict[str, list[Result]]) -> Table:
             ]
         out.add_row(outfit, *row)
     return out
+
+
+def _compared(condition: str, found: dict[str, list[Result]]) -> Table:
+    """What a sense more changes, seed by seed, with standard errors."""
+    out = Table("sense", "added to", "error, factor", "deg, factor", "usable s", "wrong s", "", title=condition)
+    for more, less in pairs_of(list(found)):
+        (sense,) = set(OUTFITS[more]) - set(OUTFITS[less])
+        ratios = [_logarithms(found, more, less, name) for name in ("rms_m", "rms_rad")]
+        usable, wrong = (_difference(found, more, less, name) for name in ("claimed_s", "wrong_s"))
+        clear = [-ratios[0].clear, -ratios[1].clear, usable.clear, -wrong.clear]
+        verdict = ("helps" if 1 in clear else "") + (" and " if {1, -1} <= set(clear) else "")
+        verdict += "hurts" if -1 in clear else ""
+        factors = [f"{np.exp(r.mean):.3f} ± {np.exp(r.mean) * r.error:.3f}" for r in ratios]
+        out.add_row(sense, less, *factors, str(usable), str(wrong), verdict or "as without")
+    return out
+
+
+def pairs_of(outfits: Sequence[str]) -> list[tuple[str, str]]:
+    """Outfits of which the first has one sense more than the second, and all of its."""
+    worn = {o: set(OUTFITS[o]) for o in outfits}
+    return [(a, b) for a in outfits for b in outfits if worn[b] < worn[a] and len(worn[a]) == len(worn[b]) + 1]
+
+
+def _difference(found: dict[str, list[Result]], more: str, less: str, name: str) -> Difference:
+    return difference(*(np.array([r[name] for r in found[o]]) for o in (more, less)))
+
+
+def _logarithms(found: dict[str, list[Result]], more: str, less: str, name: str) -> Difference:
+    return difference(*(np.log([r[name] for r in found[o]]) for o in (more, less)))

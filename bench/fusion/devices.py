@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import threading
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -33,13 +36,23 @@ _GYRO_RADPS, _GYRO_WALK, _GYRO_BIAS, _GYRO_SCALE = np.radians(0.01), np.radians(
 a robot, temperature-compensated; chosen."""
 
 
+class _Track(WheelTrack):
+    """Can be copied, with a lock of its own, for drives that share their start."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Track:
+        out = copy.copy(self)
+        for name, value in vars(self).items():
+            setattr(out, name, copy.deepcopy(value, memo) if name != "_lock" else threading.Lock())
+        return out
+
+
 class WheelsDevice:
     """Differential drive: two wheels of unknown scales, reckoned with as the base was built."""
 
     beacons = Beacons()
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self._rng, self.track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
+        self._rng, self.track = rng, _Track(samples=_SAMPLES, seamless=True)
         self.scales, track = 1.0 + _SCALE_SIGMA * rng.standard_normal(2), 1.0 + _SCALE_SIGMA * rng.standard_normal()
         self.track_m = TRACK_M * track
         self._odom, self._heading = np.zeros(3), 0.0
@@ -76,7 +89,7 @@ class GyroDevice:
     beacons = Beacons()
 
     def __init__(self, rng: np.random.Generator, config: Config) -> None:
-        self._rng, self._track = rng, WheelTrack(samples=_SAMPLES, seamless=True)
+        self._rng, self._track = rng, _Track(samples=_SAMPLES, seamless=True)
         self._noise = float(np.radians(config.senses.gyro_noise_dps)) ** 2
         self.bias, self.scale = _GYRO_BIAS * rng.standard_normal(), 1.0 + _GYRO_SCALE * rng.standard_normal()
         self._angle, self._ticks = 0.0, 0

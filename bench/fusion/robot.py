@@ -48,39 +48,52 @@ class Moment:
 
 
 class Ride:
-    """Iterate once; the robot cruises from goal to goal and rests now and then, until its condition begins."""
+    """Iterate to go on; the robot cruises from goal to goal and rests now and then, until its condition begins.
+
+    Attributes:
+        condition: may be another one until it begins: what is before does not depend on it.
+    """
 
     def __init__(self, room: Rect, map_from_room: Array, condition: Condition, rng: np.random.Generator) -> None:
-        self._condition, self._map_from_room, self._rng = condition, map_from_room, rng
+        self.condition, self._map_from_room, self._rng = condition, map_from_room, rng
         self._driver = Driver(room, False, SPEED_MPS, rng)
         self._room_pose = self._driver.start()
         self._way_m = 0.0
         self._turn_radps = 0.0
-        self._carry = np.array([condition.carried_m, 0.0, rng.uniform(-1.0, 1.0) * _CARRY_TURN_RAD]) / CARRY_S
+        self._carry_turn_rad = float(rng.uniform(-1.0, 1.0)) * _CARRY_TURN_RAD
+        self._ticks = 0
+
+    @property
+    def begins(self) -> bool:
+        """Whether the condition begins with the next moment, or has begun."""
+        return self._ticks >= round(BEGIN_S / TICK_S)
 
     def __iter__(self) -> Iterator[Moment]:
-        c = self._condition
-        begin = round(BEGIN_S / TICK_S)
-        for k in range(begin + round(c.seconds / TICK_S)):
-            if k == begin:
-                self._way_m = 0.0
-                self._head_on()
-            since_s = k * TICK_S - BEGIN_S
-            lifted = c.carried_m > 0.0 and 0.0 <= since_s < CARRY_S
-            moved = self._carried(since_s) if lifted else self._driven(since_s)
-            self._room_pose = np.asarray(se2.compose(self._room_pose, moved))
-            self._way_m += float(np.hypot(moved[0], moved[1]))
-            on = since_s >= 0.0
-            yield Moment(
-                time_s=(k + 1) * TICK_S,
-                ns=10**9 + round(1e9 * TICK_S * (k + 1)),
-                pose=np.asarray(se2.compose(self._map_from_room, self._room_pose)),
-                moved=moved,
-                lifted=lifted,
-                slip=c.slip_share if on and self._way_m <= c.slip_m else 0.0,
-                dark=lifted or (on and since_s < c.dark_s) or abs(float(moved[2])) > BLUR_RADPS * TICK_S,
-                bare=on and self._way_m <= c.bare_m,
-            )
+        while self._ticks < round(BEGIN_S / TICK_S) + round(self.condition.seconds / TICK_S):
+            yield self._next()
+
+    def _next(self) -> Moment:
+        c, k = self.condition, self._ticks
+        if k == round(BEGIN_S / TICK_S):
+            self._way_m = 0.0
+            self._head_on()
+        self._ticks += 1
+        since_s = k * TICK_S - BEGIN_S
+        lifted = c.carried_m > 0.0 and 0.0 <= since_s < CARRY_S
+        moved = self._carried(since_s) if lifted else self._driven(since_s)
+        self._room_pose = np.asarray(se2.compose(self._room_pose, moved))
+        self._way_m += float(np.hypot(moved[0], moved[1]))
+        on = since_s >= 0.0
+        return Moment(
+            time_s=(k + 1) * TICK_S,
+            ns=10**9 + round(1e9 * TICK_S * (k + 1)),
+            pose=np.asarray(se2.compose(self._map_from_room, self._room_pose)),
+            moved=moved,
+            lifted=lifted,
+            slip=c.slip_share if on and self._way_m <= c.slip_m else 0.0,
+            dark=lifted or (on and since_s < c.dark_s) or abs(float(moved[2])) > BLUR_RADPS * TICK_S,
+            bare=on and self._way_m <= c.bare_m,
+        )
 
     def _head_on(self) -> None:
         """No rest in what follows, and a goal far enough off: what happens needs a stretch of way."""
@@ -89,7 +102,7 @@ class Ride:
         d.head_for(corners[int(np.argmax(np.hypot(*(corners - at).T)))])
 
     def _driven(self, since_s: float) -> Array:
-        c = self._condition
+        c = self.condition
         spins_s = 2.0 * np.pi * c.spins / c.spin_radps if c.spins else 0.0
         if since_s >= 0.0 and self._turn_radps >= 0.0 and (since_s < spins_s or self._turn_radps > 0.0):
             want = c.spin_radps if since_s < spins_s else 0.0
@@ -103,7 +116,8 @@ class Ride:
         self._driver.stop()
         inside = self._driver.low, self._driver.high
         sway = 2.0 * np.pi * _WOBBLE_HZ * _WOBBLE_RAD * np.cos(2.0 * np.pi * _WOBBLE_HZ * since_s)
-        moved = np.asarray(se2.driven(self._carry + np.array([0.0, 0.0, sway]), np.array([TICK_S]))[0])
+        carry = np.array([self.condition.carried_m, 0.0, self._carry_turn_rad]) / CARRY_S
+        moved = np.asarray(se2.driven(carry + np.array([0.0, 0.0, sway]), np.array([TICK_S]))[0])
         there = se2.compose(self._room_pose, moved)
         if np.all(there[:2] > inside[0]) and np.all(there[:2] < inside[1]):
             return moved

@@ -21,6 +21,7 @@ from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.odometry.rigid import rigid_motion
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
+from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.daemon.replay.inputs import Sighting
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Array, Crossings, Estimate, Ints, Landmarks, Pose
@@ -101,7 +102,7 @@ def mapped(
         if number:
             known, axis = pipeline.landmarks(), pipeline.relocaliser.state.map_axis_rad or 0.0
             pipeline = Pipeline(believed, config, rng.spawn(1)[0])
-            pipeline.load_map(known, axis, Pose(way[0]), _SURE, recent=True)
+            pipeline.load_map(known, axis, Pose(way[0]), _SURE, ago_s=JUST_NOW_S)
         else:
             pipeline.set_pose(Pose(way[0]), _SURE, "put here")
         seen = sightings(eye, way, believed, true, rng.spawn(1)[0])
@@ -123,7 +124,7 @@ def localised(
     """Every estimate of a drive (K, 3) on a known map that lies so on the truth, begun where the robot is."""
     pipeline = Pipeline(calibration, config, rng.spawn(1)[0])
     start = se2.compose(se2.inverse(truth_from_map), way[0])
-    pipeline.load_map(known, axis_rad, Pose(np.asarray(start)), _SURE, recent=True)
+    pipeline.load_map(known, axis_rad, Pose(np.asarray(start)), _SURE, ago_s=JUST_NOW_S)
     seen = sightings(eye, way, calibration, simulated_calibration(), rng.spawn(1)[0])
     return [pipeline.step_crossings(s.stamp_ns, s.crossings, s.wheels) for s in seen]
 

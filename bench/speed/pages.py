@@ -1,10 +1,12 @@
-"""The estimator with three live pages open and with none: frame rate and age of poses, in paired stretches.
+"""The estimator with three live pages of it open and with none: frame rate and age of poses, in paired stretches.
 
 python -m ceilvo.bench.speed.pages --pairs 8 --seconds 20
 
 The simulated robot and `ceilvod web`, at the priority of its unit, share one processor; three Chromiums, each with a
-page on its screen, have the other, for they are on somebody's laptop. Which of a pair comes first changes from pair
-to pair. An age is from the frame's stamp, the start of its exposure, until a subscriber has the pose.
+page on its screen, have the other, for they are on somebody's laptop. Programs on one processor slow another down by
+the memory that they share, so the browsers are there in both stretches of a pair: in one they show this robot, in the
+other one a second robot, which runs beside them. Which comes first changes from pair to pair. An age is from the
+frame's stamp, the start of its exposure, until a subscriber has the pose.
 """
 
 from __future__ import annotations
@@ -40,8 +42,8 @@ _SETTLED_S = 4.0
 _OPENED_S = 60.0
 _WEB_NICE = 10
 """As systemd/ceilvo-web.service."""
-_LISTENER_NICE = -10
-"""Who takes the times must not wait for the pages."""
+_LISTENER_PRIORITY = 1
+"""Of SCHED_FIFO: who takes the times must not wait for browsers, whose own priority is -8; chosen."""
 _NS = 1e-9
 _ESTABLISHED = "01"
 """In /proc/net/tcp."""
@@ -78,19 +80,14 @@ def measured(count: int, seconds: float, rate_hz: float, folder: Path) -> list[t
     Raises:
         CeilvoError: there is no Chromium, or pages do not open.
     """
-    robot, others = _processors()
-    zenoh_port, web_port = free_port(), free_port()
-    said = (f"zenoh.listen=[tcp/127.0.0.1:{zenoh_port}]", "zenoh.multicast=false", f"web.port={web_port}")
-    more = (f"service.state_dir={folder}", f"camera.rate_hz={rate_hz:g}", f"web.state_dir={folder}")
-    settings = [word for setting in (*said, *more) for word in ("--set", setting)]
+    own, others = _processors()
     os.sched_setaffinity(0, others)
     with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, _LISTENER_NICE)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_LISTENER_PRIORITY))
     pairs = []
-    summary = ("--summary", str(folder / "summary.json"))
     with (
-        _program(robot, 0, sys.executable, "-m", "ceilvo.daemon.cli", "run", "--simulate", *summary, *settings),
-        _program(robot, _WEB_NICE, sys.executable, "-m", "ceilvo.daemon.cli", "web", *settings),
+        _robot(own, rate_hz, folder / "own") as (zenoh_port, web_port),
+        _robot(others, rate_hz, folder / "other") as (_, other_web_port),
         contextlib.closing(Listener(zenoh_port)) as listener,
     ):
         if not listener.got_pose.wait(_OPENED_S):
@@ -98,7 +95,7 @@ def measured(count: int, seconds: float, rate_hz: float, folder: Path) -> list[t
         for k in track(range(count), "pairs", console=Console(stderr=True)):
             got: dict[bool, Stretch] = {}
             for open_now in (k % 2 == 0, k % 2 == 1):
-                with _pages(web_port, folder / f"{k}", others) if open_now else contextlib.nullcontext():
+                with _pages(web_port if open_now else other_web_port, folder / f"{k}", others):
                     got[open_now] = _stretch(listener, seconds)
             pairs.append((got[False], got[True]))
     return pairs
@@ -111,8 +108,23 @@ def _processors() -> tuple[set[int], set[int]]:
 
 
 @contextlib.contextmanager
+def _robot(processors: set[int], rate_hz: float, folder: Path) -> Iterator[tuple[int, int]]:
+    """A simulated robot and its pages' server; the ports of Zenoh and of the pages."""
+    zenoh_port, web_port = free_port(), free_port()
+    said = (f"zenoh.listen=[tcp/127.0.0.1:{zenoh_port}]", "zenoh.multicast=false", f"web.port={web_port}")
+    more = (f"service.state_dir={folder}", f"camera.rate_hz={rate_hz:g}", f"web.state_dir={folder}")
+    settings = [word for setting in (*said, *more) for word in ("--set", setting)]
+    summary, program = ("--summary", str(folder / "summary.json")), (sys.executable, "-m", "ceilvo.daemon.cli")
+    with (
+        _program(processors, 0, *program, "run", "--simulate", *summary, *settings),
+        _program(processors, _WEB_NICE, *program, "web", *settings),
+    ):
+        yield zenoh_port, web_port
+
+
+@contextlib.contextmanager
 def _program(processors: set[int], nice: int, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-    pinned = ["taskset", "--cpu-list", ",".join(map(str, processors)), *words]
+    pinned = ["chrt", "--other", "0", "taskset", "--cpu-list", ",".join(map(str, processors)), *words]
     process = subprocess.Popen(pinned, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, process.pid, nice)
@@ -159,7 +171,7 @@ def _stretch(listener: Listener, seconds: float) -> Stretch:
 
 
 def bars_of(pairs: Sequence[tuple[Stretch, Stretch]]) -> list[Bar]:
-    """Differences within pairs, with pages less without; the noise is that of stretches without pages."""
+    """Differences within pairs, with pages less without; the noise is that of stretches without."""
     none, pages = (np.array([pair[i] for pair in pairs]) for i in (0, 1))
     bars = []
     for i, (name, unit) in enumerate((("frame rate", "Hz"), ("age, median", "ms"), ("age, 99 %", "ms"))):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from ceilvo.daemon.map.map_file import StoredMap, StoredState
 from ceilvo.daemon.odometry.senses.learnt import learnt
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.refinement.key_pose_taker import KeyPoseTaker
+from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.replay.inputs import FrameInput, Input, KnownBeacons, LoadMap, Reset, SetPose, Silence, apply
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, View, ignore
@@ -30,8 +32,6 @@ Finds = Callable[[Frame, bool, Heard], Heard]
 InputListener = Callable[[Input, Estimate | None, Pipeline], None]
 """Gets every input in its order, with what came of it; called under the lock, so it must be quick and not raise."""
 
-RECENT_NS = 60 * 10**9
-"""A run whose pose was stored less long ago ended just now: a service that was restarted, by whatever; chosen."""
 _RESTART_SIGMA = np.array([0.05, 0.05, 0.05])
 """m, m, rad, added to a stored pose; chosen: a robot that is switched off may be nudged."""
 _SEARCH_SIGMA = np.array([0.3, 0.3, 0.1])
@@ -180,10 +180,11 @@ class Estimator:
             pose = Pose(np.zeros(3)) if state is None else state.pose
             cov = np.diag(_RESTART_SIGMA**2) + (0.0 if state is None else state.cov)
             ago_ns = self._clock() - (0 if state is None else state.stamp_ns)
-            recent = state is not None and 0 <= ago_ns < RECENT_NS  # the clock begins anew with the computer
+            of_this_boot = state is not None and ago_ns >= 0  # the clock begins anew with the computer
+            ago_s = 1e-9 * ago_ns if of_this_boot else math.inf
             elsewhere = 0.0 if state is None else state.elsewhere
             knows = stored_map.landmarks, stored_map.map_axis_rad
-            self._do(LoadMap(*knows, pose, cov, recent, elsewhere, floors or Floors()))
+            self._do(LoadMap(*knows, pose, cov, ago_s, elsewhere, floors or Floors()))
             if state is None:
                 self._do(Reset(keep_map=True))
 
@@ -202,7 +203,7 @@ class Estimator:
             before = StoredMap(self._pipeline.landmarks(), axis_rad)
             after, pose = moved(before, last.pose)
             cov = last.cov + np.diag(np.square(sigma))
-            self._do(LoadMap(after.landmarks, after.map_axis_rad, pose, cov, True, self._pipeline.elsewhere))
+            self._do(LoadMap(after.landmarks, after.map_axis_rad, pose, cov, JUST_NOW_S, self._pipeline.elsewhere))
             return Moved(before, last)
 
     def set_pose(self, pose: Pose, sigma: Array, why: str, floor: str = "") -> None:

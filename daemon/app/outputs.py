@@ -7,21 +7,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
-import cv2
 import numpy as np
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.app.requests import Ahead, as_it_is
-from ceilvo.daemon.replay.drawing.innovations import draw_innovations
-from ceilvo.daemon.replay.drawing.overlay import draw_overlay
+from ceilvo.daemon.replay.pictures import Pictures
 from ceilvo.daemon.replay.recording import RecordingTap
 from ceilvo.daemon.vision.finder.crossing_finder import View
 from ceilvo.drivers.base.link import BaseLink
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.ports import ON_DEMAND, Publisher, Scene, Stamp, Topic, Wire
-from ceilvo.errors import CeilvoError
 from ceilvo.types import Array, Estimate, Landmarks, State
 
 log = logging.getLogger("ceilvo")
@@ -30,8 +27,6 @@ _EVENTS = 20
 """Latest events kept; chosen: the screen shows 3 of them."""
 _PREDICTIONS = 30
 """Kept: a picture is made in another thread, a few frames later."""
-_JPEG_QUALITY = 80
-"""Of 100, for pictures on the bus; chosen: as in recordings."""
 
 
 MapOf = Callable[[str], tuple[str, int | None]]
@@ -61,7 +56,7 @@ class Outputs:
     ) -> None:
         """map_of: name and version of the map of a floor, see Store.map_of; ahead: see handlers(); predict_ms: as
         zenoh.predict_ms."""
-        self._robot, self._calibration, self._estimator = robot, calibration, estimator
+        self._robot, self._pictures, self._estimator = robot, Pictures(calibration), estimator
         self._base, self._bus, self._clock, self._recording = base, bus, clock, recording
         self._wires, self._map_of = tuple(wires), map_of
         self._ahead, self._predict_ms = ahead, predict_ms
@@ -123,14 +118,11 @@ class Outputs:
         return Scene(shown.landmarks, shown.particles, view.frame.stamp_ns, lambda: self._jpeg(view, shown.landmarks))
 
     def _jpeg(self, view: View, landmarks: Landmarks) -> bytes:
-        image = draw_overlay(view.frame.gray, view.lines, view.crossings, self._calibration.level_view)
-        predicted = self._predicted.get(view.frame.stamp_ns)
-        if predicted is not None and view.crossings is not None:
-            draw_innovations(image, view.crossings, landmarks, predicted, self._calibration)
-        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        if not ok:
-            raise CeilvoError("the picture could not be encoded")
-        return np.asarray(data, np.uint8).tobytes()
+        return self._pictures.jpeg(view, landmarks, self._predicted.get(view.frame.stamp_ns))
+
+    def close(self) -> None:
+        """No pictures any more."""
+        self._pictures.close()
 
     def event(self, name: str, text: str, level: int = logging.INFO) -> None:
         """Something that happened once: in the log, on the screen and on Zenoh."""

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,7 +80,7 @@ class Plan:
         room_m: x_min, y_min, x_max, y_max for the screen's plot.
         seconds: end this long after the first frame; None = run until stopped.
         summary_file: where to write the run's figures as JSON.
-        screen: draw the live screen.
+        screen: makes the live screen.
         record: write a recording to this file.
     """
 
@@ -91,7 +91,7 @@ class Plan:
     room_m: tuple[float, float, float, float] | None = None
     seconds: float | None = None
     summary_file: Path | None = None
-    screen: bool = False
+    screen: Callable[[], AbstractContextManager[Screen | None]] = nullcontext
     record: Path | None = None
 
 
@@ -145,6 +145,7 @@ class Daemon:
         """
         with ExitStack() as ending:
             self._own(ending)
+            ending.callback(self._outputs.close)
             ending.callback(self._store.close)
             ending.enter_context(self._fleet.kept_up())
             stored = load(self._config, self._store, self._outputs.event)
@@ -168,7 +169,7 @@ class Daemon:
             self._hearing.start()
             self._thread.start()
             self._notifier.ready("waiting for the camera")
-            with _screen() if self._plan.screen else nullcontext() as screen:
+            with self._plan.screen() as screen:
                 self._supervise(screen)
             summary = self._telemetry.summary()
         summary |= self._recorder_counters()
@@ -210,8 +211,7 @@ class Daemon:
                 trim = now + _TRIM_NS
                 give_back_memory()
             if screen is not None:
-                title = f"ceilvo {self._config.robot.name}"
-                events, room = self.events, self._plan.room_m
+                title, events, room = f"ceilvo {self._config.robot.name}", self.events, self._plan.room_m
                 screen.update(lambda: self._telemetry.snapshot(title, self._camera_reason, room, events))  # noqa: B023
 
     def _is_over(self, now_ns: int) -> bool:
@@ -311,12 +311,6 @@ class Daemon:
         if last is not None and last.motion.failure == self._camera_reason:
             return _SILENT_PERIOD_S
         return max(self._config.states.dead_reckoning_s, _SILENT_FRAMES * self._capture.rate.used_period_s)
-
-
-def _screen() -> Screen:
-    from ceilvo.daemon.app.screen import Screen  # a service has no terminal
-
-    return Screen()
 
 
 def plan_real(

@@ -12,6 +12,7 @@ import numpy as np
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.app.process import Plan
+from ceilvo.daemon.app.screen import Screen
 from ceilvo.sim.base import SimBase
 from ceilvo.sim.camera import SimCamera
 from ceilvo.sim.motion import TiltSpec
@@ -24,7 +25,6 @@ def simulation(
     seed: int,
     seconds: float | None,
     summary_file: Path,
-    screen: bool,
     calibration: Calibration | None = None,
     tilt_rad: float = 0.0,
 ) -> Iterator[Plan]:
@@ -66,5 +66,5 @@ def simulation(
             room_m=(0.0, 0.0, room_m, room_m),
             seconds=seconds,
             summary_file=summary_file,
-            screen=screen,
+            screen=Screen,
         )

@@ -30,10 +30,19 @@ OFF_MAP = 0.05
 STORED_WRONG, GIVEN_WRONG, RESET_WRONG = 0.05, 0.2, 0.9
 """Chance that a robot was moved while it was off; that a person mistakes the tile; that a robot whose pose is thrown
 away does not stand where it is told to begin. Chosen."""
+JUST_NOW_S, STORED_LEAST = 60.0, 0.001
+"""A pose that was stored less long ago is doubted in proportion, LIFTED for all of that time, but no less than this:
+a service that was killed is back within seconds, in which few robots are carried; chosen."""
 STORED_ALIGNED = 72.0
 """Likelihood ratio at most of tiles that lie as a stored pose says, also against whole tiles; chosen: a robot that
 is put down within 5 cm of the same spot on another tile of 0.6 m by chance is one in 36, and along the same axis every
 other time."""
+UNTOUCHED, UNTOUCHED_SIGMA = 0.8, np.array([0.005, 0.005, 0.005])
+"""Of the robots that nobody moved while they were off, how many stand where they stood, and how exactly, m and rad: the
+others were bumped into; chosen."""
+MOST_UNTOUCHED = 8.0
+"""Log-likelihood ratio at most of tiles that lie exactly as a stored pose says; chosen: of 3000 robots that were
+carried one stands in another dock a whole number of tiles away."""
 UNLIKELY = 0.005
 """A doubt that is less likely is over with the first view that bears the place out; chosen: a frame that was lost while
 driving, whose way may be another one by a whole tile with one chance in a thousand, is no reason to stop for."""
@@ -67,6 +76,7 @@ class Doubt:
         elsewhere: probability that this covariance does not hold, because somebody moved the robot.
         reach_m: how far it can have been moved.
         aligned: how much of alignment() also speaks against whole tiles: nobody who moved the robot minded the tiles.
+        stored: part of `elsewhere` that began when the pose was stored; nobody may have touched the robot since.
         leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
             where there are any, nothing else moved it.
     """
@@ -76,6 +86,7 @@ class Doubt:
     elsewhere: float = 0.0
     reach_m: float = 0.0
     aligned: float = 0.0
+    stored: float = 0.0
     leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
@@ -115,9 +126,7 @@ class Doubt:
         turned: by none, for another ceiling hangs along the same walls.
         """
         var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
-        period = np.array([*tile_m, 0.5 * np.pi if turned else 0.0])
-        fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
-        return float(np.clip(np.sum(fits[period > 0.0]), -MOST_ALIGNED, MOST_ALIGNED))
+        return float(np.clip(_fit(here, var, tile_m, turned), -MOST_ALIGNED, MOST_ALIGNED))
 
     @property
     def _listed(self) -> float:
@@ -129,6 +138,24 @@ class Doubt:
         """Log-odds of standing where the map does not know, or where no rival was listed."""
         share = 1.0 - self._listed
         return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
+
+    def unknown_by_tiles(self, here: Array, tile_m: Array) -> float:
+        """`unknown` of a robot of unmeasured path once it sees the tiles off by `here` (3,) from the expected pose."""
+        aligned = self.alignment(here, tile_m)
+        if self.stored == 0.0:
+            return self.unknown - aligned
+        untouched = float(np.log(UNTOUCHED) + _fit(here, UNTOUCHED_SIGMA**2, tile_m))
+        since = max(aligned, min(untouched, MOST_UNTOUCHED))
+        left = (self.elsewhere - self.stored) * np.exp(-aligned) + self.stored * np.exp(-since)
+        return self.unknown + float(np.log(left / self.elsewhere))
+
+
+def _fit(here: Array, var: Array, tile_m: Array, turned: bool = True) -> float:
+    """Log-likelihood ratio of tiles that lie off by `here` (3,) with variances (3,), against tiles that lie anyhow; not
+    turned: along the same walls."""
+    period = np.array([*tile_m, 0.5 * np.pi if turned else 0.0])
+    fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
+    return float(np.sum(fits[period > 0.0]))
 
 
 def shows_a_jump(crossings: int, usual: float) -> bool:
@@ -156,18 +183,20 @@ def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float, watched
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
 
 
-def of_stored(cov: Array, recent: bool, before: float) -> Doubt:
-    """Of a pose that an earlier run stored: the robot may have been moved since, less likely if it ended just now.
+def of_stored(cov: Array, ago_s: float, before: float) -> Doubt:
+    """Of a pose that an earlier run stored: the robot may have been moved since, less likely if that is not long ago.
 
     Args:
         cov: (3, 3) of the pose where nobody moved it.
+        ago_s: since it was stored; inf where nobody knows.
         before: probability that the robot was elsewhere when the pose was stored. A claim that nothing had confirmed is
             not better for a restart, and how the tiles lie says nothing of it: whole tiles are what it may be off by.
     """
-    moved = LIFTED if recent else STORED_WRONG
+    moved = max(LIFTED * ago_s / JUST_NOW_S, STORED_LEAST) if ago_s <= JUST_NOW_S else STORED_WRONG
     before = min(before, RESET_WRONG)
     aligned = float(np.log((moved + before) / (moved / STORED_ALIGNED + before)))
-    return Doubt("stored map and pose", cov, min(moved + before, RESET_WRONG), np.inf, aligned)
+    elsewhere = min(moved + before, RESET_WRONG)
+    return Doubt("stored map and pose", cov, elsewhere, np.inf, aligned, elsewhere - before)
 
 
 def of_suspicion(reason: str, reach_m: float, pending: Doubt | None) -> Doubt:

@@ -258,7 +258,7 @@ class Relocaliser:
             off = offset(rival_poses(rivals, pose), expected)
             here = offset(pose, expected)
             s.belief.add(rivals, doubt.log_odds(off, here, lattice.tile_m))
-            unknown -= doubt.alignment(here, lattice.tile_m) if doubt.unmeasured else 0.0
+            unknown = doubt.unknown_by_tiles(here, lattice.tile_m) if doubt.unmeasured else unknown
         if doubt.elsewhere >= doubts.UNLIKELY:
             listed_m = max(doubt.search_m, WATCH_M)
             known = float(evidence.known(expected[None])[0])

@@ -8,6 +8,7 @@ back equal); frames travel beside it.
 from __future__ import annotations
 
 import json
+import math
 import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.replay.plausible import (
     belief_problem,
@@ -67,7 +69,7 @@ class LoadMap:
     """The map of an earlier run, with the pose (3,) and cov (3, 3) to look for it at.
 
     Attributes:
-        recent: that run ended just now.
+        ago_s: since that pose was stored; inf where nobody knows.
         elsewhere: probability that the robot was at another place when the pose was stored.
         floors: of the map, where it has several.
     """
@@ -76,7 +78,7 @@ class LoadMap:
     map_axis_rad: float
     pose: Pose
     cov: Array
-    recent: bool = False
+    ago_s: float = math.inf
     elsewhere: float = 0.0
     floors: Floors = field(default_factory=Floors)
 
@@ -133,7 +135,7 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason, heard=given.heard)
     if isinstance(given, LoadMap):
         g = given
-        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.recent, g.elsewhere, g.floors)
+        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.ago_s, g.elsewhere, g.floors)
     elif isinstance(given, SetPose):
         pipeline.set_pose(given.pose, given.cov, given.why, given.floor)
     elif isinstance(given, Continuation):
@@ -165,7 +167,7 @@ def input_json(given: Input, number: int) -> bytes:
         body |= _heard(given.heard)
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
-        body |= {"recent": given.recent, "elsewhere": given.elsewhere}
+        body |= {"ago_s": given.ago_s if math.isfinite(given.ago_s) else None, "elsewhere": given.elsewhere}
         if given.floors:
             body["floors"] = json.loads(value_json(given.floors))
         body["landmarks"] = {key: getattr(given.landmarks, name).tolist() for key, (name, _, _) in _LANDMARKS.items()}
@@ -223,6 +225,8 @@ def _told_problem(given: FrameInput | Sighting | Silence) -> str:
 def _map_problem(given: LoadMap) -> str:
     if not 0.0 <= given.elsewhere <= 1.0:
         return f"elsewhere is {given.elsewhere:g}, expected a probability"
+    if not given.ago_s >= 0.0:
+        return f"ago_s is {given.ago_s:g}, expected a time that has passed"
     return "" if abs(given.map_axis_rad) <= MAX_ANGLE_RAD else f"map_axis_rad is {given.map_axis_rad:g}"
 
 
@@ -260,9 +264,12 @@ def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
     }
     if len({len(c) for c in columns.values()}) != 1:
         raise ValueError("columns of the map differ in length")
-    recent, elsewhere = bool(body.get("recent", False)), float(body.get("elsewhere", 0.0))
+    ago_s, elsewhere = body.get("ago_s"), float(body.get("elsewhere", 0.0))
+    if ago_s is None:  # older recordings say whether it was recent
+        ago_s = JUST_NOW_S if body.get("recent", False) else math.inf
     floors = read_value(json.dumps(body.get("floors")).encode("ascii"), Floors) or Floors()
-    return LoadMap(Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body), recent, elsewhere, floors)
+    knows = Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body)
+    return LoadMap(*knows, float(ago_s), elsewhere, floors)
 
 
 def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:

@@ -24,6 +24,7 @@ from ceilvo.daemon.replay.inputs import Continuation, FrameInput, Input, SetPose
 from ceilvo.daemon.replay.snapshot import SnapshotError, freeze, snapshot_json, value_json
 from ceilvo.daemon.replay.trajectory import estimate_json
 from ceilvo.daemon.vision.kernel import COMPILED
+from ceilvo.drivers.pictures import jpeg
 from ceilvo.drivers.ports import Base, Clock
 from ceilvo.drivers.recording import foxglove, mcap_file
 from ceilvo.drivers.recording.mcap_file import Head, Message
@@ -37,8 +38,6 @@ from ceilvo.types import GOOD, Array, Estimate, Frame, State
 
 log = logging.getLogger("ceilvo")
 
-JPEG_QUALITY = 80
-"""Of pictures that are to look at; chosen."""
 _PATIENCE_S = 3.0
 """By which the flight recorder begins at the latest, while there is no good pose; chosen."""
 _SILENT_BASE_S = 1.0
@@ -264,5 +263,4 @@ def _raw(unix_ns: int, frame: Frame) -> bytes:
 
 
 def _jpeg(unix_ns: int, frame: Frame) -> bytes:
-    data = cv2.imencode(".jpg", frame.gray, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-    return foxglove.compressed_image(unix_ns, np.asarray(data, np.uint8).tobytes(), "jpeg", CAMERA_FRAME)
+    return foxglove.compressed_image(unix_ns, jpeg(frame.gray), "jpeg", CAMERA_FRAME)

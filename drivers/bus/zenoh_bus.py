@@ -20,10 +20,13 @@ from ceilvo.drivers.bus.namesake import namesake, session_token
 from ceilvo.drivers.bus.requests import Handlers, Requests
 from ceilvo.drivers.bus.zenoh_session import Connection, session_config, zenoh_reason
 from ceilvo.drivers.ports import ON_DEMAND, Clock, Topic
-from ceilvo.errors import BusError
+from ceilvo.drivers.rate_limit import QuietLog
+from ceilvo.errors import BusError, CeilvoError
 
 log = logging.getLogger(__name__)
 
+_UNMADE_PER_S, _UNMADE_BURST = 0.02, 1
+"""Lines about messages that could not be made: at once, then one in 50 s."""
 _LINK_CHECK_S = 1.0
 """Between two looks at who is connected."""
 _JOIN_S = 1.0
@@ -85,6 +88,7 @@ class ZenohBus:
         self._speakers, self._welcome = tuple(speakers), tuple(welcome)
         self._declared: list[Any] = []
         self._foreign = ForeignSamples(clock)
+        self._unmade = QuietLog(log, _UNMADE_PER_S, _UNMADE_BURST, clock)
         self._zid = ""
         self._speaks_json = "json" in config.wire
         self._count_lock = threading.Lock()
@@ -235,6 +239,10 @@ class ZenohBus:
     def _make_and_put(self, topic: Topic, make: Callable[[], bytes]) -> None:
         try:
             payload = make()
+        except CeilvoError as e:
+            self._count("offer_errors")
+            self._unmade.warning(f"{topic.value} could not be made: {e}")
+            return
         except Exception:
             # Pictures of the estimate must not end the estimate.
             self._count("offer_errors")

@@ -46,7 +46,7 @@ mkdir -p "$stage"/usr/{bin,lib/systemd/system,lib/udev/rules.d,lib/sysusers.d,sh
   "$stage"/usr/share/{bash-completion/completions,lintian/overrides} "$stage/etc"
 cp -a usr/lib/ceilvo "$stage/usr/lib/"
 cp -a etc/ceilvo "$stage/etc/"
-cp -a etc/systemd/system/*.service "$stage/usr/lib/systemd/system/"
+cp -a etc/systemd/system/*.{service,slice} "$stage/usr/lib/systemd/system/"
 cp -a etc/udev/rules.d/* "$stage/usr/lib/udev/rules.d/"
 cp -a etc/sysusers.d/* "$stage/usr/lib/sysusers.d/"
 cd "$repo"
@@ -61,7 +61,7 @@ find "$program" -name direct_url.json -delete -o -name REQUESTED -delete
 find "$program/lib" -type f -perm /111 -exec chmod a-x {} +
 find "$program/lib" -depth -name __pycache__ -empty -delete
 share=$program/share/ceilvo
-rm "$share/install.sh" "$share"/*.service "$share"/sysusers* "$share"/*.rules "$share/constraints.txt"
+rm "$share/install.sh" "$share"/*.{service,slice} "$share"/sysusers* "$share"/*.rules "$share/constraints.txt"
 
 # Pages, completion, papers.
 "$program/bin/python" -I packaging/manual.py "$work/manual"

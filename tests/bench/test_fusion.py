@@ -1,15 +1,18 @@
 """The bench itself: what happens in each condition, and that outfits are compared under the same."""
 
+import copy
 from itertools import islice, pairwise
 
 import numpy as np
 import pytest
 
 from ceilvo.bench.fusion import conditions, robot, run
+from ceilvo.bench.fusion.command import pairs_of
 from ceilvo.bench.fusion.conditions import CONDITIONS
 from ceilvo.bench.fusion.lateness import Lateness
 from ceilvo.bench.fusion.robot import TICK_S, Moment, Ride
 from ceilvo.bench.fusion.senses import OUTFITS, SENSES
+from ceilvo.bench.results.paired import difference
 
 ROOM = (0.0, 0.0, 20.0, 20.0)
 
@@ -45,11 +48,33 @@ def test_conditions_are_what_their_names_say() -> None:
 
 @pytest.mark.usefixtures("soon")
 def test_a_drive_gives_the_same_figures_again_and_every_outfit_the_same_way() -> None:
-    cases = [run.Case(o, "normal", 3) for o in ("vision", "+ gyro", "+ gyro")]
-    drives = [run.Drive(c) for c in cases]
+    drives = [run.Drive(o, "normal", 3) for o in ("vision", "+ gyro", "+ gyro")]
     rows = [list(islice(d.rows(), 40)) for d in drives]
     assert [r.way_m for r in rows[0]] == [r.way_m for r in rows[1]]
     assert all(np.array_equal(a.error, b.error) for a, b in zip(rows[1], rows[2], strict=True))
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize("condition", ["slip 20 % for 1 m", "blackout 10 s", "carried"])
+def test_a_drive_that_shares_its_start_is_to_the_bit_the_one_that_is_driven_alone(condition: str) -> None:
+    alone = list(islice(run.Drive("+ lamps", condition, 3).rows(), 30))
+    before = run.Drive("+ lamps", "normal", 3)
+    before.begin()
+    for _ in range(2):  # and the first leaves nothing behind for the second
+        shared = copy.deepcopy(before)
+        shared.meet(condition)
+        rows = list(islice(shared.rows(), 30))
+        assert [(r.time_s, r.way_m, r.nees, r.estimate.state) for r in rows] == [
+            (r.time_s, r.way_m, r.nees, r.estimate.state) for r in alone
+        ]
+        assert all(np.array_equal(a.error, b.error) for a, b in zip(rows, alone, strict=True))
+
+
+def test_conditions_share_a_start_where_pictures_are_as_late() -> None:
+    shared = run.alike(CONDITIONS)
+    assert sorted(name for names in shared for name in names) == sorted(CONDITIONS)
+    assert [len({CONDITIONS[name].late_s for name in names}) for names in shared] == [1] * len(shared)
+    assert max(map(len, shared)) == len(CONDITIONS) - 1
 
 
 def test_outfits_grow_by_a_sense_each_and_some_senses_also_stand_alone() -> None:
@@ -59,6 +84,25 @@ def test_outfits_grow_by_a_sense_each_and_some_senses_also_stand_alone() -> None
     assert [len(names) for names in growing] == list(range(len(SENSES) + 1))
     assert all(set(a) < set(b) for a, b in pairwise(growing))
     assert sum(len(names) == 1 for names in alone) >= 3
+
+
+def test_a_sense_is_compared_with_what_has_all_but_it() -> None:
+    pairs = pairs_of(list(OUTFITS))
+    assert {("+ wheels", "vision"), ("+ gyro", "+ wheels"), ("lamps only", "vision")} <= set(pairs)
+    assert {("wheels, lamps", "+ wheels"), ("wheels, lamps", "lamps only")} <= set(pairs)
+    assert all(len(set(OUTFITS[a]) - set(OUTFITS[b])) == 1 and set(OUTFITS[b]) < set(OUTFITS[a]) for a, b in pairs)
+
+
+def test_a_paired_difference_is_clear_where_chance_does_not_do() -> None:
+    rng = np.random.default_rng(1)
+    ground, noise = 100.0 * rng.standard_normal(30), rng.standard_normal((2, 30))
+    same, more = difference(ground + noise[0], ground + noise[1]), difference(ground + 2.0 + noise[0], ground)
+    assert same.clear == 0 and abs(same.mean) < 1.0
+    assert more.clear == 1 and abs(more.mean - 2.0) < 0.6 and abs(more.error - 30**-0.5) < 0.06
+    assert difference(ground, ground).clear == 0 and str(difference(ground, ground)) == "0"
+    assert difference(np.array([1.0, 1.1]), np.zeros(2)).clear == 0, "two pairs show little"
+    with pytest.raises(ValueError, match="pairs"):
+        difference(ground, ground[1:])
 
 
 def test_pictures_are_as_late_as_is_said() -> None:

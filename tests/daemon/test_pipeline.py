@@ -1,5 +1,6 @@
 """The whole method on rendered frames, against the simulator's truth; gaps, restarts, repeatability."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -122,14 +123,17 @@ def test_without_frames_it_coasts_and_says_why(world: World, drive: Drive) -> No
     assert coasted.cov[0, 0] > estimates[-1].cov[0, 0]
 
 
-def restarted(world: World, drive: Drive, mapped: int, off: list[float], sigma: float, begin: int) -> Pipeline:
+def restarted(
+    world: World, drive: Drive, mapped: int, off: list[float], sigma: float, begin: int, ago_s: float = math.inf
+) -> Pipeline:
     """A pipeline that knows the map of the first frames and a stored pose that is off from where it was at one."""
     mapper = pipeline_of(world)
     poses = drive.through(mapper, 0, mapped)
     axis = mapper.relocaliser.state.map_axis_rad
     assert axis is not None
     again = pipeline_of(world)
-    again.load_map(mapper.filter.landmarks(), axis, Pose(poses[begin].pose + np.array(off)), np.eye(3) * sigma**2)
+    pose, cov = Pose(poses[begin].pose + np.array(off)), np.eye(3) * sigma**2
+    again.load_map(mapper.filter.landmarks(), axis, pose, cov, ago_s)
     return again
 
 
@@ -140,15 +144,44 @@ def test_a_stored_pose_is_not_tracking_until_landmarks_confirm_it(world: World, 
     assert np.hypot(*error(world, estimates[-1])[:2]) < 0.03
 
 
+@pytest.mark.parametrize("ago_s", [5.0, math.inf])
 @pytest.mark.parametrize("shift", [(0.6, 0.0), (0.0, -0.6), (-1.2, 0.6)])
 def test_a_stored_pose_that_is_whole_tiles_off_is_never_tracking(
-    world: World, drive: Drive, shift: tuple[float, float]
+    world: World, drive: Drive, shift: tuple[float, float], ago_s: float
 ) -> None:
     """It may find the tile it is under, and says TRACKING only there."""
-    estimates = drive.through(restarted(world, drive, 120, [*shift, 0.0], 0.05, 45), 45, 120)
+    estimates = drive.through(restarted(world, drive, 120, [*shift, 0.0], 0.05, 45, ago_s), 45, 120)
     assert estimates[0].state is State.RELOCALISING
     for e in estimates:
         assert e.state is State.RELOCALISING or np.hypot(*error(world, e)[:2]) < 0.05
+
+
+def standing(frame: Frame, count: int, rng: np.random.Generator) -> Iterator[Frame]:
+    """A robot that stands sees the same with the noise of its sensor."""
+    for k in range(count):
+        noise = rng.integers(-2, 3, frame.gray.shape)
+        gray = np.clip(frame.gray + noise, 0, 255).astype(np.uint8)
+        yield Frame(k, frame.stamp_ns + round(k * 1e9 / RATE_HZ), gray)
+
+
+@pytest.mark.parametrize("at", [0, 50, 100, 150])
+def test_a_robot_that_was_killed_where_it_stands_is_tracked_again_though_its_map_is_of_one_view(
+    world: World, at: int
+) -> None:
+    """Whatever the view shows: on plain tiles nothing seen tells it from a robot that was carried, but time does."""
+    frame, rng = next(frames(world, 12.0, at)), np.random.default_rng(at)
+    first = pipeline_of(world)
+    last = [first.step(f) for f in standing(frame, 60, rng)][-1]
+    axis = first.relocaliser.state.map_axis_rad
+    assert last.state is State.TRACKING and axis is not None
+    for life in range(3):
+        again = pipeline_of(world)
+        cov = last.cov + 0.05**2 * np.eye(3)
+        again.load_map(first.filter.landmarks(), axis, last.pose, cov, 5.0, first.elsewhere)
+        states = [e.state for e in map(again.step, standing(frame, 60, rng))]
+        print(f"view {at}, life {life}: {len(first.filter.landmarks())} landmarks, {again.elsewhere:.1e} elsewhere")
+        assert set(states[15:]) == {State.TRACKING}
+        first = again
 
 
 def test_a_stored_pose_on_the_wrong_place_is_never_tracking(world: World, drive: Drive) -> None:

@@ -51,6 +51,14 @@ be_found() {
   kill $!
 }
 
+# A picture, and how many processes draw.
+be_seen() {
+  /opt/ceilvo/bin/python listener.py "$ENDPOINT" "$out/pictures.jsonl" "$STEM/image" &
+  wait_for 20 test -s "$out/pictures.jsonl" && note picture "$(sed -n '1s/.*"body": "\(.*\)".*/\1/p' "$out/pictures.jsonl")"
+  note artists "$(pgrep -u ceilvo -c -f replay.pictures)"
+  kill $!
+}
+
 # restarted NAME SIGNAL: how long until another process is ready, then some of its poses.
 restarted() {
   local pid n t0
@@ -93,8 +101,8 @@ uninstall() {
 }
 
 rc=0
-rm -f $out/facts.txt "$out"/{samples,found}.jsonl
-for phase in install_service start_without_camera plug_camera_in drive be_found kill_hard hang stop refuse_wrong_config; do
+rm -f $out/facts.txt "$out"/{samples,found,pictures}.jsonl
+for phase in install_service start_without_camera plug_camera_in drive be_found be_seen kill_hard hang stop refuse_wrong_config; do
   step "$phase"
   $phase || { step "$phase failed"; rc=1; note failed_phase $phase; break; }
 done

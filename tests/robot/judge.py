@@ -24,6 +24,8 @@ FED_HZ = 14.0
 RESTART_S = 5.0
 STOP_S = 2.0
 EXPOSURE = 1.1
+_PICTURE = "ffd8ffd9 by 1"
+"""Both ends of a JPEG."""
 MIN_SHARE_OF_FRAMES = 0.9
 LENGTH_UNIT_M = 1e-4
 ANGLE_UNIT_RAD = 1e-5
@@ -98,6 +100,8 @@ def _installation(run: Run) -> Iterator[Check]:
     status = f.get("status_without_camera", "")
     yield Check("STATUS= without camera", status, "names it", "camera" in status.lower())
     yield Check("found by multicast", f.get("found", "no"), "yes", f.get("found") == "yes")
+    picture = f"{f.get('picture', 'none')} by {f.get('artists', '-')}"
+    yield Check("picture, by a process of its own", picture, _PICTURE, picture == _PICTURE)
     status = f.get("status_tracking", "")
     yield Check("STATUS= at the end", status, "has TRACKING", "TRACKING" in status)
 

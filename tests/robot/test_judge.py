@@ -70,6 +70,8 @@ def run() -> Any:
         "check_config_status": "0",
         "start_status": "0",
         "found": "yes",
+        "picture": "ffd8ffd9",
+        "artists": "1",
     }
     facts |= {"status_without_camera": "no camera", "status_tracking": "TRACKING", "go_ns": "0", "played_ns": "1e9"}
     facts |= {"cpu_before_ns": "0", "cpu_after_ns": "1", "memory_bytes": "1", "kill_ready_ms": "900", "kill_ns": "0"}
@@ -138,6 +140,7 @@ def test_pose_sent_again_long_after_it_was_published_is_no_other_pose(run: Any) 
         ({"exposure": "1.2"}, "exposure"),
         ({"exposure": ""}, "exposure"),
         ({"found": ""}, "found by multicast"),
+        ({"artists": "0"}, "picture, by a process of its own"),
         ({"leftovers": "/etc/ceilvo /opt/ceilvo /var/lib/ceilvo"}, "left by uninstall"),
         ({"failed_phase": "drive"}, "phases"),
         ({"wrong_config": "status 78, restarts 3, activating"}, "wrong configuration"),

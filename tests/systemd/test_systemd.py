@@ -155,6 +155,14 @@ def test_unit_restarts_for_ever_but_not_on_a_wrong_configuration() -> None:
     assert s["User"] == ["ceilvo"]
 
 
+def test_its_memory_is_promised_by_a_slice_of_the_first_rank() -> None:
+    """A service's own promise holds no further than its slice's, and system.slice promises nothing."""
+    unit = unit_settings()
+    of_slice = unit_settings(UNIT.with_name("ceilvo.slice"))
+    assert unit["Slice"] == ["ceilvo.slice"] and "-" not in unit["Slice"][0]
+    assert unit["MemoryMin"] == of_slice["MemoryMin"] == ["192M"]
+
+
 analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 
 

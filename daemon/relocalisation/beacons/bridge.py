@@ -8,6 +8,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
+from ceilvo.daemon.relocalisation.beacons.lamps.seen import BLOB_M, LampView, Pair
 from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose
 from ceilvo.daemon.relocalisation.beacons.range_errors import direct_share
 from ceilvo.types import Array, Displacement, Ints, Motion, Pose
@@ -23,6 +24,12 @@ TURNED_RAD = 0.4
 """Standard deviation of the heading beyond which ranges do not correct it: they are not linear in it then."""
 ANY_RAD = float(np.pi / np.sqrt(3.0))
 """Standard deviation of a heading that may be any: more would be a lever for the place of the antenna."""
+ALIKE = 0.8
+"""Share of a mark's variance of measurement that is alike each time: the lens is, and most of the tilt; chosen."""
+LEAN_M = 2.0
+"""Way along which the tilt of a floor becomes another one, chosen: as long as a lamp is in view."""
+LEAN = "the floor's tilt"
+"""Names what all lamps of a picture are off by."""
 FEWEST = 3
 """Ranges and marks after which the pose within a gap is worth more than prediction's, chosen."""
 
@@ -32,11 +39,14 @@ class BridgeState:
     """Within a gap; nothing outside.
 
     Attributes:
-        mean: (3 + A,) pose in map, then what each anchor's ranges are off by at this place; empty outside a gap.
+        mean: (3 + A + ...,) pose in map, what each anchor's ranges are off by at this place, and what all else is off
+            by that was seen; empty outside a gap.
         cov: of that.
         gap: (3,) how far the gap's prediction had come, with its covariance gap_cov (3, 3).
         used: ranges and marks that were taken.
-        marks: how often each was, by number as text.
+        marks: how often each was, by name.
+        errors: where in the mean a thing's error begins, by name.
+        lean_var: variance of what the floor's tilt moves lamps by, m^2.
     """
 
     mean: Array = field(default_factory=lambda: np.empty(0))
@@ -45,10 +55,15 @@ class BridgeState:
     gap_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     used: int = 0
     marks: dict[str, int] = field(default_factory=dict)
+    errors: dict[str, int] = field(default_factory=dict)
+    lean_var: float = 0.0
 
 
 class Bridge:
-    """A Kalman filter of the pose and the anchors' biases that lives as long as a gap."""
+    """A Kalman filter of the pose and of what anchors, marks and lamps are off by, that lives as long as a gap.
+
+    What errs alike each time is estimated with the pose: a lamp that is seen thirty times is not thirty lamps.
+    """
 
     def __init__(self) -> None:
         self.state = BridgeState()
@@ -91,8 +106,10 @@ class Bridge:
         s.cov[:3, :3] += g @ noise @ g.T
         most = ANY_RAD / float(np.sqrt(max(s.cov[2, 2], ANY_RAD**2)))
         s.cov[2], s.cov[:, 2] = most * s.cov[2], most * s.cov[:, 2]
-        every = np.arange(3, len(s.mean))
-        s.cov[every, every] += WANDER_M2PM * float(np.hypot(step[0], step[1]))
+        way_m = float(np.hypot(step[0], step[1]))
+        every = 3 + np.arange(len(table.names))
+        s.cov[every, every] += WANDER_M2PM * way_m
+        self._lean(way_m)
         s.gap, s.gap_cov = np.array(gap.prev_from_curr), np.array(gap.cov)
 
     def _begin(self, pose: Array, cov: Array, table: AnchorTable, tag_m: Array) -> None:
@@ -103,6 +120,18 @@ class Bridge:
         full[:3, :3] = cov
         full[3:, 3:] = np.diag(table.bias_sigma(every, distance) ** 2)
         self.state = BridgeState(np.concatenate([pose, np.zeros(len(every))]), full)
+
+    def _lean(self, way_m: float) -> None:
+        """The floor's tilt is another one after some way, and as large."""
+        s = self.state
+        if LEAN not in s.errors:
+            return
+        at = s.errors[LEAN] + np.arange(2)
+        keeps = float(np.exp(-way_m / LEAN_M))
+        s.mean[at] *= keeps
+        s.cov[at] *= keeps
+        s.cov[:, at] *= keeps
+        s.cov[at, at] += (1.0 - keeps**2) * s.lean_var
 
     def hear(self, table: AnchorTable, tag_m: Array, which: Ints, range_m: Array, way_m: Array) -> None:
         """Ranges (N,) to anchors (N,); way_m: (N, 2) by which the tag was elsewhere then, in map."""
@@ -123,18 +152,43 @@ class Bridge:
             self._update(h[None], np.array([off]), np.array([[CORRELATED * table.noise_m**2 / direct]]))
 
     def see(self, mark: MarkPose) -> None:
-        """A mark that is believed; its own place errs the same each time, so it says less each time."""
-        off = np.array(mark.pose - self.state.mean[:3])
+        """A mark that is believed."""
+        off, name = np.array(mark.pose - self.state.mean[:3]), str(mark.number)
         off[2] = se2.wrap(float(off[2]))
-        self.see_of(str(mark.number), np.eye(3), off, mark.cov)
+        h = self._derivative(np.eye(3), {name: (np.eye(3), mark.own + ALIKE * mark.seen)})
+        self._update(h, off - h[:, 3:] @ self.state.mean[3:], (1.0 - ALIKE) * mark.seen)
+        self._count(name)
 
-    def see_of(self, name: str, by_pose: Array, off: Array, cov: Array) -> None:
-        """Something of known place, (K,) off where the pose has it, which changes with the pose by (K, 3); (K, K)."""
+    def see_lamp(self, name: str, pair: Pair, view: LampView) -> None:
+        """A lamp where it is expected."""
+        self.state.lean_var = view.lean_var
+        own = (-pair.by_pose[:, :2], pair.own_var * np.eye(2))  # moved in map, it moves in base as the robot does
+        h = self._derivative(pair.by_pose, {name: own, LEAN: (np.eye(2), view.lean_var * np.eye(2))})
+        self._update(h, pair.off - h[:, 3:] @ self.state.mean[3:], BLOB_M**2 * np.eye(2))
+        self._count(name)
+
+    def _count(self, name: str) -> None:
+        self.state.marks[name] = self.state.marks.get(name, 0) + 1
+
+    def _derivative(self, by_pose: Array, by_errors: dict[str, tuple[Array, Array]]) -> Array:
+        """(K, M) of what is seen by the state.
+
+        Args:
+            by_pose: (K, 3) by the pose.
+            by_errors: (K, E) by each error, and the error's covariance (E, E) before it was seen for the first time.
+        """
         s = self.state
-        s.marks[name] = s.marks.get(name, 0) + 1
-        h = np.zeros((len(off), len(s.mean)))
+        for name, (_, cov) in by_errors.items():
+            if name not in s.errors:
+                s.errors[name] = len(s.mean)
+                s.mean = np.concatenate([s.mean, np.zeros(len(cov))])
+                s.cov = np.pad(s.cov, (0, len(cov)))
+                s.cov[-len(cov) :, -len(cov) :] = cov
+        h = np.zeros((len(by_pose), len(s.mean)))
         h[:, :3] = by_pose
-        self._update(h, off, s.marks[name] * cov)
+        for name, (by_error, _) in by_errors.items():
+            h[:, s.errors[name] + np.arange(by_error.shape[1])] = by_error
+        return h
 
     def widen(self, mark: MarkPose) -> None:
         """A mark that contradicts others: one of them is wrong, so the pose may be either."""

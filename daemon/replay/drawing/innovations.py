@@ -20,6 +20,16 @@ _REACH_M = 0.05
 _RING_PX = 7.0
 
 
+def within_reach(crossings: Crossings, landmarks: Landmarks, pose: Array) -> NDArray[np.bool_]:
+    """(L,) of the landmarks those that any innovation can be from, and no more than the view's size needs.
+
+    Args:
+        pose: as innovations_px().
+    """
+    seen_m = np.hypot(*crossings.xy_base_m.T).max(initial=0.0) + _REACH_M
+    return np.asarray(np.hypot(*(landmarks.xy_map_m - pose[:2]).T) <= seen_m, np.bool_)
+
+
 def innovations_px(crossings: Crossings, landmarks: Landmarks, pose: Array, calibration: Calibration) -> Array:
     """(M, 2) level pixels from where each crossing was expected to where it is seen; nan where none was expected.
 

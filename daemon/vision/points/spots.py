@@ -29,11 +29,14 @@ _SPOT_SIGMA_PX = 0.12
 _AROUND_LAMPS_PX = 17
 """Side of the square around what is as bright as a lamp where nothing is looked for: its glow and its corners."""
 _BORDER_PX = 8
-_CORNER_QUALITY, _CORNER_LEAST = 0.15, 2e-4
+_CORNER_QUALITY, CORNER_LEAST = 0.15, 2e-4
 """Of Shi and Tomasi (1994): the weakest corner, as a part of the strongest; and its eigenvalue, of a picture of 0 to 1
 without noise; both chosen."""
-_CORNER_BLOCK, _CORNER_AROUND, _SUBPIX = 7, np.ones((15, 15), np.uint8), (5, 5)
+CORNER_BLOCK, _CORNER_AROUND, _SUBPIX = 7, np.ones((15, 15), np.uint8), (5, 5)
 _SUBPIX_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+CORNER_LEVELS = 255.0 * np.sqrt(CORNER_LEAST)
+"""Grey levels between the darkest and the brightest of a picture below which no corner is strong enough: none has an
+eigenvalue above the square of that difference. So a black or white picture is not searched."""
 _CORNER_SIGMA_PX, _CORNER_VAGUE_PX = 0.1, 0.006
 """Error of a corner, and what a weak one errs by besides, times the root of its eigenvalue; chosen above what rendered
 joints and stains show."""
@@ -102,9 +105,13 @@ def _extrema(octave: Floats, usable: Gray) -> tuple[Array, Array]:
 
 def find_corners(gray: Gray, places: Places, free: Gray) -> Found:
     """Corners, such as where three joints meet."""
-    strong = np.asarray(cv2.cornerMinEigenVal(cv2.GaussianBlur(gray, (5, 5), 0), _CORNER_BLOCK), np.float32)
+    smooth = cv2.GaussianBlur(gray, (5, 5), 0)
+    darkest, brightest, *_ = cv2.minMaxLoc(smooth)
+    if brightest - darkest < CORNER_LEVELS:
+        return NONE
+    strong = np.asarray(cv2.cornerMinEigenVal(smooth, CORNER_BLOCK), np.float32)
     strong *= free > 0
-    least = max(_CORNER_QUALITY * float(np.max(strong)), _CORNER_LEAST)
+    least = max(_CORNER_QUALITY * float(np.max(strong)), CORNER_LEAST)
     row, column = np.nonzero((strong >= least) & (strong >= cv2.dilate(strong, _CORNER_AROUND)))
     first = np.argsort(-strong[row, column], kind="stable")[:_MOST_CORNERS]
     if not len(first):

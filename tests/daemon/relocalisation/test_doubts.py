@@ -24,6 +24,38 @@ def test_as_many_crossings_as_are_usual_there_and_no_motion_are_a_jump(
     assert doubts.shows_a_jump(crossings, usual) == jump
 
 
+TILE_M = np.array([0.6, 0.6])
+
+
+def stored(ago_s: float, before: float = 0.0) -> doubts.Doubt:
+    return doubts.of_stored(0.005 * np.eye(3), ago_s, before)
+
+
+def test_a_stored_pose_is_doubted_more_the_longer_ago_it_was_stored() -> None:
+    doubted = [stored(ago_s).elsewhere for ago_s in (0.0, 5.0, 20.0, 60.0, 61.0, np.inf)]
+    assert doubted == sorted(doubted) and 0.0 < doubted[0] < doubts.UNLIKELY < doubted[-1]
+    assert doubted[3] == pytest.approx(doubts.LIFTED) and doubted[4] == doubted[5] == doubts.STORED_WRONG
+
+
+def test_tiles_that_lie_exactly_as_stored_speak_for_a_robot_that_nobody_touched() -> None:
+    plain = stored(60.0).unknown
+    exactly, nudged, carried = (
+        stored(60.0).unknown_by_tiles(np.array(off), TILE_M)
+        for off in ((0.001, -0.001, 0.0005), (0.03, 0.02, 0.02), (0.28, 0.3, 0.5))
+    )
+    assert exactly == pytest.approx(plain - doubts.MOST_UNTOUCHED)
+    assert exactly < nudged < plain < carried
+    assert nudged == pytest.approx(plain - stored(60.0).alignment(np.array([0.03, 0.02, 0.02]), TILE_M))
+
+
+def test_how_tiles_lie_says_less_of_what_was_doubted_when_the_pose_was_stored() -> None:
+    here = np.zeros(3)
+    sure, doubtful = stored(5.0), stored(5.0, before=0.2)
+    gained = [d.unknown - d.unknown_by_tiles(here, TILE_M) for d in (sure, doubtful)]
+    assert gained[0] == pytest.approx(doubts.MOST_UNTOUCHED)
+    assert gained[1] == pytest.approx(doubtful.alignment(here, TILE_M), abs=0.1)
+
+
 def test_a_lost_frame_is_a_small_doubt_and_a_jump_a_large_one() -> None:
     lost = doubts.of_gap(1e-6 * np.eye(3), 0.1, False, 1e-3)
     jumped = doubts.of_gap(1e-6 * np.eye(3), 0.1, True, 1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
 inputs = st.one_of(
     st.builds(FrameInput, frames, wheels, heard),
     st.builds(Silence, counts, texts, wheels, heard),
-    st.builds(LoadMap, landmarks(), floats, poses, covs, st.booleans(), floats),
+    st.builds(LoadMap, landmarks(), floats, poses, covs, floats | st.just(math.inf), floats),
     st.builds(SetPose, poses, covs, texts),
     st.builds(Reset, st.booleans()),
 )
@@ -106,8 +107,11 @@ def test_a_map_of_an_older_recording_has_not_counted_expectations(m: Landmarks) 
 
 def test_a_stored_pose_of_an_older_recording_was_not_doubted_more_than_by_itself() -> None:
     none = Landmarks(*(np.zeros((0, *shape)) for shape in ((), (2,), (2, 2), (), ())))
-    body = json.loads(input_json(LoadMap(none, 0.0, Pose(np.zeros(3)), np.eye(3), True, 0.9), 0))
-    assert body.pop("recent") is True and body.pop("elsewhere") == 0.9
+    body = json.loads(input_json(LoadMap(none, 0.0, Pose(np.zeros(3)), np.eye(3), 7.0, 0.9), 0))
+    assert body.pop("ago_s") == 7.0 and body.pop("elsewhere") == 0.9
     _, again = read_input(json.dumps(body).encode(), lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
     assert isinstance(again, LoadMap)
-    assert (again.recent, again.elsewhere) == (False, 0.0)
+    assert (again.ago_s, again.elsewhere) == (math.inf, 0.0)
+    body["recent"] = True
+    _, again = read_input(json.dumps(body).encode(), lambda seq, stamp: Frame(seq, stamp, np.zeros((0, 0), np.uint8)))
+    assert isinstance(again, LoadMap) and again.ago_s == 60.0

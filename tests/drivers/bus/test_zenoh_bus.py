@@ -24,7 +24,7 @@ from ceilvo.bench.soak.floods import session
 from ceilvo.drivers.bus import zenoh_bus
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
 from ceilvo.drivers.ports import ON_DEMAND, Topic
-from ceilvo.errors import BusError
+from ceilvo.errors import BusError, CeilvoError
 
 
 def json_sample(i: int) -> bytes:
@@ -205,13 +205,14 @@ def test_on_demand_messages_keep_their_period(world: World) -> None:
     assert inbox.empty()
 
 
+@pytest.mark.parametrize("failure", (RuntimeError("no picture"), CeilvoError("no picture")), ids=("mistake", "said"))
 def test_a_message_that_cannot_be_made_is_counted_and_the_next_one_is_sent(
-    world: World, caplog: pytest.LogCaptureFixture
+    world: World, caplog: pytest.LogCaptureFixture, failure: Exception
 ) -> None:
     inbox = world.subscribe(world.other(), "ceilvo/robot1/image", Topic.IMAGE)
 
     def fail() -> bytes:
-        raise RuntimeError("no picture")
+        raise failure
 
     world.bus.offer(Topic.IMAGE, fail)
     until(lambda: world.bus.counters()["offer_errors"] == 1, "the failure is counted")
@@ -219,6 +220,7 @@ def test_a_message_that_cannot_be_made_is_counted_and_the_next_one_is_sent(
     world.bus.offer(Topic.IMAGE, lambda: b"\xff\xd8")
     assert inbox.get(timeout=PATIENCE_S).payload.to_bytes() == b"\xff\xd8"
     assert "image could not be made" in caplog.text
+    assert ("Traceback" in caplog.text) == isinstance(failure, RuntimeError)
 
 
 def test_pose_is_not_an_on_demand_message(world: World) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.types import Array, Ints
 
+Place = tuple[Array, list[tuple[int, int]]]
+
 FEWEST = 4
 """Two lamps lie in two ways, and three lights like some lamps too often (one in five was wrong); chosen."""
 APART_M = 0.8
@@ -21,6 +23,8 @@ ELSEWHERE_M, ELSEWHERE_RAD = 0.5, float(np.radians(10.0))
 MOST_LAMPS, _MOST = 150, 2000
 """Lamps of the file, and places that are looked at, for time: of more lights lie like some anyway; chosen, 0.2 s."""
 _LEAST_AREA_M2 = 10.0
+_STRAY = 0.02
+"""Share of the lights that are no lamps of the file although the robot is among these; chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,7 @@ class Constellation:
     Attributes:
         map_from_odom: (3,); cov: (3, 3) of the robot's pose in map.
         lamps: rows of the lamps that were seen.
-        chance: that lights lie so where there are none of these lamps.
+        chance: that the robot is elsewhere: where it sees none of these lamps, or others of them.
     """
 
     map_from_odom: Array
@@ -65,11 +69,35 @@ def find(lights: Array, lamps: Array, nearer: Array, sigma_m: float, odom: Array
     if any(_elsewhere(np.asarray(r), pose, odom) for r in rivals):
         return None
     light, lamp = np.array(fitted[best][1]).T
-    area_m2 = max(float(np.prod(np.ptp(lamps, axis=0))), _LEAST_AREA_M2)
-    by_chance = min(1.0, len(lamps) * np.pi * tolerance_m**2 / area_m2)
-    chance = min(1.0, len(starts) * by_chance ** (most - 2))
     found_m = np.sqrt(fitted[best][2] * most / (2.0 * most - 3.0))  # of each axis; three numbers were fitted
+    places = {frozenset(pairs): (pose, pairs) for pose, pairs, _ in fitted if pairs}
+    chance = _chance(pose, list(places.values()), at, lights[:, :2], lamps, sigma_m, odom)
     return Constellation(pose, _cov(at[light, lamp], odom, pose, max(sigma_m, float(found_m))), lamp, chance)
+
+
+def _chance(
+    pose: Array, places: list[Place], at: Array, foot: Array, lamps: Array, sigma_m: float, odom: Array
+) -> float:
+    """That the robot is not where a pose has it, before anything else is known: lights that are strewn over the lamps'
+    ground, with no robot among them, are as likely beforehand as all its places there together."""
+    area_m2 = max(float(np.prod(np.ptp(lamps, axis=0))), _LEAST_AREA_M2)
+    here, elsewhere = 0.0, 1.0
+    for other, pairs in places:
+        light, lamp = np.array(pairs).T
+        middle = foot[light].mean(axis=0)
+        var = sigma_m**2 + DRIFT**2 * np.sum((foot - middle) ** 2, axis=1)  # (N,)
+        off = at @ se2.rotation(float(other[2])).T + other[:2] - lamps  # (N, L, 2)
+        near = np.exp(-0.5 * np.sum(off**2, axis=-1) / var[:, None]) / (2.0 * np.pi * var[:, None])
+        ratio = _STRAY + (1.0 - _STRAY) * area_m2 * near.mean(axis=1)  # of each light, against one that is strewn
+        arm = at[light, lamp] - at[light, lamp].mean(axis=0)
+        turn_var = 1.0 / float(np.sum(np.sum(arm**2, axis=1) / var[light]))
+        sure = (2.0 * np.pi) ** 1.5 * np.sqrt(turn_var) / np.sum(1.0 / var[light]) / (area_m2 * 2.0 * np.pi)
+        weight = float(np.prod(ratio) * min(1.0, sure))
+        if _elsewhere(other, pose, odom):
+            elsewhere += weight
+        else:
+            here = max(here, weight)
+    return elsewhere / (here + elsewhere)
 
 
 def _starts(foot: Array, at: Array, lamps: Array, sigma_m: float) -> Array:

@@ -33,14 +33,14 @@ class Pair:
 
     Attributes:
         lamp: row among the known.
-        off: (2,) light less where the pose has it, m in base; by_pose: (2, 3) derivative of the latter; cov: (2, 2) of
-            what is seen and of the lamp's own place.
+        off: (2,) light less where the pose has it, m in base; by_pose: (2, 3) derivative of the latter.
+        own_var: variance of each coordinate of the lamp's own place.
     """
 
     lamp: int
     off: Array
     by_pose: Array
-    cov: Array
+    own_var: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +53,18 @@ class Held:
 
 
 class LampView:
-    """Of one camera."""
+    """Of one camera.
+
+    Attributes:
+        lean_var: variance of each coordinate by which the floor's tilt moves all lights of a picture, m^2.
+    """
 
     def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
         self._calibration, self._max_view_deg = calibration, max_view_deg
         self._polygon: Array | None = None
         self._reach_m = calibration.ceiling_height_m * float(np.tan(np.radians(max_view_deg))) + MOVED_M
-        self._seen_var = (TILT_RAD * calibration.ceiling_height_m) ** 2 + BLOB_M**2
+        self.lean_var = (TILT_RAD * calibration.ceiling_height_m) ** 2
+        self._seen_var = self.lean_var + BLOB_M**2
 
     @property
     def foot_m(self) -> Array:
@@ -109,7 +114,7 @@ class LampView:
                 off = self.foot_m + self.nearer(lamp) * light - expected[i]
                 off_m[i, j] = np.hypot(off[0], off[1])
                 fits[i, j] = off_m[i, j] < WRONG_M or float(off @ np.linalg.solve(total, off)) < GATE
-                found[i, j] = Pair(i, off, by, own)
+                found[i, j] = Pair(i, off, by, lamp.sigma_m**2)
         for i in np.flatnonzero(np.isfinite(wide)).tolist():
             mine = np.flatnonzero(fits[i])
             if len(mine) == 1 and np.count_nonzero(fits[:, mine[0]]) == 1:

@@ -62,7 +62,7 @@ class Lamps:
             held = self._view.hold(known, lights, pose, cov)
             self._judge(s, known, held)
             for pair in held.pairs if r.bridge.lives else ():
-                r.bridge.see_of(f"lamp {known[pair.lamp].name}", pair.by_pose, pair.off, pair.cov)
+                r.bridge.see_lamp(f"lamp {known[pair.lamp].name}", pair, self._view)
         elif changed:
             self._place(s, known, gap)
 

@@ -16,6 +16,7 @@ from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.config import Config
 from ceilvo.daemon.building.radio import anchoring
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.daemon.replay.inputs import Input, LoadMap, Sighting
 from ceilvo.errors import CeilvoError
 from ceilvo.senses.beacon_file import read_beacons, write_beacons
@@ -36,7 +37,7 @@ def driven(seconds: float, ranges: bool) -> list[Input]:
     landmarks = load_known(drive, world, np.random.default_rng(4))
     start = Pose(drive.pose)
     radio = Radio(ANCHORS, RadioSpec(noise_m=0.05, obstructed=0.1), np.random.default_rng(1))
-    inputs: list[Input] = [LoadMap(landmarks, world.features.axis_rad, start, np.diag([1e-6] * 3), recent=True)]
+    inputs: list[Input] = [LoadMap(landmarks, world.features.axis_rad, start, np.diag([1e-6] * 3), ago_s=JUST_NOW_S)]
     give = drive.camera.give
 
     def noted(pipeline: Any, stamp_ns: int, seen: Any, wheels: Any, heard: Heard = NOTHING) -> Any:

@@ -175,7 +175,7 @@ def tell_lamps(drive: Drive, hang: tuple[Lamp, ...]) -> None:
     drive.senses = seen
 
 
-@pytest.mark.parametrize(("lights", "found"), [(1, False), (2, False), (5, True)])
+@pytest.mark.parametrize(("lights", "found"), [(1, False), (2, False), (4, True), (5, True)])
 def test_several_lamps_that_lie_as_nowhere_else_end_a_search_and_one_or_two_do_not(lights: int, found: bool) -> None:
     drive, world = small_drive(6)
     at_spot(drive, world)

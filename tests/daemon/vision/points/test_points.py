@@ -1,13 +1,18 @@
 """Lamps, corners and spots against where they hang."""
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from ceilvo import se2
 from ceilvo.config import Features
 from ceilvo.crossing_types import CORNER, LAMP, LINE_CROSSINGS, SPOT
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
+from ceilvo.daemon.vision.points import spots
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.sim.ceiling.spec import CeilingSpec
@@ -141,3 +146,12 @@ def test_points_join_the_crossings_where_these_are_few(lamps: World) -> None:
     with_them, without = (CrossingFinder(lamps.calibration, Features(points=p))(frame, None) for p in (True, False))
     assert with_them is not None and np.count_nonzero(with_them.crossing_type == LAMP) >= 2
     assert without is None or not len(without)
+
+
+@given(arrays(np.uint8, (24, 24)), st.integers(0, 255))
+def test_what_is_dark_or_bright_all_over_has_no_corner_and_is_not_searched(gray: Array, levels: int) -> None:
+    """The bound by which such pictures are done with, against what OpenCV computes."""
+    flat = (gray.astype(np.int64) * levels // 255).astype(np.uint8)
+    strongest = float(np.max(cv2.cornerMinEigenVal(flat, spots.CORNER_BLOCK)))
+    assert strongest <= (np.ptp(flat) / 255.0) ** 2 * (1.0 + 1e-4) + 1e-9
+    assert pytest.approx(255.0 * np.sqrt(spots.CORNER_LEAST)) == spots.CORNER_LEVELS

@@ -1,0 +1,124 @@
+"""Pictures come from a process of their own: the same ones, whatever becomes of it."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from patience import until
+
+from ceilvo import se2
+from ceilvo.config import Config
+from ceilvo.daemon.replay.drawing.innovations import innovations_px, within_reach
+from ceilvo.daemon.replay.pictures import Pictures, drawn
+from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, View
+from ceilvo.drivers.pictures import jpeg
+from ceilvo.errors import CeilvoError
+from ceilvo.sim.world import World, WorldSpec
+from ceilvo.types import Array, Frame, Landmarks
+
+WORLD = World(WorldSpec(seed=11))
+DAEMON = """
+import pickle, sys, time
+from ceilvo.daemon.replay.pictures import Pictures
+calibration, seen = pickle.load(open(sys.argv[1], "rb"))
+made = Pictures(calibration)
+made.jpeg(*seen)
+print(made.pid, flush=True)
+time.sleep(1000)
+"""
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[View, Landmarks, Array]:
+    """A view, landmarks 4 mm off where its crossings are and some far away, and the pose."""
+    finder, pose = CrossingFinder(WORLD.calibration, Config().features), np.asarray(WORLD.initial_pose, np.float64)
+    frame = Frame(0, 10**9, WORLD.frame_at(0.0))
+    finder(frame, None)
+    view = finder.view
+    assert view is not None and view.crossings is not None and len(view.crossings) > 10
+    xy = se2.transform(pose, view.crossings.xy_base_m) + 0.004
+    count = len(xy)
+    kinds = np.tile(view.crossings.crossing_type, 2)
+    cov = np.tile(np.eye(2) * 1e-6, (2 * count, 1, 1))
+    return view, Landmarks(np.arange(2 * count), np.vstack([xy, xy + 50.0]), cov, kinds, np.full(2 * count, 5)), pose
+
+
+@pytest.fixture
+def made() -> Iterator[Pictures]:
+    made = Pictures(WORLD.calibration)
+    yield made
+    made.close()
+
+
+def pixels(data: bytes) -> Any:
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_it_is_what_would_be_drawn_here(made: Pictures, seen: tuple[View, Landmarks, Array]) -> None:
+    view, landmarks, pose = seen
+    expected = drawn(view, landmarks, pose, WORLD.calibration)
+    for predicted, image in ((pose, expected), (None, drawn(view, landmarks, None, WORLD.calibration))):
+        np.testing.assert_array_equal(pixels(made.jpeg(view, landmarks, predicted)), pixels(jpeg(image)))
+    assert np.abs(expected.astype(int) - drawn(view, landmarks, None, WORLD.calibration)).max() > 50, "innovations"
+
+
+def test_what_is_out_of_reach_draws_no_innovation(seen: tuple[View, Landmarks, Array]) -> None:
+    view, landmarks, pose = seen
+    assert view.crossings is not None
+    near = within_reach(view.crossings, landmarks, pose)
+    assert near.sum() == len(landmarks) // 2
+    whole, part = (innovations_px(view.crossings, m, pose, WORLD.calibration) for m in (landmarks, landmarks.of(near)))
+    np.testing.assert_array_equal(whole, part)
+    assert np.isfinite(whole).all()
+
+
+def test_a_process_that_was_killed_comes_back(made: Pictures, seen: tuple[View, Landmarks, Array]) -> None:
+    first = made.jpeg(*seen)
+    assert made.pid is not None
+    os.kill(made.pid, signal.SIGKILL)
+    assert made.jpeg(*seen) == first
+
+
+def test_it_ends_when_nobody_asks_and_comes_back(seen: tuple[View, Landmarks, Array]) -> None:
+    made = Pictures(WORLD.calibration, idle_s=0.2)
+    with closing(made):
+        first = made.jpeg(*seen)
+        until(lambda: made.pid is None, "nobody asks any more")
+        assert made.jpeg(*seen) == first
+
+
+def test_it_ends_with_its_daemon_however_that_ends(seen: tuple[View, Landmarks, Array], tmp_path: Path) -> None:
+    given = tmp_path / "given"
+    given.write_bytes(pickle.dumps((WORLD.calibration, seen)))
+    with subprocess.Popen([sys.executable, "-c", DAEMON, str(given)], stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        pid = int(daemon.stdout.readline())
+        os.kill(pid, 0)
+        daemon.kill()
+    until(lambda: not Path(f"/proc/{pid}/cmdline").exists() or is_zombie(pid), "it has ended")
+
+
+def is_zombie(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def test_one_that_cannot_begin_is_one_line(
+    made: Pictures, seen: tuple[View, Landmarks, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(CeilvoError, match=r"^picture: the process that draws ended twice: "):
+        made.jpeg(*seen)
