@@ -1,8 +1,13 @@
 """Whether a robot is anywhere on a map: ceilings whose every feature is known, looked at along a way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from ceilvo import se2
+from ceilvo.bench.place.case import drive_in, load_known
+from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
@@ -10,11 +15,14 @@ from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, Vi
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
+from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP, Relocaliser
 from ceilvo.se2 import inverse, transform
-from ceilvo.types import Array, Landmarks, Observations
+from ceilvo.types import Array, Landmarks, Observations, State
 
 SQUARE = 1.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 STARTED_ELSEWHERE = float(np.log(0.05 / 0.95))
+SAID = 7.0
+"""Log-odds against the map of a robot that was told so: more than one view takes it back."""
 WAY = [np.array([x, 4.9, 0.0]) for x in (2.0, 3.5, 5.0, 6.5, 8.0)]
 """8 m of a hall of 10 m."""
 
@@ -113,3 +121,33 @@ def test_it_asks_no_more_once_it_was_ended() -> None:
     test.end()
     assert not test.asks
     assert not test.said
+
+
+def told_that_it_is_not_the_map(relocaliser: Relocaliser) -> None:
+    """As after views that chance, or people, made look like no part of it."""
+    asked_of = NotThisMap()
+    asked_of.begin(SAID, relocaliser.state.survey.coverage.area_m2, 0.0)
+    state = relocaliser.state
+    state.not_this_map = replace(asked_of.state, said=True, odds=-SAID)
+    relocaliser.state = state
+
+
+@pytest.mark.parametrize("seed", [40, 42])
+def test_while_it_is_said_no_place_is_believed_and_when_views_take_it_back_the_right_one_is(seed: int) -> None:
+    """A robot that stands where it was stored, and would be TRACKING within a second."""
+    print(f"seed {seed}")
+    world = make_world(WorldSpec("5", 0.6, "raster", seed))
+    drive = drive_in(world, np.random.default_rng(seed), False, 10.0, False, 0.5)
+    load_known(drive, world, np.random.default_rng(seed))
+    drive.tick()
+    assert not drive.pipeline.relocaliser.sure
+    told_that_it_is_not_the_map(drive.pipeline.relocaliser)
+    for _ in range(10):
+        estimate = drive.tick()
+        assert estimate is not None
+        assert estimate.state is State.RELOCALISING
+        assert estimate.reason.startswith(NOT_THIS_MAP)
+    assert drive.settle(40.0)
+    assert drive.estimate is not None
+    assert np.hypot(*se2.between(drive.pose, np.asarray(drive.estimate.pose))[:2]) < 0.05
+    assert not drive.pipeline.relocaliser.state.not_this_map.said
