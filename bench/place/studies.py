@@ -13,7 +13,7 @@ from ceilvo.bench.place import radio
 from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
-from ceilvo.bench.place.faults.changes import renovated
+from ceilvo.bench.place.faults.changes import NIGHT_S, renovated
 from ceilvo.bench.place.rides import ride
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.sights import CrossingSight
@@ -131,7 +131,7 @@ def _renovated(run: Run) -> dict[str, Any]:
     drive.camera.use(features)
     drive.begin_anew()
     if stored is not None:
-        drive.load(*stored)
+        drive.load(*stored, ago_s=NIGHT_S)
     tally = drive.tally = Tally()
     tally.over()
     lap_m = 2.0 * float(np.sum(drive.driver.high - drive.driver.low))
