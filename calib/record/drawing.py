@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-INK, GREY, PALE = "#222222", "#888888", "#dddddd"
+INK, GREY, PALE, PAPER = "#222222", "#888888", "#dddddd", "#ffffff"
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 """Colours of series: four of Okabe and Ito's, which the colour-blind tell apart."""
 _SCALE = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
@@ -133,7 +133,9 @@ class Chart:
 
     def legend(self, names: Iterable[tuple[str, str]]) -> None:
         """Names and colours of the series, in the upper right."""
-        for i, (name, colour) in enumerate(names):
+        entries = list(names)
+        self.drawing.rect(self.box[2] - 156, self.box[1] + 4, 152, 16 * len(entries) + 4, PAPER)
+        for i, (name, colour) in enumerate(entries):
             y = self.box[1] + 16 + 16 * i
             self.drawing.rect(self.box[2] - 150, y - 8, 14, 8, colour)
             self.drawing.text(self.box[2] - 130, y, name, size=11)

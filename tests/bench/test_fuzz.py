@@ -17,7 +17,7 @@ from ceilvo.bench.fuzz.engine.bounds import CPU_S, MEMORY_BYTES, Read, problem_o
 from ceilvo.bench.fuzz.registry import TARGETS
 from ceilvo.errors import CeilvoError
 
-SECONDS = float(os.environ.get("FUZZ_SECONDS", "60"))
+SECONDS = float(os.environ.get("FUZZ_SECONDS", "40"))
 SEED = int(os.environ.get("FUZZ_SEED", "1"))
 WEIGHTS = {
     "recording": 6.0,

@@ -86,7 +86,7 @@ def test_the_pages_are_closed_in_as_the_map_service_is() -> None:
 def test_the_map_service_is_closed_in_as_the_daemon_is() -> None:
     daemon, mapd = unit_settings(), unit_settings(MAPD_UNIT)
     of_devices = {"DeviceAllow", "SupplementaryGroups", "Nice", "OOMScoreAdjust", "ConfigurationDirectory"}
-    of_devices |= {"RuntimeDirectory", "RuntimeDirectoryMode", "Wants"}
+    of_devices |= {"RuntimeDirectory", "RuntimeDirectoryMode", "Wants", "Slice", "MemoryMin"}
     assert daemon.keys() - mapd.keys() == of_devices
     start = daemon["Description"], daemon["User"]
     assert start != (mapd["Description"], mapd["User"])

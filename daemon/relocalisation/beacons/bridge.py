@@ -8,7 +8,6 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
-from ceilvo.daemon.relocalisation.beacons.lamps.seen import BLOB_M, LampView, Pair
 from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose
 from ceilvo.daemon.relocalisation.beacons.range_errors import direct_share
 from ceilvo.types import Array, Displacement, Ints, Motion, Pose
@@ -159,12 +158,17 @@ class Bridge:
         self._update(h, off - h[:, 3:] @ self.state.mean[3:], (1.0 - ALIKE) * mark.seen)
         self._count(name)
 
-    def see_lamp(self, name: str, pair: Pair, view: LampView) -> None:
-        """A lamp where it is expected."""
-        self.state.lean_var = view.lean_var
-        own = (-pair.by_pose[:, :2], pair.own_var * np.eye(2))  # moved in map, it moves in base as the robot does
-        h = self._derivative(pair.by_pose, {name: own, LEAN: (np.eye(2), view.lean_var * np.eye(2))})
-        self._update(h, pair.off - h[:, 3:] @ self.state.mean[3:], BLOB_M**2 * np.eye(2))
+    def see_lamp(self, name: str, off: Array, by_pose: Array, own_var: float, seen_var: tuple[float, float]) -> None:
+        """A lamp (2,) off where the pose has it in base, m, which changes with the pose by (2, 3).
+
+        Args:
+            own_var: of each coordinate of its place, m^2.
+            seen_var: of each coordinate of what is seen: what the floor's tilt makes of it, and the rest.
+        """
+        self.state.lean_var, rest_var = seen_var
+        own = (-by_pose[:, :2], own_var * np.eye(2))  # moved in map, it moves in base as the robot does
+        h = self._derivative(by_pose, {name: own, LEAN: (np.eye(2), self.state.lean_var * np.eye(2))})
+        self._update(h, off - h[:, 3:] @ self.state.mean[3:], rest_var * np.eye(2))
         self._count(name)
 
     def _count(self, name: str) -> None:

@@ -56,15 +56,14 @@ class LampView:
     """Of one camera.
 
     Attributes:
-        lean_var: variance of each coordinate by which the floor's tilt moves all lights of a picture, m^2.
+        seen_var: of each coordinate of a light, m^2: what the floor's tilt makes of all in a picture, and the rest.
     """
 
     def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
         self._calibration, self._max_view_deg = calibration, max_view_deg
         self._polygon: Array | None = None
         self._reach_m = calibration.ceiling_height_m * float(np.tan(np.radians(max_view_deg))) + MOVED_M
-        self.lean_var = (TILT_RAD * calibration.ceiling_height_m) ** 2
-        self._seen_var = self.lean_var + BLOB_M**2
+        self.seen_var = (TILT_RAD * calibration.ceiling_height_m) ** 2, BLOB_M**2
 
     @property
     def foot_m(self) -> Array:
@@ -74,7 +73,7 @@ class LampView:
     @property
     def seen_sigma_m(self) -> float:
         """Of a light, in base."""
-        return float(np.sqrt(self._seen_var))
+        return float(np.sqrt(sum(self.seen_var)))
 
     def nearer(self, lamp: Lamp) -> float:
         """By which share of its distance at the ceiling a lamp that hangs below it is off the camera's foot."""
@@ -104,7 +103,7 @@ class LampView:
         for i in np.flatnonzero(near).tolist():
             lamp = lamps[i]
             by = np.column_stack([-turn, [expected[i, 1], -expected[i, 0]]])
-            own = (self._seen_var + lamp.sigma_m**2) * np.eye(2)
+            own = (self.seen_sigma_m**2 + lamp.sigma_m**2) * np.eye(2)
             total = by @ cov @ by.T + own
             wide[i] = np.sqrt(se2.greatest_variance(total))
             if wide[i] > WIDEST_M or self._apart(places, i) < 2.0 * np.sqrt(GATE) * wide[i]:

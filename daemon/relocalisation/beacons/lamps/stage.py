@@ -62,7 +62,8 @@ class Lamps:
             held = self._view.hold(known, lights, pose, cov)
             self._judge(s, known, held)
             for pair in held.pairs if r.bridge.lives else ():
-                r.bridge.see_lamp(f"lamp {known[pair.lamp].name}", pair, self._view)
+                name = f"lamp {known[pair.lamp].name}"
+                r.bridge.see_lamp(name, pair.off, pair.by_pose, pair.own_var, self._view.seen_var)
         elif changed:
             self._place(s, known, gap)
 

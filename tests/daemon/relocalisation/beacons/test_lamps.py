@@ -81,7 +81,7 @@ def test_lamps_hold_the_pose_through_a_bare_stretch_and_say_how_well() -> None:
             tilt = VIEW.seen_sigma_m * np.array([np.sin(0.7 * k + seed), np.cos(0.5 * k + seed)])
             lights = VIEW.lights(shown(C, true, really)) + tilt
             for pair in VIEW.hold(LAMPS, lights, *bridge.pose).pairs:
-                bridge.see_lamp(LAMPS[pair.lamp].name, pair, VIEW)
+                bridge.see_lamp(LAMPS[pair.lamp].name, pair.off, pair.by_pose, pair.own_var, VIEW.seen_var)
         pose, p = bridge.pose
         error = np.asarray(pose - true)
         off.append(float(np.hypot(*error[:2])))
