@@ -147,7 +147,9 @@ def test_while_it_is_said_no_place_is_believed_and_when_views_take_it_back_the_r
         assert estimate is not None
         assert estimate.state is State.RELOCALISING
         assert estimate.reason.startswith(NOT_THIS_MAP)
+        assert drive.estimator.elsewhere() > 0.9  # what a restart is told
     assert drive.settle(40.0)
     assert drive.estimate is not None
     assert np.hypot(*se2.between(drive.pose, np.asarray(drive.estimate.pose))[:2]) < 0.05
     assert not drive.pipeline.relocaliser.state.not_this_map.said
+    assert drive.estimator.elsewhere() < 1e-4
