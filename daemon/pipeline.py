@@ -30,7 +30,8 @@ from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState
 from ceilvo.daemon.relocalisation.floors import Floors
-from ceilvo.daemon.relocalisation.relocaliser import RelocaliserState
+from ceilvo.daemon.relocalisation.not_this_map import MAP_RIGHT
+from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
 from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
@@ -196,10 +197,12 @@ class Pipeline:
     def elsewhere(self) -> float:
         """Probability that the robot is at another place than the tracked one, for a run that begins where this ends.
 
-        While the place is in doubt no less than when that began: what was seen since would be counted twice.
+        While the place is in doubt no less than when that began: what was seen since would be counted twice. While it
+        is said that this is not the map, as likely as that.
         """
         s = self.relocaliser.state
-        return max(s.belief.doubt(), s.began, 0.0 if s.pending is None else s.pending.elsewhere)
+        off_map = 1.0 - MAP_RIGHT if s.not_this_map.said else 0.0
+        return max(s.belief.doubt(), s.began, 0.0 if s.pending is None else s.pending.elsewhere, off_map)
 
     def landmarks(self) -> Landmarks:
         """All floors of the map, without what was learnt in doubt of the place: that lies right to the robot only."""

@@ -13,11 +13,12 @@ from ceilvo.bench.place import radio
 from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
-from ceilvo.bench.place.faults.changes import renovated
+from ceilvo.bench.place.faults.changes import NIGHT_S, renovated
 from ceilvo.bench.place.rides import ride
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.sights import CrossingSight
 from ceilvo.bench.place.robot.tally import Tally, figures, times
+from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP
 from ceilvo.types import Array, State
 
 LEG_S = 1800.0
@@ -130,17 +131,20 @@ def _renovated(run: Run) -> dict[str, Any]:
     drive.camera.use(features)
     drive.begin_anew()
     if stored is not None:
-        drive.load(*stored)
+        drive.load(*stored, ago_s=NIGHT_S)
     tally = drive.tally = Tally()
     tally.over()
     lap_m = 2.0 * float(np.sum(drive.driver.high - drive.driver.low))
-    path, last_tracking_s = [], 0.0
+    path, last_tracking_s, not_this_map_s = [], 0.0, None
     while tally.metres < _LAPS * lap_m and tally.seconds < _LAPS * lap_m / 0.1:
         estimate = drive.tick()
         path.append(drive.pose[:2])
         if estimate is not None and estimate.state is State.TRACKING:
             last_tracking_s = tally.seconds
+        if not_this_map_s is None and estimate is not None and estimate.reason.startswith(NOT_THIS_MAP):
+            not_this_map_s = tally.seconds
     out = {"settled": settled, "share": run.share, "last_tracking_s": last_tracking_s, "run": figures(tally)}
+    out |= {"not_this_map_s": not_this_map_s, "tile_m": world.spec.tile_m, "lamps": world.spec.lamps}
     return out | map_figures(drive, features, np.array(path)) | {"step_ms": times(drive.step_ms)}
 
 

@@ -102,7 +102,16 @@ def start_bars(results: Sequence[Result]) -> list[Bar]:
 
 
 def renovated(results: Sequence[Result]) -> Table:
-    columns = ("new %", "runs", "wrong s T, D", "right again, s", "not again", "last TRACKING s", "TRACKING %")
+    columns = (
+        "new %",
+        "runs",
+        "wrong s T, D",
+        "right again, s",
+        "not again",
+        "last TRACKING s",
+        "TRACKING %",
+        "not this map",
+    )
     out = Table(*columns, "map has %", "is true %")
     for share in sorted({r["share"] for r in results}):
         group = [r for r in results if r["share"] == share]
@@ -117,6 +126,7 @@ def renovated(results: Sequence[Result]) -> Table:
             f"{len(f) - len(back)}",
             median([r["last_tracking_s"] for r in group]),
             f"{100.0 * tracking:.0f}",
+            f"{sum(r['not_this_map_s'] is not None for r in group)}",
             median([100.0 * r["map_recall"] for r in group]),
             median([100.0 * r["map_precision"] for r in group]),
         )
@@ -136,6 +146,12 @@ def renovated_bars(results: Sequence[Result]) -> list[Bar]:
         share_bar(
             "all new: not TRACKING after 10 s, share", [r["last_tracking_s"] <= _NOT_THIS_MAP_S for r in whole], 1.0
         ),
+        share_bar(
+            "all new: says not this map within 10 s, share",
+            [r["not_this_map_s"] is not None and r["not_this_map_s"] <= _NOT_THIS_MAP_S for r in whole],
+            1.0,
+        ),
+        share_bar("30 % new: never says so, share", [r["not_this_map_s"] is None for r in part], 1.0),
     ]
 
 

@@ -102,6 +102,7 @@ class Estimator:
         self._listener = listener
         self._lock = threading.Lock()
         self._last: Estimate | None = None
+        self._times_off_map = 0
         self._late = 0
         self._lag_ns = 0
         self._stamps = StampRate()
@@ -265,12 +266,16 @@ class Estimator:
     def suspicions(self) -> Mapping[str, int]:
         """How often picture, wheels and stamps were against each other, by kind."""
         with self._lock:
-            return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults}
+            place = {"not_this_map": self._pipeline.relocaliser.times_off_map}
+            return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults} | place
 
     def noticed(self) -> tuple[tuple[str, str], ...]:
         """Name and reason of what senses noticed in the last frame for the first time."""
-        marks = tuple(("mark", text) for text in self._pipeline.relocaliser.take_news())
-        return tuple((s.kind.value, s.reason) for s in self._pipeline.checks.begun) + marks
+        place = self._pipeline.relocaliser
+        marks = tuple(("mark", text) for text in place.take_news())
+        times, self._times_off_map = self._times_off_map, place.times_off_map
+        off = (("not_this_map", place.doubt),) if place.times_off_map > times else ()
+        return tuple((s.kind.value, s.reason) for s in self._pipeline.checks.begun) + marks + off
 
     def know(self, beacons: Beacons) -> None:
         """Of these anchors and marks, if there are any."""

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from ceilvo.config import States
-from ceilvo.daemon.relocalisation.relocaliser import AMBIGUOUS
+from ceilvo.daemon.relocalisation.relocaliser import AMBIGUOUS, NOT_THIS_MAP
 from ceilvo.types import State
 
 LEAVE_RATIO = 0.8
@@ -213,7 +213,8 @@ class StateMachine:
         cfg, s = self._cfg, self.state
         state = s.current
         if e.in_doubt and not self._blind(e):
-            return State.RELOCALISING, "ambiguous" if AMBIGUOUS in e.in_doubt else "in doubt", e.in_doubt
+            cause = next((c for c in (AMBIGUOUS, NOT_THIS_MAP) if e.in_doubt.startswith(c)), "in doubt")
+            return State.RELOCALISING, cause, e.in_doubt
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:
             return State.LOST, lost, s.conditions[lost]

@@ -10,7 +10,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.daemon.relocalisation.admission import FARTHEST_M
+from ceilvo.daemon.relocalisation.evidence.admission import FARTHEST_M
 from ceilvo.se2 import transform
 from ceilvo.types import GOOD, NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, Observations, Pose
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.lattice import SMALLEST_TILE_M
+from ceilvo.daemon.relocalisation.lattice import SMALLEST_TILE_M, offset, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAST
 from ceilvo.daemon.slam.pose_filter import TINY
 from ceilvo.types import Array
@@ -20,8 +20,9 @@ UNNOTICED = 1e-3
 """Part of those lifts that neither wheels nor gyro notice; chosen: nobody carries a robot without turning it."""
 JUMPED = 0.5
 """The same where it did see, but no motion of a robot explains what: chosen, it is as likely as a fault of vision."""
-CARRY_MPS = 2.0
-"""How fast a person carries it."""
+CARRY_MPS = 4.0
+"""How fast a hand moves it at most, as standing.py has it: at 2.0, a walk, a robot that was swung further than it was
+listed had e^-8 of the chance of its twins under a raster of lamps, and never caught up (tuning seed 700 number 2)."""
 ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
 OFF_MAP = 0.05
@@ -55,6 +56,14 @@ FEWEST_JUMPED, FEWEST_EVER = 10, 4
 """Crossings of a view that says so, and where views are poor; chosen: odometry needs three."""
 _NEIGHBOURS = 8
 """Tiles around one."""
+ENTERS = 0.05
+"""Chance per spot that a robot comes from ground that nobody has mapped to ground that somebody has; chosen."""
+PLACES_PER_M2 = 4.0 / 0.6**2
+"""Places of a map that a view may be from: four headings on every tile of 0.6 m."""
+LED = 0.95
+"""Of the robots that may have changed floors, how many come out where a transition leads to; chosen."""
+LED_M, LED_RAD = 1.0, 0.5
+"""Around there: where a robot stands in a cabin, and how it stands, is not known better; chosen."""
 
 
 @dataclass(slots=True)
@@ -89,6 +98,10 @@ class Doubt:
     def anywhere(self) -> bool:
         return self.reach_m > ANYWHERE_M
 
+    def bounded(self, listed_m: float) -> bool:
+        """Whether somebody who moved the robot cannot have brought it further than rivals are listed one by one."""
+        return self.elsewhere >= UNLIKELY and not len(self.leads) and max(self.search_m, self.reach_m) <= listed_m
+
     @property
     def search_m(self) -> float:
         """How far off rivals are looked for one by one."""
@@ -106,18 +119,24 @@ class Doubt:
         there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
         return np.asarray(np.maximum(there - near, LEAST))
 
-    def alignment(self, here: Array, tile_m: Array) -> float:
+    def alignment(self, here: Array, tile_m: Array, turned: bool = True) -> float:
         """Log-likelihood ratio of tiles that lie as the pose says, off by `here` (3,), against tiles that lie anyhow.
 
-        A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle.
+        A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle; not
+        turned: by none, for another ceiling hangs along the same walls.
         """
         var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
-        return float(np.clip(_fit(here, var, tile_m), -MOST_ALIGNED, MOST_ALIGNED))
+        return float(np.clip(_fit(here, var, tile_m, turned), -MOST_ALIGNED, MOST_ALIGNED))
+
+    @property
+    def _listed(self) -> float:
+        """Share of the places that somebody can have moved it to which are on the map and are listed one by one."""
+        return (1.0 - OFF_MAP) * min((ANYWHERE_M / self.reach_m) ** 2, 1.0) if self.reach_m > 0.0 else 1.0 - OFF_MAP
 
     @property
     def unknown(self) -> float:
         """Log-odds of standing where the map does not know, or where no rival was listed."""
-        share = 1.0 if self.anywhere else OFF_MAP
+        share = 1.0 - self._listed
         return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
 
     def unknown_by_tiles(self, here: Array, tile_m: Array) -> float:
@@ -131,9 +150,10 @@ class Doubt:
         return self.unknown + float(np.log(left / self.elsewhere))
 
 
-def _fit(here: Array, var: Array, tile_m: Array) -> float:
-    """Log-likelihood ratio of tiles that lie off by `here` (3,) with variances (3,), against tiles that lie anyhow."""
-    period = np.array([*tile_m, 0.5 * np.pi])
+def _fit(here: Array, var: Array, tile_m: Array, turned: bool = True) -> float:
+    """Log-likelihood ratio of tiles that lie off by `here` (3,) with variances (3,), against tiles that lie anyhow; not
+    turned: along the same walls."""
+    period = np.array([*tile_m, 0.5 * np.pi if turned else 0.0])
     fits = np.log(np.maximum(period, TINY) / np.sqrt(2.0 * np.pi * var)) - 0.5 * here**2 / var
     return float(np.sum(fits[period > 0.0]))
 
@@ -197,3 +217,24 @@ def negligible(doubt: Doubt, rate: float) -> bool:
     by_chance = _NEIGHBOURS * float(np.exp(-0.5 * SMALLEST_TILE_M**2 / sigma2))
     by_chance += _NEIGHBOURS * float(np.exp(-0.5 * (0.5 * np.pi) ** 2 / (doubt.cov[2, 2] + _SIGMA_2_RAD2)))
     return doubt.elsewhere + by_chance < rate
+
+
+def log_odds_of_found(poses: Array, pose: Array, leads: Array, area_m2: float, spots: int) -> Array:
+    """(N,) of places that a view was found at, against all places that are not listed.
+
+    Args:
+        poses: (N, 3); pose: (3,) tracked.
+        leads: (K, 3) transforms from the tracked pose to where transitions lead to.
+        area_m2: of the map.
+        spots: looked at since the doubt; a place that was there before would have been listed then.
+    """
+    out = np.full(len(poses), -np.log(max(area_m2, 1.0) * PLACES_PER_M2))
+    out += np.log(ENTERS) if spots > 0 else 0.0
+    if not len(leads):
+        return out
+    out += np.log1p(-LED)
+    for there in rival_poses(leads, pose):
+        off = offset(poses, there)
+        led = (np.hypot(off[:, 0], off[:, 1]) < LED_M) & (np.abs(off[:, 2]) < LED_RAD)
+        out[led] = np.log(LED / (len(leads) * max(int(np.count_nonzero(led)), 1)))
+    return out

@@ -49,6 +49,10 @@ class Lattice:
             return None
         return Lattice(tile, axis_rad, _phase(at, tile), common)
 
+    def reach_m(self, reach_m: float) -> float:
+        """How far shifts within reach are listed along both axes."""
+        return float(min(reach_m, *(MOST_SHIFTS // 2 * t for t in self.tile_m if t > 0)))
+
     def shifts(self, reach_m: float) -> Array:
         """(S, 2) all whole tiles within reach, none of them zero."""
         counts = [min(int(reach_m / t), MOST_SHIFTS // 2) if t > 0 else 0 for t in self.tile_m]

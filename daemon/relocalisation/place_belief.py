@@ -225,6 +225,7 @@ class PlaceBelief:
                 fresh.append(n)
             elif 0 < i < len(self):
                 if weight[n] > settled[i]:  # most of its weight is new, and has the same past
+                    self.places[i] = g
                     self.log_weight[i], self.seen[i] = settled[i] - combined(likeliest), likeliest
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self.places = np.concatenate([self.places, places[fresh]])
@@ -234,6 +235,13 @@ class PlaceBelief:
         self.told = np.concatenate([self.told, np.full(len(fresh), self.told[0])])
         if len(self) > MOST_PLACES:
             self._leave_out(_best(self.settled, MOST_PLACES))
+
+    def again(self, log_odds: float) -> None:
+        """The tracked place was found anew, a few centimetres off; log-odds as of add()."""
+        settled = self.settled
+        weight, likeliest = log_odds + settled[0], self.seen[np.argmax(settled)]
+        if weight > settled[0]:
+            self.log_weight[0], self.seen[0] = weight - combined(likeliest), likeliest
 
     def _leave_out(self, but: Ints) -> None:
         self.cut |= bool(np.max(np.delete(self.settled, but), initial=LEAST) > LEAST)
@@ -291,6 +299,11 @@ def _keys(g: Array) -> list[tuple[int, int, int]]:
     """Cells of all transforms that are the same as this one."""
     x, y, turn = _key(g)
     return [(x + i, y + j, turn) for i in range(-_CELLS, _CELLS + 1) for j in range(-_CELLS, _CELLS + 1)]
+
+
+def of_tracked(places: Array) -> NDArray[np.bool_]:
+    """(N,) whether places (N, 3) are the tracked one, but for a few centimetres."""
+    return np.array([_same(g, np.zeros(3)) for g in places], np.bool_)
 
 
 def _same(a: Array, b: Array) -> bool:

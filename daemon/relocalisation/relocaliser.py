@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
-from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_place
-from ceilvo.daemon.relocalisation.doubts import Doubt
+from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
+from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
-from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
-from ceilvo.daemon.relocalisation.prior import log_odds_of_found
+from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
+from ceilvo.daemon.relocalisation.place_belief import PlaceBelief, of_tracked
+from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
-from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose
+from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
-from ceilvo.daemon.slam.schedule import ScheduleState, UpdateSchedule
+from ceilvo.daemon.slam.schedule import UpdateSchedule
 from ceilvo.se2 import transform, wrap
 from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 
@@ -31,6 +30,8 @@ VIEW_PERIOD_S = 0.1
 CONTRADICTION = "what is seen contradicts the map"
 AMBIGUOUS = "ambiguous"
 """Begins the reason while several places of the map are likely."""
+NOT_THIS_MAP = "not this map"
+"""Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 MARGIN_PX = 50.0
@@ -55,44 +56,6 @@ JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 
 
-@dataclass(slots=True)
-class RelocaliserState:
-    """All that a Relocaliser remembers besides its filter's state.
-
-    Attributes:
-        belief: over places.
-        pending: what may have happened since the last view that could be weighed.
-        reason: why the place is in doubt, "" while it is not; began: chance of being elsewhere when that began.
-        views: weighed since the last doubt.
-        surprised: the last of them speaks against the tracked place.
-        gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
-        usual: crossings of a view of late.
-        map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
-        looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
-        submap_from: id from which on landmarks were learnt in doubt, see submap.py; None while the place is sure.
-        leads: of the doubt that is not settled yet, see Doubt.
-        survey: of the map, to find a place on it.
-        schedule: when a view is news.
-    """
-
-    belief: PlaceBelief = field(default_factory=PlaceBelief)
-    pending: Doubt | None = None
-    reason: str = ""
-    began: float = 0.0
-    views: int = 0
-    surprised: bool = False
-    gapped: bool = False
-    jumped: bool = False
-    usual: float = 0.0
-    map_axis_rad: float | None = None
-    looked: Coverage = field(default_factory=Coverage)
-    spots: int = 0
-    submap_from: int | None = None
-    leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    survey: MapSurvey = field(default_factory=MapSurvey)
-    schedule: ScheduleState = field(default_factory=ScheduleState)
-
-
 class Relocaliser:
     """Holds the filter: it decides what a view may teach it, and where it is put when the robot is elsewhere."""
 
@@ -104,16 +67,17 @@ class Relocaliser:
         self._visible_m = visible_polygon(calibration, MARGIN_PX, config.features.max_view_deg)
         self._schedule = UpdateSchedule(config.filter)
         self.floor_tracker = FloorTracker()
+        self._on_map = NotThisMap()
         self.state = RelocaliserState()
 
     @property
     def state(self) -> RelocaliserState:
-        self._state.schedule = self._schedule.state
+        self._state.schedule, self._state.not_this_map = self._schedule.state, self._on_map.state
         return self._state
 
     @state.setter
     def state(self, state: RelocaliserState) -> None:
-        self._state, self._schedule.state = state, state.schedule
+        self._state, self._schedule.state, self._on_map.state = state, state.schedule, state.not_this_map
 
     # -- what it says
 
@@ -130,10 +94,17 @@ class Relocaliser:
         if self.sure:
             return ""
         why = s.pending.reason if s.pending is not None else s.reason
+        if s.not_this_map.said:
+            return f"{NOT_THIS_MAP}: nowhere does it show these {self._on_map.ground_m2:.0f} m2 of ceiling; {why}"
         alike = s.belief.alike(ALIKE)
         if s.pending is None and alike > 1:
             return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
         return f"to be confirmed by landmarks: {why}"
+
+    @property
+    def times_off_map(self) -> int:
+        """How often it was said that this is not the map."""
+        return self._on_map.state.times
 
     @property
     def _view_period_s(self) -> float:
@@ -149,6 +120,7 @@ class Relocaliser:
         s = self.state
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
+        self._on_map.end()
         s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, False, None
         s.leads = np.zeros((0, 3))
         s.survey.measured_m = np.inf
@@ -246,7 +218,9 @@ class Relocaliser:
         if len(s.belief) == 1 and s.surprised:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around, evidence)
         if not self.sure and not s.belief.spot_views:
-            self._search(view, pose)
+            pose = self._search(view, pose, evidence)
+            if self._on_map.asks and len(view.visible_m):
+                self._on_map.take(view, pose, s.belief.places, not s.belief.cut, s.survey.weigher(around))
         evidence.take(self._worth(view))
         poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
         s.belief.weigh(self._log_ratio(evidence, poses, pose), lambda best: evidence.unmapped(poses, poses[best], grid))
@@ -274,10 +248,9 @@ class Relocaliser:
         if doubt.elsewhere >= doubts.JUMPED:
             s.belief.renew()
         s.looked, s.spots, s.leads = Coverage(), 0, doubt.leads if len(doubt.leads) else s.leads
-        pose = self.filter.estimate()[0]
+        expected = pose = self.filter.estimate()[0]
         lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
         if lattice is not None:
-            expected = pose
             if doubt.unmeasured:
                 pose = aligned_pose(lattice, expected, view, evidence)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
@@ -286,7 +259,14 @@ class Relocaliser:
             here = offset(pose, expected)
             s.belief.add(rivals, doubt.log_odds(off, here, lattice.tile_m))
             unknown = doubt.unknown_by_tiles(here, lattice.tile_m) if doubt.unmeasured else unknown
+        if doubt.elsewhere >= doubts.UNLIKELY:
+            listed_m = max(doubt.search_m, WATCH_M)
+            known = float(evidence.known(expected[None])[0])
+            self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
         s.belief.doubt_unknown(unknown)
+        s.listed = (
+            (s.listed or s.began == 0.0) and lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
+        )
         s.pending = None
         s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
@@ -294,17 +274,30 @@ class Relocaliser:
             if s.submap_from is None:
                 s.submap_from = first_id_after(self.filter.landmarks())
 
-    def _search(self, view: Observations, pose: Array) -> None:
-        """List the places of the whole map that this view can be from, each with its part of what is not listed."""
+    def _search(self, view: Observations, pose: Array, evidence: ViewEvidence) -> Array:
+        """List the places of the whole map that this view can be from, each with its part of what is not listed; the
+        tracked pose (3,), moved onto its place where that lies a few centimetres off."""
         s = self.state
         found = s.survey.index.candidates(view, most=MOST_FOUND)
-        s.belief.cut = not found.complete
+        s.belief.cut = not (found.complete or s.listed)
         if not len(found):
-            return
+            return pose
         poses = s.survey.index.refined(found.pose, view)
         odds = s.belief.unknown - s.belief.settled[0]
         odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, s.spots)
-        s.belief.add(rival_from_tracked(poses, pose), odds)
+        places = rival_from_tracked(poses, pose)
+        s.belief.add(places, odds)
+        own = np.flatnonzero(of_tracked(places))
+        if not len(own):
+            return pose
+        there = better_of(evidence, pose, poses[own[0]], JUMP_SIGMA[0])
+        if there is pose:
+            return pose
+        if s.belief.led_by_another:  # which stays where it is
+            s.belief.places[1:] = rival_from_tracked(rival_poses(s.belief.places, pose), there)[1:]
+        s.belief.again(float(odds[own[0]]))
+        self.filter.jump(Pose(there), np.diag(JUMP_SIGMA**2))
+        return np.asarray(self.filter.estimate()[0])
 
     def _log_ratio(self, evidence: ViewEvidence, poses: Array, pose: Array) -> Array:
         """(P, 2) of all places' poses (P, 3); those far off are looked up in the index."""
@@ -317,19 +310,22 @@ class Relocaliser:
 
     def _decided(self, pose: Array) -> bool:
         s = self.state
-        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS else None
+        said = self._on_map.said  # then no place of the map is likely enough, whatever the belief has of this one
+        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not said else None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
-        if s.belief.doubt() >= self._rate:
+        if s.belief.doubt() >= self._rate or said:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.submap_from, s.leads = "", 0.0, None, np.zeros((0, 3))
             s.belief.forget()
+            self._on_map.end()
         return winner is not None
 
     def _put(self, found: Array) -> None:
         """The robot is at a pose (3,); what was learnt in doubt comes along."""
+        self._on_map.end()
         s, cov, first_id = self.state, np.diag(JUMP_SIGMA**2), self.state.submap_from
         s.submap_from = None
         tracked = self.filter.estimate()[0]
@@ -344,6 +340,6 @@ class Relocaliser:
         """What of a view may teach the filter; None for nothing of it."""
         pose, s = self.filter.estimate()[0], self.state
         if self.sure and not s.surprised:
-            return of_sure_place(view, pose, s.survey.coverage)
-        near = self.filter.landmarks_near if s.belief.led_by_another else None
-        return of_doubtful_place(view, pose, s.survey.coverage, s.submap_from is not None, near)
+            return of_sure_place(view, pose, s.survey.coverage, self.filter.landmarks_near)
+        near, led = self.filter.landmarks_near, s.belief.led_by_another
+        return of_doubtful_place(view, pose, s.survey.coverage, s.submap_from is not None, near, led)

@@ -10,6 +10,7 @@ from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.lattice import Lattice
+from ceilvo.daemon.relocalisation.not_this_map import Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
@@ -87,6 +88,15 @@ class MapSurvey:
         shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
         return Chance.measured(named, out.raster, self.coverage, shifts)
 
+    def weigher(self, around: Surroundings) -> Weigh:
+        """Weighs views at places anywhere on the map."""
+
+        def weigh(view: Observations, worth: float, poses: Array) -> tuple[Array, Array]:
+            evidence = ViewEvidence(view, around, np.full(len(view), worth))
+            return evidence.log_ratio_in(self.index.grid, poses), evidence.known(poses)
+
+        return weigh
+
     def learnt(self, filter_: PoseFilter, visible_m: Array) -> None:
         """The filter has learnt from a view that showed all there is in a polygon (V, 2) in base, (0, 2) for none."""
         pose = Pose(filter_.estimate()[0])
@@ -108,3 +118,11 @@ def aligned_pose(lattice: Lattice, expected: Array, view: Observations, evidence
     poses = np.stack([expected, lattice.aligned(expected, view)])
     poses[0, 2] = poses[1, 2]
     return np.asarray(poses[np.argmax(combined(evidence.log_ratio(poses)))])
+
+
+def better_of(evidence: ViewEvidence, pose: Array, beside: Array, sigma_m: float) -> Array:
+    """A pose (3,), or one (3,) a few centimetres beside it, whichever is likelier: by the view, and because a pose is
+    known to sigma_m."""
+    fits = combined(evidence.log_ratio(np.stack([pose, beside])))
+    off = float(np.hypot(*(beside - pose)[:2])) / sigma_m
+    return beside if fits[1] - fits[0] > 0.5 * off**2 else pose

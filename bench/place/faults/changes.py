@@ -15,6 +15,8 @@ from ceilvo.bench.place.robot.sights import CrossingSight
 
 SHARE = 0.3
 """Of a room that is renovated, issue's."""
+NIGHT_S = 8.0 * 3600.0
+"""For which a robot is switched off while its ceiling is changed."""
 _OTHER = 10**9
 """Added to a world's seed for another ceiling; chosen: far from other worlds' seeds."""
 
@@ -45,7 +47,7 @@ def _other_lamps(world: World) -> Features:
 
 
 def _switched_off(changed: Callable[[World, Drive], Features]) -> Script:
-    """The robot is switched off, the ceiling is changed, and it is switched on where it stood."""
+    """The robot is switched off for a night, the ceiling is changed, and it is switched on where it stood."""
 
     def script(d: Drive, site: Site) -> Iterator[None]:
         yield from halt(d)
@@ -55,7 +57,7 @@ def _switched_off(changed: Callable[[World, Drive], Features]) -> Script:
         camera.use(changed(_world(site), d))
         d.begin_anew()
         if stored is not None:
-            d.load(*stored)
+            d.load(*stored, ago_s=NIGHT_S)
         d.tally.effect()
         d.tally.over()
         yield from goes_on(d)

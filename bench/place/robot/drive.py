@@ -138,10 +138,14 @@ class Drive:
         self.tick()
         self.conditions.speed = speed
 
-    def load(self, landmarks: Landmarks, axis_rad: float, pose: Array | None = None) -> None:
-        """As the daemon begins with stored files; pose: (3,) stored, else the robot's own."""
+    def load(
+        self, landmarks: Landmarks, axis_rad: float, pose: Array | None = None, ago_s: float | None = None
+    ) -> None:
+        """As the daemon begins with stored files; pose: (3,) stored, else the robot's own; ago_s: since then,
+        else since the drive began."""
         at = Pose(self.pose if pose is None else pose)
-        self.estimator.load_map(StoredMap(landmarks, axis_rad), StoredState(at, _SURE, State.TRACKING, 0))
+        stamp_ns = 0 if ago_s is None else self._ns - round(1e9 * ago_s)
+        self.estimator.load_map(StoredMap(landmarks, axis_rad), StoredState(at, _SURE, State.TRACKING, stamp_ns))
 
     def stored(self) -> tuple[Landmarks, float, Array] | None:
         """Map, its axis and pose as the daemon would store them, None without a map."""

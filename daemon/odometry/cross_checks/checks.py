@@ -14,7 +14,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.coasting import KnownTurn
-from ceilvo.daemon.odometry.cross_checks.delay import Delay, DelayState
+from ceilvo.daemon.odometry.cross_checks.delay import NO_DELAY_S, Delay, DelayState, Rewound, RewoundState
 from ceilvo.daemon.odometry.cross_checks.noticed import OF_SENSES, suspicions_of
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
 from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
@@ -57,6 +57,7 @@ class CrossChecksState:
     active: list[str] = field(default_factory=list)
     counters: dict[str, int] = field(default_factory=lambda: {kind.value: 0 for kind in Kind})
     senses: MotionSensesState = field(default_factory=MotionSensesState)
+    rewound: RewoundState = field(default_factory=RewoundState)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,7 @@ class CrossChecks:
         self._refuse_repeats = config.camera.refuse_repeats
         self._paths, self._pictures = Paths(), Pictures()
         self._standing, self._delay = Standing(config.odometry.match_radius_m), Delay()
+        self._rewound = Rewound(config.odometry)
         self._reversal, self._turned_camera = Reversal(), TurnedCamera()
         self.senses, self._noticed = MotionSenses(config.senses), Noticed()
         self._active: list[str] = []
@@ -101,13 +103,14 @@ class CrossChecks:
             self._active,
             self._counters,
             self.senses.state,
+            self._rewound.state,
         )
 
     @state.setter
     def state(self, state: CrossChecksState) -> None:
         self._paths.state, self._pictures.state, self._delay.state = state.paths, state.pictures, state.delay
         self._standing.state, self._reversal.state = state.standing, state.reversal
-        self._turned_camera.state = state.turned_camera
+        self._turned_camera.state, self._rewound.state = state.turned_camera, state.rewound
         self._active, self._counters, self.senses.state = state.active, state.counters, state.senses
         self._admitted = None
 
@@ -179,6 +182,8 @@ class CrossChecks:
         told = self._paths.wheel_motion(now_s - late_s, now_s) if late_s else None
         told = None if Kind.WHEELS_REVERSED.value in self._active else told
         since = self.senses.since(told, late_s) if late_s else None
+        if since is None and self._rewound.since is not None and not len(self._paths):
+            since = WheelMotion(*self._rewound.since)
         if since is not None:
             moved = _seen_from(since, yaw_rad)
             cov = se2.compose_cov(pose, cov, moved.prev_from_curr, moved.cov)
@@ -214,6 +219,8 @@ class CrossChecks:
             self._pictures.add(crossings, motion)
         self._paths.add(motion, wheels, elapsed_s)
         self._delay.step(self._paths)
+        if self._rewound.step(0 if asked.repeat is None else asked.repeat.period, motion, elapsed_s):
+            self._delay.told(self._rewound.late_s)
         if self._fine and len(self._paths):
             self.senses.wheels_lag.step(self._paths.series())
         self._noticed = self.senses.step(motion, asked.usable, heard.turn, elapsed_s)
@@ -262,6 +269,9 @@ class CrossChecks:
 
     def _late(self) -> list[Suspicion]:
         steady_s = self._steady_late_s
+        if not len(self._paths) and self._rewound.late_s > NO_DELAY_S:
+            why = f"old pictures came once more: since then they come {self._rewound.late_s:.2f} s late"
+            return [Suspicion(Kind.LATE, why, Severity.DEGRADED)]
         if steady_s is None or abs(steady_s) <= self._max_delay_s:
             return []
         what = "pictures come" if steady_s > 0.0 else "wheel odometry comes"

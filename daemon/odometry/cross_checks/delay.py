@@ -13,9 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ceilvo import se2
+from ceilvo.config import Odometry
+from ceilvo.daemon.odometry.coasting import LastTwist, coast
 from ceilvo.daemon.odometry.cross_checks.paths import Paths
 from ceilvo.daemon.odometry.senses.lag import vertex
-from ceilvo.types import Array
+from ceilvo.types import Array, Displacement, Motion
 
 _STEP_S = 0.02
 """Of the raster; chosen: below a frame period, a parabola through three finds what lies between."""
@@ -74,6 +77,10 @@ class Delay:
         """The steady delay of pictures, 0 where it is none or not known; negative where the wheels come late."""
         steady_s = self.state.steady_s
         return 0.0 if steady_s is None or abs(steady_s) < NO_DELAY_S else steady_s
+
+    def told(self, delay_s: float | None) -> None:
+        """Something else says what the delay is now; None: that it is not known."""
+        self.state = DelayState(estimate_s=delay_s, steady_s=delay_s)
 
     def step(self, paths: Paths) -> None:
         """After a frame was added to the paths."""
@@ -153,3 +160,113 @@ def _minimum(cost: Array, terms: int) -> tuple[float, float] | None:
     """
     least = vertex(cost, LAGS_S, _STEP_S, _REACH)
     return None if least is None else (least[0], math.sqrt(max(float(np.min(cost)) / terms, 1.0) / least[1]))
+
+
+_ENDS_S = 600.0
+"""Mean time until a delay that began with old pictures ends; chosen: a driver's queue stays as it is until it is
+flushed."""
+_STOPS = 1.0 / 8.0
+"""Chance that a ring of old buffers stops after one round; chosen: it may stop after any of eight."""
+_MOST_ODDS = 12.0
+"""Log-odds of a delay are believed up to here; chosen."""
+_LEAST_S = 1e-3
+"""In place of a time that is none."""
+_FEWEST_OLD = 2
+"""Old pictures in their order that tell a delay; chosen: one alone is a picture that came twice."""
+
+
+@dataclass(slots=True)
+class RewoundState:
+    """What the last frames left.
+
+    Attributes:
+        period, run: how many frames before each of the last pictures came, and how many of them were old.
+        in_order: they came as they had come before.
+        old_s, span_s: time of those, and since the last picture that was new.
+        moved: (3,) since then.
+        twist: (3,) of the last measured motion, the mean over twist_s; 0 where none was measured.
+        odds: log-odds of pictures that come late by late_s against none.
+    """
+
+    period: int = 0
+    run: int = 0
+    in_order: bool = False
+    old_s: float = 0.0
+    span_s: float = 0.0
+    moved: Array = field(default_factory=lambda: np.zeros(3))
+    twist: Array = field(default_factory=lambda: np.zeros(3))
+    twist_s: float = 0.0
+    odds: float = -math.inf
+    late_s: float = 0.0
+
+
+class Rewound:
+    """Pictures that come once more in their order, and then go on, come late from then on by the time that they took.
+
+    A ring of old buffers that ends shows a robot that has moved on meanwhile; pictures that are late do not. So the
+    motion since the last new picture is compared with what the robot's twist makes of either time.
+    """
+
+    def __init__(self, config: Odometry) -> None:
+        self._config = config
+        self.state = RewoundState()
+
+    @property
+    def late_s(self) -> float:
+        """By which pictures come late; 0 while that is not the likelier."""
+        return self.state.late_s if self.state.odds > 0.0 else 0.0
+
+    @property
+    def since(self) -> tuple[Displacement, Array] | None:
+        """What the robot has done since the picture, (3,) with covariance (3, 3), by its twist; None if it is not
+        late."""
+        s = self.state
+        late_s = self.late_s
+        return coast(self._config, LastTwist(s.twist, s.twist_s or None, 0.0), late_s) if late_s > 0.0 else None
+
+    def step(self, period: int, motion: Motion, elapsed_s: float) -> bool:
+        """After a frame, of which the picture came `period` frames before, 0 for a new one; True where the delay has
+        begun or ended."""
+        s, before_s = self.state, self.late_s
+        s.moved = np.asarray(se2.compose(s.moved, motion.prev_from_curr))
+        s.span_s += elapsed_s
+        if period:
+            s.in_order = period >= _FEWEST_OLD and (s.run == 0 or (s.in_order and period == s.period))
+            s.period, s.run, s.old_s = period, s.run + 1, s.old_s + elapsed_s
+        elif motion.ok and s.span_s > 0.0:
+            self._measured(motion)
+        return self.late_s != before_s
+
+    def _measured(self, motion: Motion) -> None:
+        s = self.state
+        took_s = s.span_s
+        if s.run and s.in_order and s.run == s.period and s.twist_s:
+            late, none = (self._log_likelihood(motion, t) for t in (s.span_s - s.old_s, s.span_s))
+            odds = late - none - math.log(_STOPS)
+            if odds > 0.0:
+                took_s -= s.old_s
+                s.odds, s.late_s = odds, self.late_s + s.old_s
+        elif self.late_s > 0.0:
+            took_s = self._goes_on(motion)
+        s.twist, s.twist_s = se2.mean_twist(s.moved, took_s), took_s
+        s.moved, s.span_s, s.old_s, s.run, s.period = np.zeros(3), 0.0, 0.0, 0, 0
+
+    def _goes_on(self, motion: Motion) -> float:
+        """Weigh whether the pictures have caught up, which shows in a jump ahead; returns the time that passed between
+        the two pictures."""
+        s = self.state
+        stays, caught = (self._log_likelihood(motion, t) for t in (s.span_s, s.span_s + s.late_s))
+        ends = 1.0 - math.exp(-s.span_s / _ENDS_S)
+        late = -math.log1p(math.exp(-s.odds))
+        none = np.logaddexp(late + math.log(ends) + caught, -math.log1p(math.exp(min(s.odds, _MOST_ODDS))) + stays)
+        s.odds = min(late + math.log1p(-ends) + stays - float(none), _MOST_ODDS)
+        return s.span_s if s.odds > 0.0 or caught < stays else s.span_s + s.late_s
+
+    def _log_likelihood(self, motion: Motion, span_s: float) -> float:
+        """Of the motion since the last new picture, if so much time lies between the two."""
+        s = self.state
+        mean, cov = coast(self._config, LastTwist(s.twist, s.twist_s, 0.0), max(span_s, _LEAST_S))
+        cov = cov + motion.cov + np.diag([_NOISE_M, _NOISE_M, _NOISE_RAD]) ** 2
+        off = s.moved - mean
+        off[2] = se2.wrap(float(off[2]))
+        return float(-0.5 * off @ np.linalg.solve(cov, off) - 0.5 * np.linalg.slogdet(cov)[1])

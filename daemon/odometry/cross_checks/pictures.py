@@ -14,8 +14,8 @@ from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
 from ceilvo.types import Array, Crossings, Ints, Motion
 
-RING = 8
-"""Pictures compared with; chosen: drivers have 2 to 8 buffers."""
+RING = 12
+"""Pictures compared with; chosen: drivers have 2 to 8 buffers, and 12 pictures are 0.4 s at 30 Hz (rewound.py)."""
 _CALM_SHARE = 0.75
 """Of the samples, those that differ least: the others lie on edges, which move with the robot; chosen."""
 _FEWEST_SAMPLES = 128
@@ -112,7 +112,7 @@ class Pictures:
         if periods[0] == 1:
             return Suspicion(Kind.FROZEN, "the picture is the last one again: the camera is frozen", Severity.UNUSABLE)
         why = f"the picture is the one {periods[0]} frames before again: the camera repeats old buffers"
-        return Suspicion(Kind.REPEATS, why, Severity.UNUSABLE)
+        return Suspicion(Kind.REPEATS, why, Severity.UNUSABLE, period=periods[0])
 
     def _may_be(self, new: Picture, old: list[Picture]) -> NDArray[np.bool_]:
         """(N,) a first look at all at once: pictures of which hardly any sample is like the new one's are others."""

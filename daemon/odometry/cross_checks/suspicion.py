@@ -51,6 +51,7 @@ class Suspicion:
         jump_m, jump_rad: IN_DOUBT: how far the robot may be from its pose at most. DEGRADED: how far off the pose may
             be. inf where nobody knows.
         elsewhere: (3,) displacement in base from the pose to the other place that the evidence fits; None without one.
+        period: REPEATS: how many frames before the same picture came.
     """
 
     kind: Kind
@@ -59,6 +60,7 @@ class Suspicion:
     jump_m: float = 0.0
     jump_rad: float = 0.0
     elsewhere: Displacement | None = None
+    period: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from ceilvo.daemon.relocalisation.beacons.state import BeaconState, FollowLamps,
 from ceilvo.daemon.relocalisation.beacons.trust import Trust
 from ceilvo.daemon.relocalisation.doubts import JUMPED, UNLIKELY, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.view_evidence import ViewEvidence
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAD_M, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser import JUMP_SIGMA, Relocaliser
@@ -237,9 +238,8 @@ class BeaconRelocaliser(Relocaliser):
         assert b.odom is not None
         return b.window.log_likelihood(b.anchors, float(self._tag_m[2]), b.odom, poses)
 
-    def _search(self, view: Observations, pose: Array) -> None:
-        if not self._beacons.located:
-            super()._search(view, pose)
+    def _search(self, view: Observations, pose: Array, evidence: ViewEvidence) -> Array:
+        return pose if self._beacons.located else super()._search(view, pose, evidence)
 
     def _weigh(self, view: Observations) -> bool:
         b, s = self._beacons, self.state

@@ -94,6 +94,23 @@ class Coverage:
     def area_m2(self) -> float:
         return float(np.count_nonzero(self.shown >= VIEWS)) * CELL_M**2
 
+    @property
+    def shown_m2(self) -> float:
+        """Ground that any view has shown."""
+        return float(np.count_nonzero(self.shown)) * CELL_M**2
+
+    @property
+    def cells_m(self) -> Array:
+        """(N, 2) middles of the cells that any view has shown."""
+        at, row, column = np.nonzero(self.shown)
+        x, y = self.block[at] // (2 * _OFFSET) - _OFFSET, self.block[at] % (2 * _OFFSET) - _OFFSET
+        return np.asarray(CELL_M * (np.column_stack([_SIDE * x + row, _SIDE * y + column]) + 0.5))
+
+    def share_beyond(self, at_m: Array, reach_m: float) -> float:
+        """Of the ground that is known, how much lies further than so from a point (2,)."""
+        known = self.cells_m[self.shown[self.shown > 0] >= VIEWS]
+        return float(np.mean(np.hypot(*(known - at_m).T) > reach_m)) if len(known) else 1.0
+
     def _add(self, cell: Ints, views: Ints | int) -> None:
         number, inside = _numbered(cell)
         fresh = np.setdiff1d(number, self.block)

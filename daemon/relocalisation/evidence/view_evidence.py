@@ -160,6 +160,10 @@ class ViewEvidence:
         views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
         return np.asarray((1.0 - np.minimum(views / VIEWS, 1.0)) @ speaks / max(float(np.sum(speaks)), _TINY))
 
+    def known(self, poses: Array) -> Array:
+        """(M,) share of what is weighed that poses (M, 3) see on ground that the map knows."""
+        return np.asarray(np.mean(self._around.coverage.knows(_moved(poses, self._view.xy_base_m)), axis=1))
+
     def _speaks_for(self, pose: Array, grid: TypeGrid) -> Array:
         """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
         at, types = _moved(pose, self._view.xy_base_m), self._types[self._turns(pose)]
@@ -320,8 +324,10 @@ def _tables(chance: Chance, least_unmapped: float) -> tuple[Array, Array, Array]
     mistaken = TYPE_MISTAKEN[:, None]
     known = np.log(1.0 - unmapped)
     out: list[list[Array]] = [[], [], []]
+    held = np.where(chance.rare[:, None], 1.0 - unmapped, 1.0)  # what the map lacks it lacks at wrong places, too
     for wrong in chance.seen_at_wrong_places:
-        same, other, none = (np.log(p)[:, None] for p in wrong)
+        same, other = (np.log(p[:, None] * held) for p in wrong[:2])
+        none = np.log(1.0 - (wrong[0] + wrong[1])[:, None] * held)
         out[0].append(known + np.log(1.0 - mistaken) - same)
         out[1].append(known + np.log(mistaken) - other)
         out[2].append(np.minimum(np.log(np.maximum(unmapped, least_unmapped)) - none, 0.0))

@@ -15,6 +15,11 @@ MAP_VAR_M2 = 1e-4
 """Of a landmark, added to that of a feature: 1 cm, a map in the making; chosen."""
 HEADING_VAR_RAD2 = 1e-4
 """Of the lines' direction, where a view does not say: 0.6 deg."""
+OTHER_M = 0.03
+"""A residual so large halves a feature's weight (Cauchy's): part of a ceiling may be another one, whose features lie
+some cm off, all alike; chosen: candidates are within 2 cm."""
+PASSES = 2
+"""The second without what the first has shown to be others."""
 AT_ONCE = 1 << 14
 """Features of poses looked up together, so that their arrays stay in the cache; chosen."""
 
@@ -28,7 +33,9 @@ def refined(grid: TypeGrid, poses: Array, view: Observations) -> Array:
     poses = np.array(np.reshape(poses, (-1, 3)), np.float64)
     kinds = np.array([turned_type(view.crossing_type, turn) for turn in range(4)])
     for part in np.array_split(np.arange(len(poses)), len(poses) * len(view) // AT_ONCE + 1):
-        poses[part] = _moved(grid, poses[part], view, kinds[turns_to(view, poses[part, 2])])
+        types = kinds[turns_to(view, poses[part, 2])]
+        for _ in range(PASSES):
+            poses[part] = _moved(grid, poses[part], view, types)
     return poses
 
 
@@ -38,7 +45,7 @@ def _moved(grid: TypeGrid, poses: Array, view: Observations, kind: Ints) -> Arra
     x, y = view.xy_base_m.T
     arm = np.stack([c * x - s * y, s * x + c * y], axis=-1)
     residual, on = _residuals(grid, poses[:, None, :2] + arm, kind)
-    weight = on / (np.mean(view.var_m2, axis=1) + MAP_VAR_M2)
+    weight = on / (np.mean(view.var_m2, axis=1) + MAP_VAR_M2) / (1.0 + np.sum(residual**2, axis=2) / OTHER_M**2)
     total = np.sum(weight, axis=1)
     share = weight / np.where(total > 0.0, total, 1.0)[:, None]
     centre, shift = (np.einsum("mk,mki->mi", share, a) for a in (arm, residual))

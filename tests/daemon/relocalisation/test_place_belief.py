@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from ceilvo.daemon.relocalisation.evidence.view_evidence import ALIKE
 from ceilvo.daemon.relocalisation.lattice import rival_poses
-from ceilvo.daemon.relocalisation.place_belief import LEAD_M, LEAST, LEAST_UNKNOWN, MOST_PLACES, PlaceBelief
+from ceilvo.daemon.relocalisation.place_belief import (
+    LEAD_M,
+    LEAST,
+    LEAST_UNKNOWN,
+    MOST_PLACES,
+    PlaceBelief,
+    of_tracked,
+)
 from ceilvo.types import Array
 
 RIVALS = np.array([[0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.3, 0.3, 0.5 * np.pi]])
@@ -258,3 +265,22 @@ def test_more_places_than_are_kept_are_cut_and_that_is_said() -> None:
     assert len(belief) == MOST_PLACES
     assert belief.cut
     assert not np.any(belief.places[0])
+
+
+def test_a_tracked_place_that_is_found_anew_beside_itself_gets_the_past_of_the_likeliest() -> None:
+    """8 cm off it matched nothing, and what was found there every time was taken for it, and dropped."""
+    belief = doubted()
+    belief.doubt_unknown(-1.0)
+    for _ in range(3):
+        spot(belief, [-9.0, 0.0, -9.0, -9.0])
+    belief.leave_spot()
+    lost = belief.settled[0]
+    belief.again(5.0)
+    assert belief.settled[0] == pytest.approx(lost + 5.0)
+    belief.again(-5.0)
+    assert belief.settled[0] == pytest.approx(lost + 5.0)
+
+
+def test_a_place_a_few_centimetres_off_is_the_tracked_one_and_a_small_tile_is_not() -> None:
+    off = np.array([[0.08, 0.03, 0.0], [0.0, -0.1, 0.0], [0.3, 0.0, 0.0], [0.0, 0.0, 0.5 * np.pi]])
+    assert of_tracked(off).tolist() == [True, True, False, False]

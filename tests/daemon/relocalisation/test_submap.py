@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ceilvo.bench.place.case import drive_in
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.crossing_types import quarter_turns, turned_type
-from ceilvo.daemon.relocalisation.admission import of_doubtful_place, of_sure_place
+from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined, rest_of
 from ceilvo.se2 import compose, inverse, transform
@@ -122,7 +122,27 @@ def test_a_place_that_is_led_by_another_is_not_put_right_at_the_cost_of_that_one
         return np.arange(20), map_
 
     assert of_doubtful_place(seen, np.zeros(3), known_square(), submap=True) is not None
-    assert (of_doubtful_place(seen, np.zeros(3), known_square(), submap=True, near=near) is not None) == told
+    assert (of_doubtful_place(seen, np.zeros(3), known_square(), submap=True, near=near, led=True) is not None) == told
+
+
+@pytest.mark.parametrize("doubtful", [True, False])
+def test_tiles_that_were_hung_anew_a_part_of_a_tile_off_do_not_take_the_pose_along(doubtful: bool) -> None:
+    """Every one has a landmark within the gate, and a third of the view was off by 0.1 m, all alike."""
+    rng = np.random.default_rng(7)
+    xy = rng.uniform(-1, 1, (30, 2))
+    off = np.where(np.arange(30)[:, None] < 3 if doubtful else np.arange(30)[:, None] < 10, [0.0, 0.1], 0.0)
+    map_ = landmarks(xy + off)
+    seen = view(xy, list(range(30)))
+
+    def near(at: Array, reach_m: float) -> tuple[Ints, Landmarks]:
+        return np.arange(30), map_
+
+    if doubtful:
+        told = of_doubtful_place(seen, np.zeros(3), known_square(), submap=False, near=near)
+    else:
+        told = of_sure_place(seen, np.zeros(3), known_square(), near)
+    assert told is not None
+    assert told.label[told.label >= 0].tolist() == list(range(3 if doubtful else 10, 30))
 
 
 @pytest.mark.parametrize("seed", [6])

@@ -180,6 +180,19 @@ def test_refined_poses_are_at_the_truth_from_a_few_centimetres_off():
     assert np.median(errors) < 0.01
 
 
+def test_a_third_of_a_ceiling_hung_anew_does_not_pull_a_refined_pose():
+    """Its features lie 0.08 m off, all alike; a mean would be off by a third of that."""
+    rng = np.random.default_rng(21)
+    known = place_maps.random_map(rng, 800, 20.0)
+    index = PlaceIndex.of(known)
+    for pose in np.column_stack([rng.uniform(-7, 7, (10, 2)), rng.uniform(-3, 3, 10)]):
+        view = place_maps.view_of(known, pose, rng, noise_m=0.003)
+        moved = np.array(view.xy_base_m)
+        moved[: len(moved) // 3] += np.array([0.08, 0.0])
+        better = index.refined(pose[None], replace(view, xy_base_m=moved))[0]
+        assert np.hypot(*(better - pose)[:2]) < 0.013
+
+
 def test_the_heading_is_refined_as_well():
     rng = np.random.default_rng(20)
     known = place_maps.random_map(rng, 800, 20.0)

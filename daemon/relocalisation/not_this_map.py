@@ -1,0 +1,239 @@
+"""Is the robot anywhere on the map? All places at once, by views that share no ground, against ground it does not know.
+
+The belief cannot say: places that are alike by chance come up with every view, and each is new there. Here every place
+must explain all views that are kept, so what was alike once is not for long. What a map has of a ceiling may have
+changed, a part of it as large as a view at once. So each view is that of changed ground, or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE, combined
+from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_poses
+from ceilvo.se2 import transform
+from ceilvo.types import Array, Observations, Pose
+
+MAP_RIGHT = 0.05
+"""Chance at most that the map is right when it is said that it is not; chosen: saying so changes nothing, so it is not
+states.false_place_rate. It takes two to three views without a feature in common."""
+NEW_GROUND = 0.5
+"""Share of a view that must show ground which no view that is kept shows; chosen: a metre of the way."""
+MOST_VIEWS = 8
+"""Kept, the last; chosen for time."""
+MOST_PLACES = 512
+"""Places kept, the likeliest; chosen for time."""
+UNLISTED, UNLISTED_INCOMPLETE = 0.01, 0.5
+"""Chance that the index does not list the right place of a view: where it says that it lists all (measured: none of
+some hundred, docs/place-index.md), and where it does not (measured: 0.1 to 0.53)."""
+LEAVES, STAYS_OFF = 0.05, 0.5
+"""Chance that a robot on the map comes to ground that nobody has mapped, and that it stays there for another view;
+chosen."""
+SPOILT = 0.001
+"""Chance that a view which is kept shows something else than the ceiling, whatever has changed: people, a damaged
+picture; chosen."""
+HALF = 0.5
+"""A view of which the map knows less of the ground is from there."""
+_NEVER = -np.inf
+_CELL_M = 0.1
+_LEAST_M2 = 1e-3
+"""In place of an area that is none."""
+
+Weigh = Callable[[Observations, float, Array], tuple[Array, Array]]
+"""(N, 2) log-likelihood ratios of a view, whose features are worth so much, at poses (N, 3), and (N,) the share of it
+on ground that the map knows."""
+
+
+@dataclass(slots=True)
+class NotThisMapState:
+    """What is remembered since the doubt.
+
+    Attributes:
+        area_m2: that the map knows.
+        unknown: log-odds of ground that the map does not know against the tracked place, before any view; -inf: nobody
+            asks.
+        beyond: the same of places of the map that are not listed one by one; each: of one place.
+        views: kept, each with the tracked pose (3,) it was seen from, its share of new ground, and the logarithm of the
+            chance that the right place is not listed.
+        ground: that they show; view_m2: of one view.
+        places: (G, 3) place_from_tracked; the first is the tracked one, zero.
+        ratio: (G, K, 2) of every view there; on: (G, K) whether its ground is known there.
+        odds: log-odds of the map against ground that it does not know; said: that it is not this map; times: that it
+            was said.
+    """
+
+    area_m2: float = 0.0
+    unknown: float = _NEVER
+    beyond: float = 0.0
+    each: float = 0.0
+    views: list[tuple[Observations, Array, float, float]] = field(default_factory=list)
+    ground: Coverage = field(default_factory=Coverage)
+    view_m2: float = 0.0
+    places: Array = field(default_factory=lambda: np.zeros((1, 3)))
+    ratio: Array = field(default_factory=lambda: np.zeros((1, 0, 2)))
+    on: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((1, 0), bool))
+    odds: float = np.inf
+    said: bool = False
+    times: int = 0
+
+
+class NotThisMap:
+    """Begin it with a doubt, show it views; end it when the place is sure."""
+
+    def __init__(self) -> None:
+        self.state = NotThisMapState()
+
+    @property
+    def said(self) -> bool:
+        return self.state.said
+
+    @property
+    def asks(self) -> bool:
+        return self.state.unknown > _NEVER
+
+    @property
+    def ground_m2(self) -> float:
+        """Of the ceiling that has been looked at."""
+        return self.state.ground.shown_m2
+
+    def doubt(
+        self,
+        doubt: Doubt,
+        pose: Array,
+        view: Observations,
+        lattice: Lattice | None,
+        ground: Coverage,
+        known: float,
+        listed_m: float,
+    ) -> None:
+        """Begin to ask, unless the robot was where the map does not know anyhow.
+
+        Args:
+            pose: (3,) where it should be; view: from there, known: of which the map knows so much of the ground.
+            lattice: of the ceiling there; ground: that the map knows; listed_m: how far rivals are listed one by one.
+        """
+        if known < HALF:
+            self.end()
+            return
+        unknown, reach_m = doubt.unknown, 0.0
+        if lattice is not None:
+            reach_m = lattice.reach_m(listed_m)
+            off = offset(lattice.aligned(pose, view), pose)
+            fits = doubt.alignment(off, lattice.tile_m, turned=False) if doubt.unmeasured else 0.0
+            unknown -= max(fits, 0.0)  # tiles that do not lie so are features without landmarks, and count as those
+        beyond = ground.share_beyond(pose[:2], reach_m) if doubt.anywhere else 0.0
+        self.begin(unknown, ground.area_m2, beyond)
+
+    def begin(self, unknown: float, area_m2: float, beyond: float) -> None:
+        """With a doubt: log-odds of unknown ground against the tracked place, ground that the map knows, and the share
+        of it that lies further off than rivals are listed one by one."""
+        each = unknown - float(np.log(max(area_m2, 1.0) * PLACES_PER_M2))
+        beyond = unknown + float(np.log(beyond)) if beyond > 0.0 else _NEVER
+        self.state = NotThisMapState(area_m2, unknown, beyond, each, times=self.state.times)
+
+    def end(self) -> None:
+        """The place is known, or nobody asks any more."""
+        self.state = NotThisMapState(times=self.state.times)
+
+    def new_ground(self, pose: Array, visible_m: Array) -> float:
+        """Share of a view's polygon (V, 2) in base, from a pose (3,), that no view has shown."""
+        shown = Coverage()
+        shown.show(transform(Pose(pose), visible_m))
+        cells = shown.cells_m
+        return float(np.mean(self.state.ground.views(cells) == 0)) if len(cells) else 0.0
+
+    def take(self, view: Observations, pose: Array, places: Array, complete: bool, weigh: Weigh) -> bool:
+        """Keep a view from the tracked pose (3,) if it shows new ground; True when that was what made it say so.
+
+        Args:
+            places: (P, 3) place_from_tracked that are likely now.
+            complete: no other place of the map is.
+        """
+        s = self.state
+        new = self.new_ground(pose, view.visible_m)
+        if new < NEW_GROUND or not len(view):
+            return False
+        before_m2 = s.ground.shown_m2
+        s.ground.show(transform(Pose(pose), view.visible_m))
+        s.view_m2 = (s.ground.shown_m2 - before_m2) / new
+        s.views.append((view, np.array(pose), new, float(np.log(UNLISTED if complete else UNLISTED_INCOMPLETE))))
+        self._weigh_new_view(weigh)
+        self._add(places, weigh)
+        if len(s.views) > MOST_VIEWS:
+            s.views, s.ratio, s.on = s.views[1:], s.ratio[:, 1:], s.on[:, 1:]
+        s.odds = float(self._odds())
+        before, s.said = s.said, bool(s.odds < np.log(MAP_RIGHT) or (s.said and s.odds < 0.0))
+        s.times += s.said and not before
+        return s.said and not before
+
+    def _weigh_new_view(self, weigh: Weigh) -> None:
+        s = self.state
+        view, pose, new, _ = s.views[-1]
+        ratio, known = weigh(view, new, rival_poses(s.places, pose))
+        s.ratio = np.concatenate([s.ratio, ratio[:, None]], axis=1)
+        s.on = np.concatenate([s.on, (known >= HALF)[:, None]], axis=1)
+
+    def _add(self, places: Array, weigh: Weigh) -> None:
+        """Weigh places that are not known yet at all views, those first that the last view speaks for."""
+        s = self.state
+        fresh = places[~_same(places, s.places)]
+        if not len(fresh):
+            return
+        view, pose, new, _ = s.views[-1]
+        best = np.argsort(-combined(weigh(view, new, rival_poses(fresh, pose))[0]), kind="stable")[:MOST_PLACES]
+        fresh = fresh[best]
+        told = [weigh(v, worth, rival_poses(fresh, at)) for v, at, worth, _ in s.views]
+        s.places = np.concatenate([s.places, fresh])
+        s.ratio = np.concatenate([s.ratio, np.stack([r for r, _ in told], axis=1)])
+        s.on = np.concatenate([s.on, np.stack([k >= HALF for _, k in told], axis=1)])
+        keep = np.append(0, 1 + np.argsort(-self._weights()[1:], kind="stable")[: MOST_PLACES - 1])
+        s.places, s.ratio, s.on = s.places[keep], s.ratio[keep], s.on[keep]
+
+    def _weights(self) -> Array:
+        """(G,) log-odds of the places against the tracked one before any view; where none shows the map, -inf."""
+        s = self.state
+        prior = np.full(len(s.places), s.each)
+        prior[0] = 0.0
+        both = np.stack([self._with_changes(s.ratio[..., c]) for c in range(2)], axis=-1)
+        off = ~s.on
+        left = off & np.column_stack([np.ones(len(off), bool), s.on[:, :-1]])
+        way = np.sum(np.where(left, np.log(LEAVES), np.where(off, np.log(STAYS_OFF), 0.0)), axis=1)
+        out = prior + combined(both) + way
+        out[1:][~np.any(s.on[1:], axis=1)] = _NEVER
+        return np.asarray(out)
+
+    def _odds(self) -> float:
+        s = self.state
+        missed = np.array([[v[3] for v in s.views]])
+        unlisted = s.beyond + float(self._with_changes(missed)[0])
+        return float(np.logaddexp(np.logaddexp.reduce(self._weights()), unlisted)) - s.unknown
+
+    def _with_changes(self, ratio: Array) -> Array:
+        """(G,) log-likelihood ratios of views (G, K), each of changed ground or not.
+
+        What has changed is a fraction of the whole map: where the views have shown more than that, the rest has not.
+        """
+        s = self.state
+        new = np.array([v[2] for v in s.views])
+        cells = s.area_m2 / max(s.view_m2, _LEAST_M2)
+        before = np.cumsum(new) - new
+        left = np.maximum(cells - before, _LEAST_M2)
+        changed = np.clip((CHANGED[:, None] * cells - before) / left, SPOILT, CHANGED[-1])  # (R, K)
+        same = ratio[:, None] + new * np.log1p(-changed)
+        each = np.logaddexp(new * np.log(changed), same)
+        return np.asarray(np.logaddexp.reduce(np.log(CHANGED_CHANCE) + np.sum(each, axis=-1), axis=-1))
+
+
+def _same(places: Array, known: Array) -> NDArray[np.bool_]:
+    """(N,) whether places (N, 3) are among known ones (M, 3)."""
+    keys = [np.round(p / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64) for p in (places, known)]
+    for key in keys:
+        key[:, 2] %= 4
+    rows = {tuple(row) for row in keys[1].tolist()}
+    return np.array([tuple(row) in rows for row in keys[0].tolist()], np.bool_)

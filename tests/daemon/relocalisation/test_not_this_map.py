@@ -1,0 +1,155 @@
+"""Whether a robot is anywhere on a map: ceilings whose every feature is known, looked at along a way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ceilvo import se2
+from ceilvo.bench.place.case import drive_in, load_known
+from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
+from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.daemon.relocalisation.evidence.chance import Chance
+from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
+from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked
+from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
+from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
+from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP, Relocaliser
+from ceilvo.se2 import inverse, transform
+from ceilvo.types import Array, Landmarks, Observations, State
+
+SQUARE = 1.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+STARTED_ELSEWHERE = float(np.log(0.05 / 0.95))
+SAID = 7.0
+"""Log-odds against the map of a robot that was told so: more than one view takes it back."""
+WAY = [np.array([x, 4.9, 0.0]) for x in (2.0, 3.5, 5.0, 6.5, 8.0)]
+"""8 m of a hall of 10 m."""
+
+
+def ceiling(seed: int) -> Landmarks:
+    """10.8 m square, tiles of 0.6 m; one in five is a lamp of four corners, at random."""
+    rng = np.random.default_rng(seed)
+    xy, kinds = [], []
+    for i in range(18):
+        for j in range(18):
+            xy.append((0.6 * i, 0.6 * j))
+            kinds.append(4)
+            if rng.random() < 0.2:
+                for dx, dy, kind in ((0.1, 0.1, 0), (0.5, 0.1, 2), (0.1, 0.5, 6), (0.5, 0.5, 8)):
+                    xy.append((0.6 * i + dx, 0.6 * j + dy))
+                    kinds.append(kind)
+    n = len(xy)
+    return Landmarks(np.arange(n), np.array(xy), np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.array(kinds), np.full(n, 50))
+
+
+def renovated(old: Landmarks, new: Landmarks, side_m: float) -> Landmarks:
+    """A square in the middle of the way is another ceiling."""
+    low, high = np.array([5.0, 4.9]) - 0.5 * side_m, np.array([5.0, 4.9]) + 0.5 * side_m
+    there = [np.all((m.xy_map_m > low) & (m.xy_map_m < high), axis=1) for m in (old, new)]
+    kept, put = old.of(~there[0]), new.of(there[1])
+    n = len(kept) + len(put)
+    xy = np.concatenate([kept.xy_map_m, put.xy_map_m])
+    kinds = np.concatenate([kept.crossing_type, put.crossing_type])
+    return Landmarks(np.arange(n), xy, np.tile(1e-6 * np.eye(2), (n, 1, 1)), kinds, np.full(n, 50))
+
+
+def view_of(seen: Landmarks, pose: Array) -> Observations:
+    xy = transform(inverse(pose), seen.xy_map_m)
+    near = np.all(np.abs(xy) < 1.5, axis=1)
+    n = int(near.sum())
+    kind = seen.crossing_type[near]
+    return Observations(xy[near], np.full((n, 2), 1e-5), kind, np.full(n, -1), 0.0, 1e-6, 0.0, SQUARE)
+
+
+def asked(known: Landmarks, seen: Landmarks, start_off_m: float = 0.0) -> tuple[list[bool], NotThisMap]:
+    """What is said after each view of the way, by a robot whose stored pose is so far off."""
+    same = np.full((2, CROSSING_TYPES), 0.2)
+    same[:, 4] = 0.98
+    ground, index = Coverage.of(known, 0.6), PlaceIndex.of(known)
+    around = Surroundings.of(known, ground, Chance(same, np.minimum(same + 0.1, 0.99)), 3.0, 0.0)
+
+    def weigh(view: Observations, worth: float, poses: Array) -> tuple[Array, Array]:
+        evidence = ViewEvidence(view, around, np.full(len(view), worth))
+        return evidence.log_ratio_in(index.grid, poses), evidence.known(poses)
+
+    test, lattice = NotThisMap(), Lattice.of(known, 0.0)
+    assert lattice is not None
+    test.begin(STARTED_ELSEWHERE, ground.area_m2, ground.share_beyond(WAY[0][:2], 6.0))
+    said = []
+    for pose in WAY:
+        view, tracked = view_of(seen, pose), pose + np.array([start_off_m, 0.0, 0.0])
+        places = lattice.rivals(tracked, view, 6.0, turned=True)
+        found = index.candidates(view)
+        places = np.concatenate([np.zeros((1, 3)), places, rival_from_tracked(found.pose, tracked)])
+        test.take(view, tracked, places, found.complete, weigh)
+        said.append(test.said)
+    return said, test
+
+
+@pytest.mark.parametrize("seed", range(40, 46))
+def test_another_building_is_not_this_map(seed: int) -> None:
+    """Of the five views three share little ground."""
+    said, test = asked(ceiling(seed), ceiling(seed + 1000))
+    assert not said[0]
+    assert said[-1]
+    assert test.state.times == 1
+
+
+@pytest.mark.parametrize("seed", range(40, 46))
+@pytest.mark.parametrize("start_off_m", [0.0, 1.2, 3.0], ids=str)
+def test_the_right_map_is_never_another_wherever_the_robot_was_believed(seed: int, start_off_m: float) -> None:
+    known = ceiling(seed)
+    said, test = asked(known, known, start_off_m)
+    assert not any(said)
+    assert test.state.odds > 3.0
+
+
+@pytest.mark.parametrize("seed", range(40, 46))
+def test_a_ceiling_of_which_a_part_was_renovated_is_still_this_map(seed: int) -> None:
+    """Nearly all of one view, and half of its neighbours, are of another ceiling."""
+    known = ceiling(seed)
+    said, _ = asked(known, renovated(known, ceiling(seed + 1000), 2.9))
+    assert not any(said)
+
+
+def test_it_asks_no_more_once_it_was_ended() -> None:
+    test = NotThisMap()
+    assert not test.asks
+    test.begin(STARTED_ELSEWHERE, 100.0, 0.0)
+    assert test.asks
+    test.end()
+    assert not test.asks
+    assert not test.said
+
+
+def told_that_it_is_not_the_map(relocaliser: Relocaliser) -> None:
+    """As after views that chance, or people, made look like no part of it."""
+    asked_of = NotThisMap()
+    asked_of.begin(SAID, relocaliser.state.survey.coverage.area_m2, 0.0)
+    state = relocaliser.state
+    state.not_this_map = replace(asked_of.state, said=True, odds=-SAID)
+    relocaliser.state = state
+
+
+@pytest.mark.parametrize("seed", [40, 42])
+def test_while_it_is_said_no_place_is_believed_and_when_views_take_it_back_the_right_one_is(seed: int) -> None:
+    """A robot that stands where it was stored, and would be TRACKING within a second."""
+    print(f"seed {seed}")
+    world = make_world(WorldSpec("5", 0.6, "raster", seed))
+    drive = drive_in(world, np.random.default_rng(seed), False, 10.0, False, 0.5)
+    load_known(drive, world, np.random.default_rng(seed))
+    drive.tick()
+    assert not drive.pipeline.relocaliser.sure
+    told_that_it_is_not_the_map(drive.pipeline.relocaliser)
+    for _ in range(10):
+        estimate = drive.tick()
+        assert estimate is not None
+        assert estimate.state is State.RELOCALISING
+        assert estimate.reason.startswith(NOT_THIS_MAP)
+        assert drive.estimator.elsewhere() > 0.9  # what a restart is told
+    assert drive.settle(40.0)
+    assert drive.estimate is not None
+    assert np.hypot(*se2.between(drive.pose, np.asarray(drive.estimate.pose))[:2]) < 0.05
+    assert not drive.pipeline.relocaliser.state.not_this_map.said
+    assert drive.estimator.elsewhere() < 1e-4
