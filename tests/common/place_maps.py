@@ -12,6 +12,8 @@ CORNERS = (0, 2, 6, 8)
 """Types of a lamp's corners; a quarter turn takes each to another."""
 JOINT = 4
 """Type of a crossing of two grooves, the same after any quarter turn."""
+SQUARE = 1.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+"""(4, 2) corners of what a view of 3 m shows."""
 
 
 def map_of(xy: Array, kind: Ints, first_id: int = 0) -> Landmarks:
@@ -36,6 +38,23 @@ def tiles(width: int, height: int, tile_m: float, lamps: Ints) -> Landmarks:
     xy = (tile_m * np.reshape(lamps, (-1, 1, 2)) + corner).reshape(-1, 2)
     kind = np.concatenate([np.full(len(joints), JOINT), np.tile([8, 6, 2, 0], len(xy) // 4)])
     return map_of(np.concatenate([joints, xy]), kind)
+
+
+def ceiling(seed: int, raster: bool = False) -> Landmarks:
+    """10.8 m square, tiles of 0.6 m; one in five is a lamp of four corners, at random or every fourth by third."""
+    rng = np.random.default_rng(seed)
+    xy, kinds = [], []
+    for i in range(18):
+        for j in range(18):
+            xy.append((0.6 * i, 0.6 * j))
+            kinds.append(4)
+            if (i % 4 == 0 and j % 3 == 0) if raster else rng.random() < 0.2:
+                for dx, dy, kind in ((0.1, 0.1, 0), (0.5, 0.1, 2), (0.1, 0.5, 6), (0.5, 0.5, 8)):
+                    xy.append((0.6 * i + dx, 0.6 * j + dy))
+                    kinds.append(kind)
+    n = len(xy)
+    seen = np.full(n, 50)
+    return Landmarks(np.arange(n), np.array(xy), np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.array(kinds), seen)
 
 
 def view_of(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from place_maps import SQUARE, ceiling
 
 from ceilvo.crossing_types import CROSSING_TYPES, LAMP, turned_type
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
@@ -14,25 +15,7 @@ from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.se2 import inverse, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
-SQUARE = 1.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 HERE = np.array([5.2, 4.9, 0.3])
-
-
-def ceiling(seed: int, raster: bool = False) -> Landmarks:
-    """Tiles of 0.6 m; one in five is a lamp of four corners, at random or every fourth by third."""
-    rng = np.random.default_rng(seed)
-    xy, kinds = [], []
-    for i in range(18):
-        for j in range(18):
-            xy.append((0.6 * i, 0.6 * j))
-            kinds.append(4)
-            if (i % 4 == 0 and j % 3 == 0) if raster else rng.random() < 0.2:
-                for dx, dy, kind in ((0.1, 0.1, 0), (0.5, 0.1, 2), (0.1, 0.5, 6), (0.5, 0.5, 8)):
-                    xy.append((0.6 * i + dx, 0.6 * j + dy))
-                    kinds.append(kind)
-    n = len(xy)
-    seen = np.full(n, 50)
-    return Landmarks(np.arange(n), np.array(xy), np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.array(kinds), seen)
 
 
 def view_from(landmarks: Landmarks, pose: Array, turns: int = 0) -> Observations:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from place_maps import SQUARE, ceiling
 
 from ceilvo import se2
 from ceilvo.bench.place.case import drive_in, load_known
@@ -19,28 +20,11 @@ from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP, Relocaliser
 from ceilvo.se2 import inverse, transform
 from ceilvo.types import Array, Landmarks, Observations, State
 
-SQUARE = 1.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 STARTED_ELSEWHERE = float(np.log(0.05 / 0.95))
 SAID = 7.0
 """Log-odds against the map of a robot that was told so: more than one view takes it back."""
 WAY = [np.array([x, 4.9, 0.0]) for x in (2.0, 3.5, 5.0, 6.5, 8.0)]
 """8 m of a hall of 10 m."""
-
-
-def ceiling(seed: int) -> Landmarks:
-    """10.8 m square, tiles of 0.6 m; one in five is a lamp of four corners, at random."""
-    rng = np.random.default_rng(seed)
-    xy, kinds = [], []
-    for i in range(18):
-        for j in range(18):
-            xy.append((0.6 * i, 0.6 * j))
-            kinds.append(4)
-            if rng.random() < 0.2:
-                for dx, dy, kind in ((0.1, 0.1, 0), (0.5, 0.1, 2), (0.1, 0.5, 6), (0.5, 0.5, 8)):
-                    xy.append((0.6 * i + dx, 0.6 * j + dy))
-                    kinds.append(kind)
-    n = len(xy)
-    return Landmarks(np.arange(n), np.array(xy), np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.array(kinds), np.full(n, 50))
 
 
 def renovated(old: Landmarks, new: Landmarks, side_m: float) -> Landmarks:
