@@ -15,7 +15,7 @@ from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspic
 from ceilvo.types import Array, Crossings, Ints, Motion
 
 RING = 12
-"""Pictures compared with; chosen: drivers have 2 to 8 buffers, and 12 pictures are 0.4 s at 30 Hz (rewound.py)."""
+"""Pictures compared with; chosen: drivers have 2 to 8 buffers, and 12 pictures are 0.4 s at 30 Hz (delay.py)."""
 _CALM_SHARE = 0.75
 """Of the samples, those that differ least: the others lie on edges, which move with the robot; chosen."""
 _FEWEST_SAMPLES = 128

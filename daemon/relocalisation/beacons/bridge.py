@@ -154,9 +154,7 @@ class Bridge:
         """A mark that is believed."""
         off, name = np.array(mark.pose - self.state.mean[:3]), str(mark.number)
         off[2] = se2.wrap(float(off[2]))
-        h = self._derivative(np.eye(3), {name: (np.eye(3), mark.own + ALIKE * mark.seen)})
-        self._update(h, off - h[:, 3:] @ self.state.mean[3:], (1.0 - ALIKE) * mark.seen)
-        self._count(name)
+        self._see(name, off, np.eye(3), {name: (np.eye(3), mark.own + ALIKE * mark.seen)}, (1.0 - ALIKE) * mark.seen)
 
     def see_lamp(self, name: str, off: Array, by_pose: Array, own_var: float, seen_var: tuple[float, float]) -> None:
         """A lamp (2,) off where the pose has it in base, m, which changes with the pose by (2, 3).
@@ -167,32 +165,32 @@ class Bridge:
         """
         self.state.lean_var, rest_var = seen_var
         own = (-by_pose[:, :2], own_var * np.eye(2))  # moved in map, it moves in base as the robot does
-        h = self._derivative(by_pose, {name: own, LEAN: (np.eye(2), self.state.lean_var * np.eye(2))})
-        self._update(h, off - h[:, 3:] @ self.state.mean[3:], rest_var * np.eye(2))
-        self._count(name)
+        lean = (np.eye(2), self.state.lean_var * np.eye(2))
+        self._see(name, off, by_pose, {name: own, LEAN: lean}, rest_var * np.eye(2))
 
-    def _count(self, name: str) -> None:
-        self.state.marks[name] = self.state.marks.get(name, 0) + 1
-
-    def _derivative(self, by_pose: Array, by_errors: dict[str, tuple[Array, Array]]) -> Array:
-        """(K, M) of what is seen by the state.
+    def _see(
+        self, name: str, off: Array, by_pose: Array, by_errors: dict[str, tuple[Array, Array]], var: Array
+    ) -> None:
+        """Something of known place, (K,) off where the pose has it.
 
         Args:
-            by_pose: (K, 3) by the pose.
+            by_pose: (K, 3) derivative of where that is by the pose.
             by_errors: (K, E) by each error, and the error's covariance (E, E) before it was seen for the first time.
+            var: (K, K) of what does not err alike each time.
         """
         s = self.state
-        for name, (_, cov) in by_errors.items():
-            if name not in s.errors:
-                s.errors[name] = len(s.mean)
+        for error, (_, cov) in by_errors.items():
+            if error not in s.errors:
+                s.errors[error] = len(s.mean)
                 s.mean = np.concatenate([s.mean, np.zeros(len(cov))])
                 s.cov = np.pad(s.cov, (0, len(cov)))
                 s.cov[-len(cov) :, -len(cov) :] = cov
         h = np.zeros((len(by_pose), len(s.mean)))
         h[:, :3] = by_pose
-        for name, (by_error, _) in by_errors.items():
-            h[:, s.errors[name] + np.arange(by_error.shape[1])] = by_error
-        return h
+        for error, (by_error, _) in by_errors.items():
+            h[:, s.errors[error] + np.arange(by_error.shape[1])] = by_error
+        self._update(h, off - h[:, 3:] @ s.mean[3:], var)
+        s.marks[name] = s.marks.get(name, 0) + 1
 
     def widen(self, mark: MarkPose) -> None:
         """A mark that contradicts others: one of them is wrong, so the pose may be either."""
