@@ -23,12 +23,13 @@ TURNED_RAD = 0.4
 """Standard deviation of the heading beyond which ranges do not correct it: they are not linear in it then."""
 ANY_RAD = float(np.pi / np.sqrt(3.0))
 """Standard deviation of a heading that may be any: more would be a lever for the place of the antenna."""
-ALIKE = 0.8
-"""Share of a mark's variance of measurement that is alike each time: the lens is, and most of the tilt; chosen."""
-LEAN_M = 2.0
-"""Way along which the tilt of a floor becomes another one, chosen: as long as a lamp is in view."""
+ALIKE = 0.5
+"""Share of the variance of a mark's corners that is alike in pictures from near by: a lens adds as much as noise."""
+FADE_M, FADE_RAD = 2.0, 1.0
+"""Way and turn along which the tilt of a floor, and where in the picture a mark is, become others; chosen: as long as a
+lamp is in view."""
 LEAN = "the floor's tilt"
-"""Names what all lamps of a picture are off by."""
+"""Names what all marks and lamps of a picture are off by."""
 FEWEST = 3
 """Ranges and marks after which the pose within a gap is worth more than prediction's, chosen."""
 
@@ -45,7 +46,7 @@ class BridgeState:
         used: ranges and marks that were taken.
         marks: how often each was, by name.
         errors: where in the mean a thing's error begins, by name.
-        lean_var: variance of what the floor's tilt moves lamps by, m^2.
+        fading: covariance of each error that becomes another one on the way, by name.
     """
 
     mean: Array = field(default_factory=lambda: np.empty(0))
@@ -55,7 +56,16 @@ class BridgeState:
     used: int = 0
     marks: dict[str, int] = field(default_factory=dict)
     errors: dict[str, int] = field(default_factory=dict)
-    lean_var: float = 0.0
+    fading: dict[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Error:
+    """What something seen is off by: (K, E) derivative of what is seen by it, and its covariance (E, E) at first."""
+
+    derivative: Array
+    cov: Array
+    fades: bool = False
 
 
 class Bridge:
@@ -108,7 +118,7 @@ class Bridge:
         way_m = float(np.hypot(step[0], step[1]))
         every = 3 + np.arange(len(table.names))
         s.cov[every, every] += WANDER_M2PM * way_m
-        self._lean(way_m)
+        self._fade(float(np.exp(-way_m / FADE_M - abs(step[2]) / FADE_RAD)))
         s.gap, s.gap_cov = np.array(gap.prev_from_curr), np.array(gap.cov)
 
     def _begin(self, pose: Array, cov: Array, table: AnchorTable, tag_m: Array) -> None:
@@ -120,17 +130,15 @@ class Bridge:
         full[3:, 3:] = np.diag(table.bias_sigma(every, distance) ** 2)
         self.state = BridgeState(np.concatenate([pose, np.zeros(len(every))]), full)
 
-    def _lean(self, way_m: float) -> None:
-        """The floor's tilt is another one after some way, and as large."""
+    def _fade(self, keeps: float) -> None:
+        """What is another one after some way, and as large."""
         s = self.state
-        if LEAN not in s.errors:
-            return
-        at = s.errors[LEAN] + np.arange(2)
-        keeps = float(np.exp(-way_m / LEAN_M))
-        s.mean[at] *= keeps
-        s.cov[at] *= keeps
-        s.cov[:, at] *= keeps
-        s.cov[at, at] += (1.0 - keeps**2) * s.lean_var
+        for name, cov in s.fading.items():
+            at = slice(s.errors[name], s.errors[name] + len(cov))
+            s.mean[at] *= keeps
+            s.cov[at] *= keeps
+            s.cov[:, at] *= keeps
+            s.cov[at, at] += (1.0 - keeps**2) * cov
 
     def hear(self, table: AnchorTable, tag_m: Array, which: Ints, range_m: Array, way_m: Array) -> None:
         """Ranges (N,) to anchors (N,); way_m: (N, 2) by which the tag was elsewhere then, in map."""
@@ -154,7 +162,13 @@ class Bridge:
         """A mark that is believed."""
         off, name = np.array(mark.pose - self.state.mean[:3]), str(mark.number)
         off[2] = se2.wrap(float(off[2]))
-        self._see(name, off, np.eye(3), {name: (np.eye(3), mark.own + ALIKE * mark.seen)}, (1.0 - ALIKE) * mark.seen)
+        errors = {
+            name: _Error(mark.by_place, mark.place_cov),
+            f"{name} in the picture": _Error(mark.by_picture, ALIKE * mark.picture_cov, fades=True),
+            LEAN: _Error(mark.by_picture[:, :2], mark.tilt_var * np.eye(2), fades=True),
+        }
+        var = (1.0 - ALIKE) * mark.by_picture @ mark.picture_cov @ mark.by_picture.T
+        self._see(name, off, np.eye(3), errors, var)
 
     def see_lamp(self, name: str, off: Array, by_pose: Array, own_var: float, seen_var: tuple[float, float]) -> None:
         """A lamp (2,) off where the pose has it in base, m, which changes with the pose by (2, 3).
@@ -163,32 +177,30 @@ class Bridge:
             own_var: of each coordinate of its place, m^2.
             seen_var: of each coordinate of what is seen: what the floor's tilt makes of it, and the rest.
         """
-        self.state.lean_var, rest_var = seen_var
-        own = (-by_pose[:, :2], own_var * np.eye(2))  # moved in map, it moves in base as the robot does
-        lean = (np.eye(2), self.state.lean_var * np.eye(2))
+        tilt_var, rest_var = seen_var
+        own = _Error(-by_pose[:, :2], own_var * np.eye(2))  # moved in map, it moves in base as the robot does
+        lean = _Error(np.eye(2), tilt_var * np.eye(2), fades=True)
         self._see(name, off, by_pose, {name: own, LEAN: lean}, rest_var * np.eye(2))
 
-    def _see(
-        self, name: str, off: Array, by_pose: Array, by_errors: dict[str, tuple[Array, Array]], var: Array
-    ) -> None:
-        """Something of known place, (K,) off where the pose has it.
+    def _see(self, name: str, off: Array, by_pose: Array, errors: dict[str, _Error], var: Array) -> None:
+        """Something of known place, (K,) off where the pose has it, which changes with the pose by (K, 3).
 
         Args:
-            by_pose: (K, 3) derivative of where that is by the pose.
-            by_errors: (K, E) by each error, and the error's covariance (E, E) before it was seen for the first time.
-            var: (K, K) of what does not err alike each time.
+            errors: by name; var: (K, K) of what is off by anything each time.
         """
         s = self.state
-        for error, (_, cov) in by_errors.items():
-            if error not in s.errors:
-                s.errors[error] = len(s.mean)
-                s.mean = np.concatenate([s.mean, np.zeros(len(cov))])
-                s.cov = np.pad(s.cov, (0, len(cov)))
-                s.cov[-len(cov) :, -len(cov) :] = cov
+        for key, error in errors.items():
+            if key not in s.errors:
+                s.errors[key] = len(s.mean)
+                s.mean = np.concatenate([s.mean, np.zeros(len(error.cov))])
+                s.cov = np.pad(s.cov, (0, len(error.cov)))
+                s.cov[s.errors[key] :, s.errors[key] :] = error.cov
+            if error.fades:
+                s.fading[key] = error.cov
         h = np.zeros((len(by_pose), len(s.mean)))
         h[:, :3] = by_pose
-        for error, (by_error, _) in by_errors.items():
-            h[:, s.errors[error] + np.arange(by_error.shape[1])] = by_error
+        for key, error in errors.items():
+            h[:, s.errors[key] + np.arange(len(error.cov))] = error.derivative
         self._update(h, off - h[:, 3:] @ s.mean[3:], var)
         s.marks[name] = s.marks.get(name, 0) + 1
 

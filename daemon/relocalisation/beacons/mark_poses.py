@@ -24,16 +24,27 @@ SHAPE_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class MarkPose:
-    """map_from_base (3,) that a mark says, with covariances (3, 3): seen, of the measurement; own, of its place."""
+    """map_from_base (3,) that a mark says, and what that is off by.
+
+    Attributes:
+        by_place: (3, 3) derivative by the pose of the mark in map; place_cov: (3, 3) of that.
+        by_picture: (3, 3) derivative by the pose of the mark in base, as it is seen; picture_cov: (3, 3) of that.
+        tilt_var: of each coordinate of what is seen, m^2, besides.
+    """
 
     number: int
     pose: Array
-    seen: Array
-    own: Array
+    by_place: Array
+    place_cov: Array
+    by_picture: Array
+    picture_cov: Array
+    tilt_var: float
 
     @property
     def cov(self) -> Array:
-        return np.asarray(self.seen + self.own)
+        seen = self.picture_cov + self.tilt_var * np.diag([1.0, 1.0, 0.0])
+        place = self.by_place @ self.place_cov @ self.by_place.T
+        return np.asarray(place + self.by_picture @ seen @ self.by_picture.T)
 
 
 def corners(size_m: float) -> Array:
@@ -75,29 +86,21 @@ def mark_pose(calibration: Calibration, mark: Mark, corners_px: Array) -> MarkPo
     pose = np.asarray(se2.compose(map_from_mark, se2.inverse(seen)))
     px_m = mark.size_m / side_px
     arm = seen[:2] - calibration.mount_xy_m
-    tilt_m = TILT_RAD * calibration.ceiling_height_m
     # the height is taken from four corners, so what lies off the middle of the picture is off by its share
     depth = 0.5 * CORNER_PX / side_px * np.outer(arm, arm) * CORNER_PX / side_px
-    cov_seen = np.diag([0.0, 0.0, (CORNER_PX / side_px) ** 2])
-    cov_seen[:2, :2] = (0.25 * (CORNER_PX * px_m) ** 2 + tilt_m**2) * np.eye(2) + depth
-    cov_mark = np.diag([mark.sigma_m**2, mark.sigma_m**2, mark.sigma_rad**2])
-    turn = float(pose[2])
-    return MarkPose(mark.number, pose, _turned(cov_seen, seen, turn), _about(cov_mark, pose, map_from_mark))
+    picture_cov = np.diag([0.0, 0.0, (CORNER_PX / side_px) ** 2])
+    picture_cov[:2, :2] = 0.25 * (CORNER_PX * px_m) ** 2 * np.eye(2) + depth
+    place_cov = np.diag([mark.sigma_m**2, mark.sigma_m**2, mark.sigma_rad**2])
+    by_place, by_picture = derivatives(pose, map_from_mark)
+    tilt_var = (TILT_RAD * calibration.ceiling_height_m) ** 2
+    return MarkPose(mark.number, pose, by_place, place_cov, by_picture, picture_cov, tilt_var)
 
 
-def _turned(cov: Array, seen: Array, turn_rad: float) -> Array:
-    """Covariance of the tag in base as one of the base in map: an error of heading turns about the tag."""
-    r = se2.rotation(turn_rad)
-    g = np.eye(3)
-    g[:2, :2] = r
-    arm = r @ seen[:2]
-    g[:2, 2] = [-arm[1], arm[0]]
-    return np.asarray(g @ cov @ g.T)
-
-
-def _about(cov: Array, pose: Array, map_from_mark: Array) -> Array:
-    """Covariance of a mark's pose in map as one of the base, which turns about the mark."""
+def derivatives(pose: Array, map_from_mark: Array) -> tuple[Array, Array]:
+    """(3, 3) each: the base's pose by the mark's in map and by the mark's in base. A turn of either is one about it."""
     arm = pose[:2] - map_from_mark[:2]
-    g = np.eye(3)
-    g[:2, 2] = [-arm[1], arm[0]]
-    return np.asarray(g @ cov @ g.T)
+    by_place, by_picture = np.eye(3), -np.eye(3)
+    by_place[:2, 2] = [-arm[1], arm[0]]
+    by_picture[:2, :2] = -se2.rotation(float(pose[2]))
+    by_picture[:2, 2] = -by_place[:2, 2]
+    return by_place, by_picture

@@ -9,7 +9,7 @@ import pytest
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.daemon.relocalisation.beacons.mark_finder import MarkFinder
-from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, corners, mark_pose
+from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, corners, derivatives, mark_pose
 from ceilvo.daemon.relocalisation.beacons.trust import STRIKES, Trust
 from ceilvo.senses.beacons import Mark
 from ceilvo.sim.rig import simulated_calibration
@@ -85,21 +85,41 @@ def test_another_size_is_another_mark() -> None:
 
 def test_the_covariance_is_that_of_noisy_corners() -> None:
     c, true, rng = simulated_calibration(tile_m=0.6), np.array([4.5, -1.6, 0.4]), np.random.default_rng(5)
-    exact, off, turned = corners_px(c, true, MARK), [], 0.0
-    for _ in range(300):
+    exact, off = corners_px(c, true, MARK), []
+    for _ in range(1000):
         said = mark_pose(c, MARK, exact + 0.3 * rng.standard_normal((4, 2)))
         assert said is not None
         off.append(said.pose - true)
-        turned = said.seen[2, 2]
-    ratio = np.var(np.array(off)[:, 2]) / turned
-    print("variance of the heading over what is said", ratio)
-    assert 0.3 < ratio < 1.5
-    assert np.all(np.var(np.array(off)[:, :2], axis=0) < np.diag(said.seen)[:2])
+    ratio = ratios(np.cov(np.array(off).T), said.by_picture @ said.picture_cov @ said.by_picture.T)
+    print("variances over what is said", ratio)
+    assert np.all((ratio > 0.3) & (ratio < 1.5))
+
+
+def ratios(found: Array, said: Array) -> Array:
+    """Variances (3,) that were found over those that were said, in the directions in which they differ the most."""
+    half = np.linalg.inv(np.linalg.cholesky(said))
+    return np.linalg.eigvalsh(half @ found @ half.T)
+
+
+def test_what_a_mark_says_changes_with_its_place_and_the_picture_as_is_said() -> None:
+    in_map, in_base = np.array([4.0, -2.0, 0.7]), np.array([-0.4, 0.9, -2.0])
+    pose = se2.compose(in_map, se2.inverse(in_base))
+    for said, of in zip(
+        derivatives(pose, in_map),
+        (
+            lambda d: se2.compose(in_map + d, se2.inverse(in_base)),
+            lambda d: se2.compose(in_map, se2.inverse(in_base + d)),
+        ),
+        strict=True,
+    ):
+        found = np.column_stack([(of(d) - of(-d)) / 2e-6 for d in 1e-6 * np.eye(3)])
+        np.testing.assert_allclose(said, found, atol=1e-6)
 
 
 def shifted(x_m: float, turn_deg: float = 0.0) -> MarkPose:
     tight = np.diag([1e-4, 1e-4, 1e-4])
-    return MarkPose(7, np.array([x_m, 0.0, np.radians(turn_deg)]), tight, tight)
+    pose = np.array([x_m, 0.0, np.radians(turn_deg)])
+    return MarkPose(7, pose, np.eye(3), tight, -np.eye(3), tight, 0.0)
 
 
 def test_a_mark_that_was_moved_is_named_and_ignored() -> None:
