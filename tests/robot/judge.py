@@ -88,9 +88,7 @@ def checks(run: Run) -> Iterator[Check]:
 
 def _installation(run: Run) -> Iterator[Check]:
     f = run.facts
-    yield Check(
-        "phases", f"failed: {f['failed_phase']}" if "failed_phase" in f else "all", "all", "failed_phase" not in f
-    )
+    yield phases(f, [f["failed_phase"]] if "failed_phase" in f else [])
     yield Check("installed in", f"{run.number('install_ms') / 1e3:.1f} s")
     yield Check("systemd-analyze verify", repr(f.get("verify")), "''", f.get("verify") == "")
     exposure = run.number("exposure")
@@ -104,6 +102,14 @@ def _installation(run: Run) -> Iterator[Check]:
     yield Check("picture, by a process of its own", picture, _PICTURE, picture == _PICTURE)
     status = f.get("status_tracking", "")
     yield Check("STATUS= at the end", status, "has TRACKING", "TRACKING" in status)
+
+
+def phases(f: dict[str, str], failed: list[str]) -> Check:
+    """Whether all that should happen did, and the guest came to its end."""
+    bad = [f"failed: {', '.join(failed)}"] if failed else []
+    if f.get("in_phase") != "end":
+        bad.append(f"the guest stood still in {f.get('in_phase', 'its beginning')}")
+    return Check("phases", "; ".join(bad) or "all", "all", not bad)
 
 
 def errors(run: Run) -> tuple[Array, NDArray[np.int64]]:

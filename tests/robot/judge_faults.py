@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from judge import Check, told
+from judge import Check, phases, told
 
 GOOD = ("TRACKING", "DEGRADED")
 FLAGGED_S = 0.3
@@ -74,11 +74,7 @@ def _after_kills(life: Life) -> Iterator[float]:
 
 def checks(life: Life) -> Iterator[Check]:
     f = life.facts
-    phases = {k[6:]: v for k, v in f.items() if k.startswith("phase_")}
-    bad = [k for k, v in phases.items() if v != "ok"]
-    yield Check(
-        "phases", f"{len(phases) - len(bad)} of {len(phases)}" + (f", failed: {bad}" if bad else ""), "all", not bad
-    )
+    yield phases(f, [k[6:] for k, v in f.items() if k.startswith("phase_") and v != "ok"])
     yield Check(
         "STATUS= without a camera", f.get("status_absent", "-"), "names it", "camera" in f.get("status_absent", "")
     )

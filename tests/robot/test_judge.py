@@ -77,7 +77,7 @@ def run() -> Any:
     facts |= {"cpu_before_ns": "0", "cpu_after_ns": "1", "memory_bytes": "1", "kill_ready_ms": "900", "kill_ns": "0"}
     facts |= {"hang_ready_ms": "5000", "hang_ns": "0", "stop_ms": "200", "stop_code": "1", "stop_status": "0"}
     facts |= {"stop_result": "success", "leftovers": "/etc/ceilvo /var/lib/ceilvo ", "user_left": "0"}
-    facts |= {"wrong_config": "status 78, restarts 0, failed"}
+    facts |= {"wrong_config": "status 78, restarts 0, failed", "in_phase": "end"}
     return judge.Run(facts, poses, telegrams, feed, truth, "started")
 
 
@@ -143,6 +143,7 @@ def test_pose_sent_again_long_after_it_was_published_is_no_other_pose(run: Any) 
         ({"artists": "1 TS"}, "picture, by a process of its own"),
         ({"leftovers": "/etc/ceilvo /opt/ceilvo /var/lib/ceilvo"}, "left by uninstall"),
         ({"failed_phase": "drive"}, "phases"),
+        ({"in_phase": "hang"}, "phases"),
         ({"wrong_config": "status 78, restarts 3, activating"}, "wrong configuration"),
     ],
 )
@@ -165,6 +166,7 @@ def test_nothing_written_down_is_not_a_success(run: Any) -> None:
 def fault_life(timed: bool, flagged_s: float = 0.2, recovered_s: float = 1.0) -> Any:
     """A robot whose camera stalled from 1 s to 4 s; poses come every 0.1 s."""
     facts = {"phase_stalled": "ok", "status_absent": "INIT: camera", "status_stall": "LOST", "rejected": "0"}
+    facts |= {"in_phase": "end"}
     facts |= {"stall_begin_ns": "1000000000", "stall_end_ns": "4000000000"}
     facts |= {"kill1_ns": "5100000000", "life1_ns": "5300000000"}
     facts |= {"memory_same_process": "yes", "memory_end_ns": "8000000000", "calibration_end": "status 78, failed"}
