@@ -9,8 +9,8 @@ mono() {
 now() { date +%s%N; }
 note() { printf '%s=%s\n' "$1" "$2" >>"$out/facts.txt"; }
 step() { printf '[%6.1f] %s\n' "$(cut -d' ' -f1 /proc/uptime)" "$*"; }
-# begin PHASE: says where the guest was, should it stand still.
-begin() {
+# enter PHASE: says where the guest was, should it stand still.
+enter() {
   step "$1"
   note in_phase "$1"
 }

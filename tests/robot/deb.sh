@@ -101,7 +101,7 @@ purge() {
 rc=0
 rm -f "$out/facts.txt" "$out/samples.jsonl"
 for phase in install configure track upgrade remove purge; do
-  begin "$phase"
+  enter "$phase"
   $phase || {
     step "$phase failed"
     rc=1
@@ -111,5 +111,5 @@ for phase in install configure track upgrade remove purge; do
   }
 done
 [ -e "$out/service.txt" ] || journalctl -u ceilvod --no-pager -o short-monotonic >"$out/service.txt"
-begin end
+enter end
 exit $rc

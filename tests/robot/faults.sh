@@ -223,7 +223,7 @@ rc=0
 rm -f "$out/facts.txt" "$out/samples.jsonl"
 for phase in ${PHASES:-setup stalled frozen black white replugged wrong_format formats silent_base clock_steps disk_full read_only \
   starved kills memory corrupt_state corrupt_calibration}; do
-  begin "$phase"
+  enter "$phase"
   if $phase; then note "phase_$phase" ok; else
     step "$phase failed"
     last_pose | cut -c1-400
@@ -237,5 +237,5 @@ systemctl stop ceilvod
 journalctl -u ceilvod --no-pager -o short-monotonic >"$out/service.txt"
 feed_stop
 kill "${listener:-}" 2>/dev/null
-begin end
+enter end
 exit $rc

@@ -103,7 +103,7 @@ uninstall() {
 rc=0
 rm -f $out/facts.txt "$out"/{samples,found,pictures}.jsonl
 for phase in install_service start_without_camera plug_camera_in drive be_found be_seen kill_hard hang stop refuse_wrong_config; do
-  begin "$phase"
+  enter "$phase"
   $phase || { step "$phase failed"; rc=1; note failed_phase $phase; break; }
 done
 kill "${feeder:-}" "${listener:-}" 2>/dev/null
@@ -111,11 +111,11 @@ kill "${feeder:-}" "${listener:-}" 2>/dev/null
 cp -r /var/lib/ceilvo $out/state
 journalctl -u ceilvod --no-pager -o short-monotonic >$out/service.txt
 if [ $rc = 0 ]; then
-  begin uninstall
+  enter uninstall
   uninstall || { rc=1; note failed_phase uninstall; }
 else
   systemctl --no-pager --full status ceilvod
   tail -20 $out/service.txt
 fi
-begin end
+enter end
 exit $rc
