@@ -97,6 +97,13 @@ def compose_cov(a_from_b: Array, cov_ab: Array, b_from_c: Array, cov_bc: Array) 
     return np.asarray(f @ cov_ab @ f.T + g @ cov_bc @ g.T, dtype=np.float64)
 
 
+def lever(before: Array, after: Array) -> Array:
+    """(3, 3) by which an error of a pose goes on to one after it, in their frame: its turn moves what is ahead."""
+    f = np.eye(3)
+    f[0, 2], f[1, 2] = before[1] - after[1], after[0] - before[0]
+    return f
+
+
 def covariance_problem(cov: Array) -> str:
     """What keeps finite matrices (K, n, n) from being covariances, "" where nothing does."""
     if not len(cov):

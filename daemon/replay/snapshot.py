@@ -27,6 +27,8 @@ from ceilvo.errors import FileFormatError, one_line
 VERSION = 3
 """Version 1 (ceilvo 0.1) named classes and private attributes; snapshot_v1 turns it into version 2, which had one
 hypothesis about the place, and a filter that searched by itself."""
+_GONE: Mapping[str, frozenset[str]] = {"BridgeState": frozenset({"lean_var"})}
+"""Fields that programs of version 3 wrote and nothing reads any more, by class."""
 _LONGEST_NAME = 8
 """Of a type of numbers, as "<f8"; NumPy evaluates a longer one as a program would be read."""
 _BAD_TREE = (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError)
@@ -179,8 +181,9 @@ def _read(node: Any, hint: Any, like: Any) -> Any:
 
 
 def _read_dataclass(node: Any, hint: Any, like: Any) -> Any:
-    """A field that came after the state was written has its default."""
-    hints = _hints(hint)
+    """A field that came after the state was written has its default; one that has gone is passed over."""
+    hints, gone = _hints(hint), _GONE.get(hint.__name__, frozenset())
+    node = {name: value for name, value in node.items() if name not in gone}
     known = [f for f in fields(hint) if f.init]
     needed = {f.name for f in known if f.default is MISSING and f.default_factory is MISSING}
     names = {f.name for f in known}

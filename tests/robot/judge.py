@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,7 +88,7 @@ def checks(run: Run) -> Iterator[Check]:
 
 def _installation(run: Run) -> Iterator[Check]:
     f = run.facts
-    yield phases(f, [f["failed_phase"]] if "failed_phase" in f else [])
+    yield phases(f)
     yield Check("installed in", f"{run.number('install_ms') / 1e3:.1f} s")
     yield Check("systemd-analyze verify", repr(f.get("verify")), "''", f.get("verify") == "")
     exposure = run.number("exposure")
@@ -104,8 +104,10 @@ def _installation(run: Run) -> Iterator[Check]:
     yield Check("STATUS= at the end", status, "has TRACKING", "TRACKING" in status)
 
 
-def phases(f: dict[str, str], failed: list[str]) -> Check:
+def phases(f: Mapping[str, str]) -> Check:
     """Whether all that should happen did, and the guest came to its end."""
+    failed = [f["failed_phase"]] if "failed_phase" in f else []
+    failed += [k[6:] for k, v in f.items() if k.startswith("phase_") and v != "ok"]
     bad = [f"failed: {', '.join(failed)}"] if failed else []
     if f.get("in_phase") != "end":
         bad.append(f"the guest stood still in {f.get('in_phase', 'its beginning')}")

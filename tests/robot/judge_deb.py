@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from judge import Check, told
+from judge import Check, phases, told
 
 Facts = Mapping[str, str]
 
@@ -27,6 +27,7 @@ def checks(f: Facts, journal: str) -> Iterator[Check]:
         same_ones = len(digests) == 2 and f.get(fact, "").split() == digests
         return Check(name, f.get(fact, "-"), " ".join(digests), same_ones)
 
+    yield phases(f)
     yield Check("installed in", _seconds(f, "install_ms"), "", None)
     yield same("installed", "installed", "installed 0.1.0-1")
     yield same("starts with the computer: daemon, pages, maps", "enabled", "enabled disabled disabled")

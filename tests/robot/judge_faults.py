@@ -74,7 +74,7 @@ def _after_kills(life: Life) -> Iterator[float]:
 
 def checks(life: Life) -> Iterator[Check]:
     f = life.facts
-    yield phases(f, [k[6:] for k, v in f.items() if k.startswith("phase_") and v != "ok"])
+    yield phases(f)
     yield Check(
         "STATUS= without a camera", f.get("status_absent", "-"), "names it", "camera" in f.get("status_absent", "")
     )

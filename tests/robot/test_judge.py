@@ -228,9 +228,10 @@ PACKAGE = {
     **{"restarted": "yes", "web_restarted": "active", "after_tracking": "yes", "removed": "config-files 0.1.0-2"},
     **{"active_removed": "inactive", "commands_removed": "", "kept_removed": KEPT, "map_removed": "yes"},
     **{"doctor": "kernel:OK map:OK unit:OK "},
-    **{"purged": "none", "left": "", "users_left": "0"},
+    **{"purged": "none", "left": "", "users_left": "0", "in_phase": "end"},
 }
 BROKEN = {
+    **{"failed_phase": "upgrade", "in_phase": "upgrade"},
     **{"enabled": "enabled enabled disabled", "active_at_first": "active", "kernel": "False", "users_left": "1"},
     **{"kept_after": "d7b60ee76e06c171 0", "kept_before": "", "landmarks_after": "3", "landmarks_before": "0"},
     **{

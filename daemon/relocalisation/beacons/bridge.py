@@ -99,7 +99,7 @@ class Bridge:
             self._begin(pose, cov, table, tag_m)
         s = self.state
         step = Displacement(se2.between(s.gap, gap.prev_from_curr))
-        f = _lever(s.gap, gap.prev_from_curr)
+        f = se2.lever(s.gap, gap.prev_from_curr)
         fresh = gap.cov - f @ s.gap_cov @ f.T
         back = np.eye(3)
         back[:2, :2] = se2.rotation(-float(s.gap[2]))
@@ -107,7 +107,7 @@ class Bridge:
         noise = (vectors * np.maximum(values, 0.0)) @ vectors.T
         before = s.mean[:3].copy()
         s.mean[:3] = se2.compose(before, step)
-        f = _lever(before, s.mean[:3])
+        f = se2.lever(before, s.mean[:3])
         s.cov[:3] = f @ s.cov[:3]
         s.cov[:, :3] = s.cov[:, :3] @ f.T
         g = np.eye(3)
@@ -224,10 +224,3 @@ class Bridge:
         cov = s.cov - gain @ cross.T - cross @ gain.T + gain @ total @ gain.T
         s.cov = 0.5 * (cov + cov.T)
         s.used += 1
-
-
-def _lever(before: Array, after: Array) -> Array:
-    """(3, 3) by which an error of a pose before goes on to one after, in the frame of both."""
-    f = np.eye(3)
-    f[0, 2], f[1, 2] = before[1] - after[1], after[0] - before[0]
-    return f

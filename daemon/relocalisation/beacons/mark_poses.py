@@ -92,15 +92,17 @@ def mark_pose(calibration: Calibration, mark: Mark, corners_px: Array) -> MarkPo
     picture_cov[:2, :2] = 0.25 * (CORNER_PX * px_m) ** 2 * np.eye(2) + depth
     place_cov = np.diag([mark.sigma_m**2, mark.sigma_m**2, mark.sigma_rad**2])
     by_place, by_picture = derivatives(pose, map_from_mark)
-    tilt_var = (TILT_RAD * calibration.ceiling_height_m) ** 2
-    return MarkPose(mark.number, pose, by_place, place_cov, by_picture, picture_cov, tilt_var)
+    return MarkPose(mark.number, pose, by_place, place_cov, by_picture, picture_cov, tilt_var(calibration))
+
+
+def tilt_var(calibration: Calibration) -> float:
+    """m^2 of each coordinate of what is seen at the ceiling, in base."""
+    return (TILT_RAD * calibration.ceiling_height_m) ** 2
 
 
 def derivatives(pose: Array, map_from_mark: Array) -> tuple[Array, Array]:
     """(3, 3) each: the base's pose by the mark's in map and by the mark's in base. A turn of either is one about it."""
-    arm = pose[:2] - map_from_mark[:2]
-    by_place, by_picture = np.eye(3), -np.eye(3)
-    by_place[:2, 2] = [-arm[1], arm[0]]
+    by_place = se2.lever(map_from_mark, pose)
+    by_picture = -by_place
     by_picture[:2, :2] = -se2.rotation(float(pose[2]))
-    by_picture[:2, 2] = -by_place[:2, 2]
     return by_place, by_picture

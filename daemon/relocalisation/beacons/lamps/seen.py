@@ -8,7 +8,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration, in_base, visible_polygon
-from ceilvo.daemon.relocalisation.beacons.mark_poses import TILT_RAD
+from ceilvo.daemon.relocalisation.beacons.mark_poses import tilt_var
 from ceilvo.daemon.relocalisation.beacons.trust import WRONG_M
 from ceilvo.senses.beacons import Lamp, LampSeen
 from ceilvo.types import Array
@@ -63,7 +63,7 @@ class LampView:
         self._calibration, self._max_view_deg = calibration, max_view_deg
         self._polygon: Array | None = None
         self._reach_m = calibration.ceiling_height_m * float(np.tan(np.radians(max_view_deg))) + MOVED_M
-        self.seen_var = (TILT_RAD * calibration.ceiling_height_m) ** 2, BLOB_M**2
+        self.seen_var = tilt_var(calibration), BLOB_M**2
 
     @property
     def foot_m(self) -> Array:

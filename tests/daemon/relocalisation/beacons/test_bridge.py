@@ -79,10 +79,8 @@ class Hung:
     def __init__(self, number: int, pose: Array, rng: np.random.Generator) -> None:
         self.number, self.true, self._rng = number, pose, rng
         self._file = pose + PLACE_SIGMA * rng.standard_normal(3)
-        self._lens, self._tilt_m = (
-            np.sqrt(0.5) * PICTURE_SIGMA * rng.standard_normal(3),
-            TILT_SIGMA_M * rng.standard_normal(2),
-        )
+        self._lens = np.sqrt(0.5) * PICTURE_SIGMA * rng.standard_normal(3)
+        self._tilt_m = TILT_SIGMA_M * rng.standard_normal(2)
 
     def seen_from(self, pose: Array) -> MarkPose:
         seen = se2.between(pose, self.true) + self._lens + np.sqrt(0.5) * PICTURE_SIGMA * self._rng.standard_normal(3)

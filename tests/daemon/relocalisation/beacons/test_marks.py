@@ -93,6 +93,8 @@ def test_the_covariance_is_that_of_noisy_corners() -> None:
     ratio = ratios(np.cov(np.array(off).T), said.by_picture @ said.picture_cov @ said.by_picture.T)
     print("variances over what is said", ratio)
     assert np.all((ratio > 0.3) & (ratio < 1.5))
+    tilted = said.picture_cov + said.tilt_var * np.diag([1.0, 1.0, 0.0])
+    assert np.all(np.var(np.array(off)[:, :2], axis=0) < np.diag(said.by_picture @ tilted @ said.by_picture.T)[:2])
 
 
 def ratios(found: Array, said: Array) -> Array:

@@ -14,14 +14,15 @@ from ceilvo.bench.place.case import drive_in, load_known
 from ceilvo.bench.place.ceiling.worlds import World, WorldSpec, make_world
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.calibration import Calibration
-from ceilvo.daemon.relocalisation.beacons.mark_poses import corners
+from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
+from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, corners
 from ceilvo.daemon.replay.inputs import KnownBeacons, Sighting, input_json, read_input
 from ceilvo.daemon.replay.snapshot import freeze, restore, snapshot_json
 from ceilvo.senses.beacons import Anchor, Beacons, Lamp, LampSeen, Mark, MarkSeen, Range
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.sim.radio import Radio, RadioSpec, in_corners
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import Array, Estimate, Frame, Pose, State
+from ceilvo.types import Array, Displacement, Estimate, Frame, Motion, Pose, State
 
 SPOT = np.array([2.2, 2.7])
 MARK = Mark(5, 0.2, *SPOT, 0.4, 0.005, 0.005)
@@ -230,6 +231,28 @@ def test_inputs_and_states_with_beacons_are_read_back() -> None:
     given = Sighting(10**12, None, None, heard)
     x, y = (p.step_crossings(given.stamp_ns, None, heard=given.heard) for p in (drive.pipeline, again.pipeline))
     np.testing.assert_array_equal(x.pose, y.pose)
+
+
+def test_a_gap_under_a_mark_is_read_back_also_as_an_older_program_wrote_it() -> None:
+    drive, _ = small_drive(4)
+    bridge, tight = drive.pipeline.relocaliser.bridge, 1e-4 * np.eye(3)
+    still = Motion(Displacement(np.zeros(3)), tight, 0, 0.0, "dark")
+    bridge.move(np.zeros(3), tight, still, AnchorTable(), np.zeros(3))
+    bridge.see(MarkPose(7, np.array([0.02, 0.0, 0.01]), np.eye(3), tight, -np.eye(3), tight, 1e-4))
+    tree = snapshot_json(freeze(drive.pipeline), "joint")
+    tree["state"]["beacons"]["bridge"]["lean_var"] = 1e-4
+    again, _ = small_drive(4)
+    restore(again.pipeline, tree)
+    for b in (bridge, again.pipeline.relocaliser.bridge):
+        b.move(
+            np.zeros(3),
+            tight,
+            Motion(Displacement(np.array([1.0, 0.0, 0.5])), 2.0 * tight, 0, 0.0, "dark"),
+            AnchorTable(),
+            np.zeros(3),
+        )
+    np.testing.assert_array_equal(bridge.state.mean, again.pipeline.relocaliser.bridge.state.mean)
+    np.testing.assert_array_equal(bridge.state.cov, again.pipeline.relocaliser.bridge.state.cov)
 
 
 def _no_frame(seq: int, stamp_ns: int) -> Frame:
