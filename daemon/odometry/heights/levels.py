@@ -59,9 +59,13 @@ class Levels:
 
     def unlisted(self, ratio: Array, sigma: Array) -> NDArray[np.bool_]:
         """(T,) lines that are on no level, clearly."""
-        off = np.min(np.abs(ratio[:, None] - self.ratio), axis=1)
+        off = self.apart(ratio)
         clear = off > np.maximum(_DIFFERENT, SIGMAS * sigma)
         return np.asarray((sigma < _VAGUE) & clear & (ratio > _SLOWEST) & (ratio < _FASTEST))
+
+    def apart(self, ratio: Array) -> Array:
+        """(T,) by how much ratios (T,) differ from that of the nearest level."""
+        return np.asarray(np.min(np.abs(ratio[:, None] - self.ratio), axis=1))
 
     def found(self, ratio: float, sigma: float) -> None:
         """A new level, if there is room."""

@@ -170,6 +170,12 @@ class Tracks:
         bent = self._fitted()[2]
         return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= (_STEADY * _SIGMA_M) ** 2))
 
+    def ways_m(self) -> Array:
+        """(T,) how far the camera moved towards each line while that was measured, were it evenly."""
+        n, s, _, ss = self.sums[:, :4].T
+        n = np.maximum(n, 1.0)
+        return np.asarray(np.sqrt(12.0 * np.maximum(ss / n - (s / n) ** 2, 0.0)))
+
     def _fitted(self) -> tuple[Array, Array, Array]:
         """As kernel.line_ratios()."""
         ratio, sigma, bent = kernel.line_ratios(self.sums, _NOISE)

@@ -97,6 +97,26 @@ def test_one_height_is_left_alone() -> None:
     assert heights.reference() is None
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_robot_that_turns_on_the_spot_and_measures_its_way_badly_finds_no_height(seed: int) -> None:
+    """The camera moves by centimetres then; a way that is wrong by millimetres is no height, as often as it is seen."""
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(seed)
+    lines, turn_rad = grid(HIGH_M, -1.3, 3, 1.25), np.arange(60) / 90.0
+    begins = float(rng.uniform(-np.pi, np.pi) / 4.0)
+    poses = [np.array([0.0, 0.0, begins + t]) for t in turn_rad]
+    camera = np.array([se2.transform(pose, CALIBRATION.mount_xy_m[None])[0] for pose in poses])
+    off = rng.choice([-1.0, 1.0]) * 0.0045 / np.max(np.abs(camera - camera[0]))
+    for k, pose in enumerate(poses):
+        crossings, _ = seen(lines, pose, rng)
+        moved = np.zeros(3) if k == 0 else se2.between(poses[k - 1], pose)
+        if k:
+            moved[:2] += se2.rotation(-float(poses[k - 1][2])) @ (off * (camera[k] - camera[k - 1]) * [0.0, 1.0])
+        heights.look(crossings, moved)
+        heights.learn(Motion(Displacement(moved), 1e-6 * np.eye(3), len(crossings), 0.0, restarted=k == 0))
+    print(f"seed {seed}: ratios {heights.state.levels.ratio}, lines' {heights.state.tracks.ratios()[0]}")
+    assert not heights.several
+
+
 @pytest.mark.parametrize("other_m", [HIGH_M - 0.4, HIGH_M - 0.12, HIGH_M + 0.5])
 def test_a_second_height_is_found_and_its_crossings_are_put_where_they_are(other_m: float) -> None:
     heights = Heights(CALIBRATION)
