@@ -41,7 +41,9 @@ picture; chosen."""
 HALF = 0.5
 """A view of which the map knows less of the ground is from there."""
 _NEVER = -np.inf
-_CELL_M = 0.1
+_CELL_M = 0.02
+"""Places nearer than that are one; chosen: a feature may be 5 cm off. A place that was put right by more explains
+other views."""
 _LEAST_M2 = 1e-3
 """In place of an area that is none."""
 
@@ -148,17 +150,21 @@ class NotThisMap:
         cells = shown.cells_m
         return float(np.mean(self.state.ground.views(cells) == 0)) if len(cells) else 0.0
 
-    def take(self, view: Observations, pose: Array, places: Array, complete: bool, weigh: Weigh) -> bool:
+    def take(
+        self, view: Observations, pose: Array, places: Array, complete: bool, weigh: Weigh, likeliest: int = 0
+    ) -> bool:
         """Keep a view from the tracked pose (3,) if it shows new ground; True when that was what made it say so.
 
         Args:
-            places: (P, 3) place_from_tracked that are likely now.
+            places: (P, 3) place_from_tracked that are likely now, `likeliest` more than the others.
             complete: no other place of the map is.
         """
         s = self.state
         new = self.new_ground(pose, view.visible_m)
         if new < NEW_GROUND or not len(view):
-            return False
+            if s.views:
+                self._add(places[likeliest : likeliest + 1], weigh)
+            return self._says()
         before_m2 = s.ground.shown_m2
         s.ground.show(transform(Pose(pose), view.visible_m))
         s.view_m2 = (s.ground.shown_m2 - before_m2) / new
@@ -167,6 +173,13 @@ class NotThisMap:
         self._add(places, weigh)
         if len(s.views) > MOST_VIEWS:
             s.views, s.ratio, s.on = s.views[1:], s.ratio[:, 1:], s.on[:, 1:]
+        return self._says()
+
+    def _says(self) -> bool:
+        """Weigh the map anew; True when that was what made it say so."""
+        s = self.state
+        if not s.views:
+            return False
         s.odds = float(self._odds())
         before, s.said = s.said, bool(s.odds < np.log(MAP_RIGHT) or (s.said and s.odds < 0.0))
         s.times += s.said and not before

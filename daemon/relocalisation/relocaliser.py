@@ -220,7 +220,8 @@ class Relocaliser:
         if not self.sure and not s.belief.spot_views:
             pose = self._search(view, pose, evidence)
             if self._on_map.asks and len(view.visible_m):
-                self._on_map.take(view, pose, s.belief.places, not s.belief.cut, s.survey.weigher(around))
+                likeliest = int(np.argmax(s.belief.weights()[0]))
+                self._on_map.take(view, pose, s.belief.places, not s.belief.cut, s.survey.weigher(around), likeliest)
         evidence.take(self._worth(view))
         poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
         s.belief.weigh(self._log_ratio(evidence, poses, pose), lambda best: evidence.unmapped(poses, poses[best], grid))

@@ -14,7 +14,7 @@ from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked
-from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
+from ceilvo.daemon.relocalisation.not_this_map import NotThisMap, Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP, Relocaliser
 from ceilvo.se2 import inverse, transform
@@ -46,8 +46,7 @@ def view_of(seen: Landmarks, pose: Array) -> Observations:
     return Observations(xy[near], np.full((n, 2), 1e-5), kind, np.full(n, -1), 0.0, 1e-6, 0.0, SQUARE)
 
 
-def asked(known: Landmarks, seen: Landmarks, start_off_m: float = 0.0) -> tuple[list[bool], NotThisMap]:
-    """What is said after each view of the way, by a robot whose stored pose is so far off."""
+def weigher(known: Landmarks) -> tuple[Weigh, Coverage, PlaceIndex]:
     same = np.full((2, CROSSING_TYPES), 0.2)
     same[:, 4] = 0.98
     ground, index = Coverage.of(known, 0.6), PlaceIndex.of(known)
@@ -57,6 +56,12 @@ def asked(known: Landmarks, seen: Landmarks, start_off_m: float = 0.0) -> tuple[
         evidence = ViewEvidence(view, around, np.full(len(view), worth))
         return evidence.log_ratio_in(index.grid, poses), evidence.known(poses)
 
+    return weigh, ground, index
+
+
+def asked(known: Landmarks, seen: Landmarks, start_off_m: float = 0.0) -> tuple[list[bool], NotThisMap]:
+    """What is said after each view of the way, by a robot whose stored pose is so far off."""
+    weigh, ground, index = weigher(known)
     test, lattice = NotThisMap(), Lattice.of(known, 0.0)
     assert lattice is not None
     test.begin(STARTED_ELSEWHERE, ground.area_m2, ground.share_beyond(WAY[0][:2], 6.0))
@@ -95,6 +100,22 @@ def test_a_ceiling_of_which_a_part_was_renovated_is_still_this_map(seed: int) ->
     known = ceiling(seed)
     said, _ = asked(known, renovated(known, ceiling(seed + 1000), 2.9))
     assert not any(said)
+
+
+@pytest.mark.parametrize("seed", range(40, 46))
+def test_a_place_that_was_found_beside_itself_takes_it_back_once_it_is_put_right(seed: int) -> None:
+    """The robot drove over all the ground there is: no view shows any that is new."""
+    known, there = ceiling(seed), np.array([1.2, 0.0, 0.0])
+    weigh, ground, _ = weigher(known)
+    test = NotThisMap()
+    test.begin(STARTED_ELSEWHERE, ground.area_m2, 0.0)
+    for beside_m in (0.07, 0.0):
+        places = np.stack([np.zeros(3), there + np.array([beside_m, 0.0, 0.0])])
+        for pose in WAY:
+            test.take(view_of(known, pose), pose - there, places, True, weigh, likeliest=1)
+        print(f"seed {seed}, {beside_m} m beside: odds {test.state.odds:.1f}")
+        assert test.said == (beside_m > 0.0)
+    assert test.state.times == 1
 
 
 def test_it_asks_no_more_once_it_was_ended() -> None:
