@@ -75,8 +75,8 @@ class Doubt:
         cov: (3, 3) of the pose as it is believed to be.
         elsewhere: probability that this covariance does not hold, because somebody moved the robot.
         reach_m: how far it can have been moved.
-        aligned: how much of alignment() also speaks against whole tiles: nobody who moved the robot minded the tiles.
-        stored: part of `elsewhere` that began when the pose was stored; nobody may have touched the robot since.
+        stored: part of `elsewhere` that began when the pose was stored. Nobody who moved the robot since minded the
+            tiles, and nobody may have touched it: how they lie speaks against that, also against whole tiles.
         leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
             where there are any, nothing else moved it.
     """
@@ -85,7 +85,6 @@ class Doubt:
     cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     elsewhere: float = 0.0
     reach_m: float = 0.0
-    aligned: float = 0.0
     stored: float = 0.0
     leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
@@ -114,9 +113,11 @@ class Doubt:
         inverse = np.linalg.inv(self.cov + np.diag([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]))
         carried = 0.0 if len(self.leads) else (1.0 - OFF_MAP) * self.elsewhere
         moved = np.log(max(carried, TINY) / (len(off) + 1))
-        moved -= float(np.clip(self.alignment(here, tile_m), 0.0, self.aligned))
+        moved += self._left(0.0, min(max(self.alignment(here, tile_m), 0.0), np.log(STORED_ALIGNED)), here, tile_m)
         stayed = np.log1p(-self.elsewhere)
-        there, near = (np.logaddexp(moved, stayed - 0.5 * np.sum((o @ inverse) * o, axis=-1)) for o in (off, here))
+        bumped = stayed - max(self._untouched(here, tile_m) - self.alignment(here, tile_m), 0.0)
+        there = np.logaddexp(moved, bumped - 0.5 * np.sum((off @ inverse) * off, axis=-1))
+        near = np.logaddexp(moved, stayed - 0.5 * here @ inverse @ here)
         return np.asarray(np.maximum(there - near, LEAST))
 
     def alignment(self, here: Array, tile_m: Array, turned: bool = True) -> float:
@@ -142,12 +143,22 @@ class Doubt:
     def unknown_by_tiles(self, here: Array, tile_m: Array) -> float:
         """`unknown` of a robot of unmeasured path once it sees the tiles off by `here` (3,) from the expected pose."""
         aligned = self.alignment(here, tile_m)
+        return self.unknown + self._left(aligned, aligned, here, tile_m)
+
+    def _left(self, before: float, since: float, here: Array, tile_m: Array) -> float:
+        """Logarithm of what tiles off by `here` (3,) leave of `elsewhere`: log-likelihood ratios speak against what was
+        doubted before the pose was stored, and since."""
         if self.stored == 0.0:
-            return self.unknown - aligned
-        untouched = float(np.log(UNTOUCHED) + _fit(here, UNTOUCHED_SIGMA**2, tile_m))
-        since = max(aligned, min(untouched, MOST_UNTOUCHED))
-        left = (self.elsewhere - self.stored) * np.exp(-aligned) + self.stored * np.exp(-since)
-        return self.unknown + float(np.log(left / self.elsewhere))
+            return -before
+        since = max(since, self._untouched(here, tile_m))
+        left = (self.elsewhere - self.stored) * np.exp(-before) + self.stored * np.exp(-since)
+        return float(np.log(left / self.elsewhere))
+
+    def _untouched(self, here: Array, tile_m: Array) -> float:
+        """Log-likelihood ratio of tiles off by `here` (3,) where nobody touched the robot since its pose was stored."""
+        if self.stored == 0.0:
+            return -np.inf
+        return min(float(np.log(UNTOUCHED) + _fit(here, UNTOUCHED_SIGMA**2, tile_m)), MOST_UNTOUCHED)
 
 
 def _fit(here: Array, var: Array, tile_m: Array, turned: bool = True) -> float:
@@ -194,9 +205,8 @@ def of_stored(cov: Array, ago_s: float, before: float) -> Doubt:
     """
     moved = max(LIFTED * ago_s / JUST_NOW_S, STORED_LEAST) if ago_s <= JUST_NOW_S else STORED_WRONG
     before = min(before, RESET_WRONG)
-    aligned = float(np.log((moved + before) / (moved / STORED_ALIGNED + before)))
     elsewhere = min(moved + before, RESET_WRONG)
-    return Doubt("stored map and pose", cov, elsewhere, np.inf, aligned, elsewhere - before)
+    return Doubt("stored map and pose", cov, elsewhere, np.inf, elsewhere - before)
 
 
 def of_suspicion(reason: str, reach_m: float, pending: Doubt | None) -> Doubt:

@@ -126,10 +126,16 @@ def _period(at: Array) -> float:
 
 
 def _phase(at: Array, tile: Array) -> Array:
-    """(2,) circular mean of places in a tile."""
+    """(2,) where most of these lie in a tile: the mean of the most that lie within ALIGNED_M.
+
+    Diffusers within a tile have crossings like those of the tiles, and may have more of them in a view.
+    """
     out = np.zeros(2)
     for k in range(2):
         if tile[k] > 0:
-            angle = at[:, k] * (2.0 * np.pi / tile[k])
-            out[k] = np.arctan2(np.mean(np.sin(angle)), np.mean(np.cos(angle))) * tile[k] / (2.0 * np.pi)
+            sorted_m = np.sort(at[:, k] % tile[k])
+            twice = np.concatenate([sorted_m, sorted_m + tile[k]])
+            count = np.searchsorted(twice, sorted_m + ALIGNED_M, side="right") - np.arange(len(sorted_m))
+            first = int(np.argmax(count))
+            out[k] = np.mean(twice[first : first + count[first]])
     return out

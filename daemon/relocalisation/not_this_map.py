@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE, combined
-from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_poses
-from ceilvo.se2 import transform
+from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
+from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Observations, Pose
 
 MAP_RIGHT = 0.05
@@ -149,6 +149,19 @@ class NotThisMap:
         shown.show(transform(Pose(pose), visible_m))
         cells = shown.cells_m
         return float(np.mean(self.state.ground.views(cells) == 0)) if len(cells) else 0.0
+
+    def put_right(self, before: Array, after: Array, weigh: Weigh) -> None:
+        """The tracked pose (3,) was found to lie centimetres elsewhere, (3,): so did those that views were seen from.
+
+        The other places stay where they are.
+        """
+        s = self.state
+        moved = compose(after, inverse(before))
+        s.views = [(view, np.asarray(compose(moved, at)), new, missed) for view, at, new, missed in s.views]
+        s.places[1:] = rival_from_tracked(rival_poses(s.places[1:], before), after)
+        for k, (view, at, new, _) in enumerate(s.views):
+            ratio, known = weigh(view, new, at[None])
+            s.ratio[0, k], s.on[0, k] = ratio[0], known[0] >= HALF
 
     def take(
         self, view: Observations, pose: Array, places: Array, complete: bool, weigh: Weigh, likeliest: int = 0

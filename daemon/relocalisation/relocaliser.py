@@ -218,7 +218,9 @@ class Relocaliser:
         if len(s.belief) == 1 and s.surprised:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around, evidence)
         if not self.sure and not s.belief.spot_views:
-            pose = self._search(view, pose, evidence)
+            before_search, pose = pose, self._search(view, pose, evidence)
+            if pose is not before_search:
+                self._on_map.put_right(before_search, pose, s.survey.weigher(around))
             if self._on_map.asks and len(view.visible_m):
                 likeliest = int(np.argmax(s.belief.weights()[0]))
                 self._on_map.take(view, pose, s.belief.places, not s.belief.cut, s.survey.weigher(around), likeliest)

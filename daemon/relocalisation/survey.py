@@ -114,10 +114,13 @@ def _rare(landmarks: Landmarks) -> int:
 
 
 def aligned_pose(lattice: Lattice, expected: Array, view: Observations, evidence: ViewEvidence) -> Array:
-    """The expected pose (3,), or the one beside it with tiles on tiles, whichever explains the view better."""
-    poses = np.stack([expected, lattice.aligned(expected, view)])
-    poses[0, 2] = poses[1, 2]
-    return np.asarray(poses[np.argmax(combined(evidence.log_ratio(poses)))])
+    """The pose (3,) beside the expected one (3,) with tiles on tiles, or that one, as more of the view is on landmarks.
+
+    Joints of tiles say nothing of which tile it is, so evidence does not count them; they say how the tiles lie.
+    """
+    poses = np.stack([lattice.aligned(expected, view), expected])
+    poses[1, 2] = poses[0, 2]
+    return np.asarray(poses[np.argmax(evidence.matches(poses))])
 
 
 def better_of(evidence: ViewEvidence, pose: Array, beside: Array, sigma_m: float) -> Array:

@@ -164,6 +164,11 @@ class ViewEvidence:
         """(M,) share of what is weighed that poses (M, 3) see on ground that the map knows."""
         return np.asarray(np.mean(self._around.coverage.knows(_moved(poses, self._view.xy_base_m)), axis=1))
 
+    def matches(self, poses: Array) -> Ints:
+        """(M,) of what is weighed, how many poses (M, 3) see where a landmark of their type is."""
+        bits = self._around.raster.at(_moved(poses, self._view.xy_base_m))
+        return np.asarray(np.count_nonzero(is_in(bits, self._types[self._turns(poses)]), axis=1))
+
     def _speaks_for(self, pose: Array, grid: TypeGrid) -> Array:
         """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
         at, types = _moved(pose, self._view.xy_base_m), self._types[self._turns(pose)]

@@ -28,7 +28,7 @@ TILE_M = np.array([0.6, 0.6])
 
 
 def stored(ago_s: float, before: float = 0.0) -> doubts.Doubt:
-    return doubts.of_stored(0.005 * np.eye(3), ago_s, before)
+    return doubts.of_stored(0.05**2 * np.eye(3), ago_s, before)
 
 
 def test_a_stored_pose_is_doubted_more_the_longer_ago_it_was_stored() -> None:
@@ -54,6 +54,22 @@ def test_how_tiles_lie_says_less_of_what_was_doubted_when_the_pose_was_stored() 
     gained = [d.unknown - d.unknown_by_tiles(here, TILE_M) for d in (sure, doubtful)]
     assert gained[0] == pytest.approx(doubts.MOST_UNTOUCHED)
     assert gained[1] == pytest.approx(doubtful.alignment(here, TILE_M), abs=0.1)
+
+
+@pytest.mark.parametrize("tile_m", [0.3, 0.6, 1.25])
+def test_a_robot_that_nobody_touched_is_at_no_other_tile_however_bare_the_ceiling(tile_m: float) -> None:
+    """All rivals together are less likely than states.false_place_rate; but not where it had been carried before."""
+    tiles, steps = np.array([tile_m, tile_m]), np.arange(-6, 7)
+    off = np.array([[i * tile_m, j * tile_m, 0.0] for i in steps for j in steps if (i, j) != (0, 0)])
+    here = np.array([0.001, -0.001, 0.0005])
+    elsewhere, doubted, nudged = (
+        float(np.sum(np.exp(doubt.log_odds(off, fit, tiles))))
+        for doubt, fit in ((stored(60.0), here), (stored(60.0, before=0.01), here), (stored(60.0), 30.0 * here))
+    )
+    print(f"tiles of {tile_m} m: {elsewhere:.1e}; doubted before {doubted:.1e}; nudged {nudged:.1e}")
+    assert elsewhere < 0.5e-4
+    assert doubted > 0.005
+    assert nudged > 1e-4
 
 
 def test_a_lost_frame_is_a_small_doubt_and_a_jump_a_large_one() -> None:

@@ -56,6 +56,24 @@ def test_two_edges_of_every_joint_are_no_period_and_a_few_points_are_none() -> N
     assert Lattice.of(one.of(np.arange(0)), 0.0) is None
 
 
+@pytest.mark.parametrize("off", [(0.002, 0.002), (-0.3, 0.2)], ids=str)
+def test_a_round_diffuser_that_has_more_crossings_than_the_tiles_in_view_does_not_move_the_lattice(
+    off: tuple[float, float],
+) -> None:
+    """As under tiles of 1.25 m: four joints in view, and thirteen crossings like theirs along the diffuser's rings."""
+    joints = grid(0.0, (1.25, 1.25))
+    ring = 0.31 * np.array([(np.cos(a), np.sin(a)) for a in np.arange(13) * 0.29 + 0.13])
+    xy = np.concatenate([joints.xy_map_m, np.array([3.0 + 3.6 * 1.25, -2.0 + 3.55 * 1.25]) + ring])
+    n = len(xy)
+    both = Landmarks(np.arange(n), xy, np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.full(n, 4), np.full(n, 9))
+    lattice = Lattice.of(both, 0.0)
+    assert lattice is not None and np.allclose(lattice.tile_m, 1.25)
+    true = np.array([7.6, 2.3, 0.0])
+    view = view_from(both, true)
+    assert len(view) == 13 + 4
+    assert np.allclose(lattice.aligned(true + np.array([*off, 0.0]), view), true, atol=0.015)
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-0.29, 0.29), st.floats(-0.29, 0.29), st.floats(-0.2, 0.2), st.integers(0, 3), st.floats(-0.7, 0.7))
 def test_a_pose_that_is_off_by_a_part_of_a_tile_is_aligned(

@@ -118,6 +118,28 @@ def test_a_place_that_was_found_beside_itself_takes_it_back_once_it_is_put_right
     assert test.state.times == 1
 
 
+@pytest.mark.parametrize("seed", range(40, 46))
+def test_where_views_were_seen_from_is_put_right_with_the_tracked_pose(seed: int) -> None:
+    """The right place stays where it is while the tracked pose, which is another, is moved by 0.1 m."""
+    known, there, by = ceiling(seed), np.array([1.2, 0.0, 0.0]), np.array([0.1, 0.0, 0.0])
+    weigh, ground, _ = weigher(known)
+    odds = []
+    for told in (True, False):
+        test = NotThisMap()
+        test.begin(STARTED_ELSEWHERE, ground.area_m2, 0.0)
+        for pose in WAY[:3]:
+            test.take(view_of(known, pose), pose - there, np.stack([np.zeros(3), there]), True, weigh, likeliest=1)
+        if told:
+            test.put_right(WAY[2] - there, WAY[2] - there + by, weigh)
+        places = np.stack([np.zeros(3), there - by])
+        for pose in WAY[3:]:
+            test.take(view_of(known, pose), pose - there + by, places, True, weigh, likeliest=1)
+        odds.append(test.state.odds)
+    print(f"seed {seed}: odds {odds[0]:.1f}, {odds[1]:.1f} if it is not told")
+    assert odds[0] > 3.0
+    assert odds[0] > odds[1] + 1.0
+
+
 def test_it_asks_no_more_once_it_was_ended() -> None:
     test = NotThisMap()
     assert not test.asks

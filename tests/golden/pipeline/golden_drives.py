@@ -1,6 +1,7 @@
 """Golden drives: what a camera and wheels gave, what was asked for, and every estimate that came of it.
 
-`python tests/golden/pipeline/golden_drives.py` renders the drives and estimates anew; --estimates: only estimates.
+`OPENBLAS_NUM_THREADS=1 python tests/golden/pipeline/golden_drives.py` renders the drives and estimates anew, as
+the tests do; --estimates: only estimates.
 Either is a decision: the estimates change only where the method was meant to change.
 """
 
