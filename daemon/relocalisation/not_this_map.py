@@ -135,9 +135,12 @@ class NotThisMap:
     def begin(self, unknown: float, area_m2: float, beyond: float) -> None:
         """With a doubt: log-odds of unknown ground against the tracked place, ground that the map knows, and the share
         of it that lies further off than rivals are listed one by one."""
+        before = self.state
         each = unknown - float(np.log(max(area_m2, 1.0) * PLACES_PER_M2))
         beyond = unknown + float(np.log(beyond)) if beyond > 0.0 else _NEVER
-        self.state = NotThisMapState(area_m2, unknown, beyond, each, times=self.state.times)
+        if before.views:  # what was doubted before, and has been seen of that, is not settled
+            unknown = float(np.logaddexp(unknown, -before.odds))
+        self.state = NotThisMapState(area_m2, unknown, beyond, each, said=before.said, times=before.times)
 
     def end(self) -> None:
         """The place is known, or nobody asks any more."""

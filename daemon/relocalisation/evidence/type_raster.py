@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES
-from ceilvo.daemon.odometry.sight import is_in
 from ceilvo.types import Array, Ints
 
 REACH_M = 0.05
@@ -87,7 +86,3 @@ class TypeRaster:
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
         flat = np.where(inside, row * width + column, 0)
         return np.asarray(np.where(inside, self.cells.reshape(-1)[flat], np.uint16(0)), np.uint16)
-
-    def has(self, xy_m: Array, crossing_type: Ints) -> NDArray[np.bool_]:
-        """(...,) whether there is a point of the type (...,) within reach."""
-        return is_in(self.at(xy_m), crossing_type)

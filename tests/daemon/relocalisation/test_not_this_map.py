@@ -140,6 +140,22 @@ def test_where_views_were_seen_from_is_put_right_with_the_tracked_pose(seed: int
     assert odds[0] > odds[1] + 1.0
 
 
+@pytest.mark.parametrize("seed", range(40, 46))
+def test_a_small_doubt_does_not_settle_what_a_large_one_has_begun(seed: int) -> None:
+    """A frame that is lost meanwhile: what views have said of another building is not forgotten."""
+    known, seen = ceiling(seed), ceiling(seed + 1000)
+    _, test = asked(known, seen)
+    assert test.said
+    odds = test.state.odds
+    test.begin(-10.0, Coverage.of(known, 0.6).area_m2, 0.0)
+    assert test.said
+    assert test.state.unknown >= -odds
+    _, right = asked(known, known)
+    right.begin(-10.0, Coverage.of(known, 0.6).area_m2, 0.0)
+    print(f"seed {seed}: {test.state.unknown:.1f} on another map, {right.state.unknown:.1f} on the right one")
+    assert right.state.unknown < -3.0
+
+
 def test_it_asks_no_more_once_it_was_ended() -> None:
     test = NotThisMap()
     assert not test.asks
