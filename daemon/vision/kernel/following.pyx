@@ -55,25 +55,6 @@ cdef Picture framed_picture(const uint8_t[:, ::1] framed, const float[:, :, ::1]
     return p
 
 
-cdef inline int32_t slope_x(const Picture *p, Py_ssize_t at) noexcept nogil:
-    """Sobel's, of a framed picture: its pixels are few enough to stay near, where those of two gradients are not."""
-    cdef const uint8_t *here = p.framed + at - 1
-    cdef const uint8_t *up = here - p.stride
-    cdef const uint8_t *down = here + p.stride
-    return (up[2] - up[0]) + 2 * (here[2] - here[0]) + (down[2] - down[0])
-
-
-cdef inline int32_t slope_y(const Picture *p, Py_ssize_t at) noexcept nogil:
-    cdef const uint8_t *up = p.framed + at - p.stride - 1
-    cdef const uint8_t *down = up + 2 * p.stride
-    return (down[0] - up[0]) + 2 * (down[1] - up[1]) + (down[2] - up[2])
-
-
-cdef inline uint32_t square(const Picture *p, Py_ssize_t at) noexcept nogil:
-    cdef int32_t x = slope_x(p, at), y = slope_y(p, at)
-    return <uint32_t>(x * x) + <uint32_t>(y * y)
-
-
 cdef inline void raw_at(const RawOfLevel *t, float gx, float gy, float *raw) noexcept nogil:
     """Raw pixel at a cell of the look-up; nan outside."""
     cdef float one = 1
@@ -121,23 +102,57 @@ cdef inline bint straight(
 
 
 cdef inline Py_ssize_t peak(
-    const Picture *p, const Search *s, const Segment *g, Py_ssize_t major, float centre, Py_ssize_t begin, Py_ssize_t end
+    const Picture *p, const Search *s, const Segment *g, Py_ssize_t major, float centre, Py_ssize_t begin, Py_ssize_t end,
+    uint32_t *about
 ) noexcept nogil:
-    """Where in [begin, end] across the edge the gradient has its best local maximum, -1 without any."""
-    cdef Py_ssize_t at = major * g.onward + (begin - 1) * g.beside, best = -1, i
-    cdef uint32_t before, here = square(p, at), after = square(p, at + g.beside)
+    """Where in [begin, end] across the edge the gradient has its best local maximum, -1 without any.
+
+    The gradient is Sobel's, of a framed picture: its pixels are few enough to stay near, where those of two gradients
+    are not. Of the three rows or columns that it needs each is read once, and their sums move along.
+
+    Args:
+        about: square of the gradient before, at and after that place.
+    """
+    cdef Py_ssize_t b = g.beside, o = g.onward, best = -1, i
+    cdef const uint8_t *at = p.framed + major * o + (begin - 2) * b
+    cdef int32_t low, high, total_0, total_1, total_2, total_3, change_1, change_2, change_3, across, along
+    cdef int32_t next_across, next_along
+    cdef uint32_t before, here, after
     cdef float one = 1, best_score = 0, score, rise
+    low, high = at[-o], at[o]
+    total_0, change_1 = low + 2 * at[0] + high, high - low
+    at += b
+    low, high = at[-o], at[o]
+    total_1, change_2 = low + 2 * at[0] + high, high - low
+    at += b
+    low, high = at[-o], at[o]
+    total_2, change_3 = low + 2 * at[0] + high, high - low
+    across, along = total_2 - total_0, change_1 + 2 * change_2 + change_3
+    here = <uint32_t>(across * across) + <uint32_t>(along * along)
+    at += b
+    change_1, change_2 = change_2, change_3
+    low, high = at[-o], at[o]
+    total_3, change_3 = low + 2 * at[0] + high, high - low
+    next_across, next_along = total_3 - total_1, change_1 + 2 * change_2 + change_3
+    after = <uint32_t>(next_across * next_across) + <uint32_t>(next_along * next_along)
+    total_1, total_2 = total_2, total_3
     for i in range(begin, end + 1):
-        at += g.beside
-        before, here, after = here, after, square(p, at + g.beside)
-        if (here < s.least) | (here < before) | (here <= after):
-            continue
-        rise = <float>slope_x(p, at) * g.ux + <float>slope_y(p, at) * g.uy
-        if (rise <= 0) | (rise * rise < g.narrow * <float>here):
+        before, here, across, along = here, after, next_across, next_along
+        at += b
+        change_1, change_2 = change_2, change_3
+        low, high = at[-o], at[o]
+        total_3, change_3 = low + 2 * at[0] + high, high - low
+        next_across, next_along = total_3 - total_1, change_1 + 2 * change_2 + change_3
+        after = <uint32_t>(next_across * next_across) + <uint32_t>(next_along * next_along)
+        total_1, total_2 = total_2, total_3
+        rise = <float>across * (g.ux if g.horizontal else g.uy) + <float>along * (g.uy if g.horizontal else g.ux)
+        # all at once: of noise each alone would be guessed wrong every other time
+        if (here < s.least) | (here < before) | (here <= after) | (rise <= 0) | (rise * rise < g.narrow * <float>here):
             continue
         score = <float>here if s.strongest else s.reach + one - fabsf(<float>i - centre)
         if score > best_score:
             best, best_score = i, score
+            about[0], about[1], about[2] = before, here, after
     return best
 
 
@@ -145,8 +160,9 @@ cdef inline Py_ssize_t follow_segment(
     const Picture *p, const Search *s, const Segment *g, Py_ssize_t places, Py_ssize_t *last, int32_t line, Found *found
 ) noexcept nogil:
     """Add the points along a segment; at how many places it was looked for."""
-    cdef Py_ssize_t looked = 0, k, major, begin, end, best, at, b = g.beside
+    cdef Py_ssize_t looked = 0, k, major, begin, end, best
     cdef float fixed, free, centre, half = 0.5
+    cdef uint32_t[3] about
     cdef Place place
     for k in range(places):
         fixed = g.begin[g.horizontal] + <float>k * g.by[g.horizontal]
@@ -165,13 +181,12 @@ cdef inline Py_ssize_t follow_segment(
             continue  # one point of a row or column is enough
         last[0] = 2 * major + g.horizontal
         looked += 1
-        best = peak(p, s, g, major, centre, begin, end)
+        best = peak(p, s, g, major, centre, begin, end, about)
         if best < 0:
             continue
-        at = major * g.onward + best * b
         locate(
             p, best if g.horizontal else major, major if g.horizontal else best, g.horizontal,
-            sqrtf(<float>square(p, at - b)), sqrtf(<float>square(p, at)), sqrtf(<float>square(p, at + b)), &place,
+            sqrtf(<float>about[0]), sqrtf(<float>about[1]), sqrtf(<float>about[2]), &place,
         )
         if isfinite(place.uv[0]) and isfinite(place.uv[1]) and found.count < found.room:
             found.x[found.count], found.y[found.count] = place.uv[0] * s.per_focal, place.uv[1] * s.per_focal
