@@ -170,7 +170,7 @@ $(BIN)/pip:
 	@echo "making $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml setup.py constraints.txt $(wildcard daemon/vision/kernel/*.pyx) | $(BIN)/pip
+$(VENV)/.installed: pyproject.toml setup.py constraints.txt $(wildcard daemon/*/kernel/*.pyx) | $(BIN)/pip
 	@echo "installing ceilvo into $(VENV) (first time: about a minute)"
 	@$(PIP) -e . -c constraints.txt
 	@touch $@

@@ -4,10 +4,11 @@ import os
 
 from setuptools import Extension, setup
 
-VISION, ODOMETRY = "daemon/vision/kernel", "daemon/odometry/kernel"
+VISION, ODOMETRY, PLACE = (f"daemon/{room}/kernel" for room in ("vision", "odometry", "relocalisation"))
 KERNEL = (
     *(f"{VISION}/{name}" for name in ("following", "joins", "lines", "pixels", "points", "spreads")),
     *(f"{ODOMETRY}/{name}" for name in ("followed_lines", "homographies", "views")),
+    *(f"{PLACE}/{name}" for name in ("evidence", "neighbours")),
 )
 
 # optional: without a compiler the installation goes on, and the same loops run in NumPy

@@ -33,7 +33,7 @@ if [ -z "${WHEEL:-}" ]; then bash packaging/wheel.sh "$work"; fi
 wheel=${WHEEL:-$(ls "$work"/ceilvo-*.whl)}
 case $wheel in *-none-any.whl) die "the compiled kernel is missing; apt install gcc python3-dev" ;; esac
 held=$("$python" -m zipfile -l "$wheel")
-for part in daemon/vision/kernel/pixels daemon/odometry/kernel/views; do
+for part in daemon/vision/kernel/pixels daemon/odometry/kernel/views daemon/relocalisation/kernel/evidence; do
   grep -q "ceilvo/$part\..*so" <<<"$held" || die "$part was not compiled; apt install gcc python3-dev"
 done
 version=$(basename "$wheel" | cut -d- -f2)-1

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.evidence.type_raster import REACH_M
+from ceilvo.daemon.relocalisation.kernel.arguments import COVERAGE_OFFSET as OFFSET
+from ceilvo.daemon.relocalisation.kernel.arguments import COVERAGE_SIDE as SIDE
+from ceilvo.daemon.relocalisation.kernel.arguments import Ground
 from ceilvo.types import Array, Ints, Landmarks
 
 CELL_M = 0.25
 """Side of a cell; chosen: smaller than any tile, so that a row of tiles that was not seen yet is not known."""
-_SIDE = 32
-"""Cells along a block, 8 m; chosen: a view touches one to four."""
-_OFFSET = 1 << 20
-"""Blocks are numbered from so far below zero; no building is a million blocks wide."""
 VIEWS = 8
 """Views that must have shown a cell before it counts as known: of the joints between tiles, 1 in 1000 is not in the map
 then (two rooms, first laps, seeds 501 and 502)."""
@@ -46,7 +46,7 @@ class Coverage:
     """
 
     block: Ints = field(default_factory=lambda: np.empty(0, np.int64))
-    shown: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, _SIDE, _SIDE), np.uint8))
+    shown: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, SIDE, SIDE), np.uint8))
 
     @staticmethod
     def of(landmarks: Landmarks, tile_m: float) -> Coverage:
@@ -77,14 +77,8 @@ class Coverage:
 
     def views(self, xy_m: Array) -> Ints:
         """(...,) views that showed the ground at points (..., 2)."""
-        cell = _cells(xy_m.reshape(-1, 2))
-        out = np.zeros(len(cell), np.int64)
-        if len(self.block):
-            number, inside = _numbered(cell)
-            at = np.minimum(np.searchsorted(self.block, number), len(self.block) - 1)
-            shown = self.shown.reshape(len(self.block), -1)[at, inside]
-            out = np.where(self.block[at] == number, shown, 0)
-        return np.asarray(out.reshape(xy_m.shape[:-1]), np.int64)
+        out: Ints = kernel.views(Ground(self.block, self.shown, CELL_M), xy_m.reshape(-1, 2))
+        return out.reshape(xy_m.shape[:-1])
 
     def knows(self, xy_m: Array) -> NDArray[np.bool_]:
         """(...,) whether the map should know what is at points (..., 2)."""
@@ -103,8 +97,8 @@ class Coverage:
     def cells_m(self) -> Array:
         """(N, 2) middles of the cells that any view has shown."""
         at, row, column = np.nonzero(self.shown)
-        x, y = self.block[at] // (2 * _OFFSET) - _OFFSET, self.block[at] % (2 * _OFFSET) - _OFFSET
-        return np.asarray(CELL_M * (np.column_stack([_SIDE * x + row, _SIDE * y + column]) + 0.5))
+        x, y = self.block[at] // (2 * OFFSET) - OFFSET, self.block[at] % (2 * OFFSET) - OFFSET
+        return np.asarray(CELL_M * (np.column_stack([SIDE * x + row, SIDE * y + column]) + 0.5))
 
     def share_beyond(self, at_m: Array, reach_m: float) -> float:
         """Of the ground that is known, how much lies further than so from a point (2,)."""
@@ -156,5 +150,5 @@ def _cells(xy_m: Array) -> Ints:
 
 def _numbered(cell: Ints) -> tuple[Ints, Ints]:
     """(N,) number of the block of each cell (N, 2), and of the cell in it."""
-    block, inside = cell // _SIDE + _OFFSET, cell % _SIDE
-    return block[:, 0] * (2 * _OFFSET) + block[:, 1], inside[:, 0] * _SIDE + inside[:, 1]
+    block, inside = cell // SIDE + OFFSET, cell % SIDE
+    return block[:, 0] * (2 * OFFSET) + block[:, 1], inside[:, 0] * SIDE + inside[:, 1]

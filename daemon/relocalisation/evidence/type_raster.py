@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.daemon.relocalisation import kernel
+from ceilvo.daemon.relocalisation.kernel.arguments import Raster
 from ceilvo.types import Array, Ints
 
 REACH_M = 0.05
@@ -19,13 +20,6 @@ CELL_M = 0.025
 """Side of a cell of the pictures that are looked into; chosen: 0.0125 m more or less of REACH_M."""
 VISIBLE, RARE = np.uint16(1 << 15), np.uint16(1 << 14)
 """Bits above those of the types, see TypeRaster."""
-
-
-def _bits(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint16]:
-    out = np.zeros(pictures[0].shape, np.uint16)
-    for bit, picture in enumerate(pictures):
-        out |= picture.astype(np.uint16) << np.uint16(bit)
-    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +55,10 @@ class TypeRaster:
         high = np.floor(np.max(everything, axis=0) / CELL_M).astype(np.int64) + pad
         shape = tuple((high - low + 1)[::-1])
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
-        column, row = (np.floor(xy_m / CELL_M).astype(np.int64) - low).T
-        pictures = [np.zeros(shape, np.uint8) for _ in range(CROSSING_TYPES)]
-        any_rare = np.zeros(shape, np.uint8)
-        for t in np.unique(crossing_type):
-            of = crossing_type == t
-            if rare[t]:
-                any_rare[row[of], column[of]] = 1
-            of &= True if named is None else named
-            pictures[t][row[of], column[of]] = 1
-            pictures[t] = np.asarray(cv2.dilate(pictures[t], disc), np.uint8)
-        bits = _bits(pictures) | np.asarray(cv2.dilate(any_rare, disc), np.uint8) * RARE
+        own = np.left_shift(1, crossing_type) if named is None else np.where(named, np.left_shift(1, crossing_type), 0)
+        bits = np.zeros(shape, np.uint16)
+        what = own.astype(np.uint16) | np.where(rare[crossing_type], RARE, np.uint16(0))
+        kernel.stamped(bits, np.floor(xy_m / CELL_M).astype(np.int64) - low, what, disc)
         if corners_m is not None and len(corners_m) > 2:
             seen = np.zeros(shape, np.uint8)
             cv2.fillConvexPoly(seen, np.round(corners_m / CELL_M - 0.5 - low).astype(np.int32), 1)
@@ -80,9 +67,9 @@ class TypeRaster:
 
     def at(self, xy_m: Array) -> NDArray[np.uint16]:
         """(...,) bits at points (..., 2)."""
-        cell = np.floor(xy_m * (1.0 / CELL_M)).astype(np.int64) - self.low
-        column, row = cell[..., 0], cell[..., 1]
-        height, width = self.cells.shape
-        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        flat = np.where(inside, row * width + column, 0)
-        return np.asarray(np.where(inside, self.cells.reshape(-1)[flat], np.uint16(0)), np.uint16)
+        bits: NDArray[np.uint16] = kernel.looked_up(self.picture, xy_m.reshape(-1, 2))
+        return bits.reshape(xy_m.shape[:-1])
+
+    @property
+    def picture(self) -> Raster:
+        return Raster(self.low, self.cells, CELL_M)

@@ -13,16 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, turned_type
-from ceilvo.daemon.odometry.sight import by_line, crowd, is_in, lines_through
+from ceilvo.daemon.odometry.sight import crowd, is_in, lines_through
+from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, REACH_M, VISIBLE, TypeRaster
+from ceilvo.daemon.relocalisation.kernel.arguments import LINE_FEATURES, Ratios
 from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
 from ceilvo.types import Array, Ints, Landmarks, Observations
@@ -43,10 +45,6 @@ CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
 """How likely each of those is; chosen: ceilings change seldom and mostly little."""
 INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines; chosen."""
-LINE_FEATURES = 2.0
-"""What is missing or mistaken along one line is worth so many of those together, one in all: a line that is missed or
-called something else takes all its crossings with it. A wall's edge that was missed once took eleven landmarks along,
-and contradicted the map by e^8."""
 LAMP_CELL_M, LAMP_FEATURES = 0.4, 4.0
 """Rare features of a cell and the eight around it are one lamp's, and are worth so many together: where one corner is,
 the others are; chosen."""
@@ -61,6 +59,8 @@ MOST_RARE, MOST_COMMON = 40, 16
 AT_ONCE = 256
 """Poses weighed at once, so that their arrays stay in the cache; chosen."""
 _QUARTER = 0.5 * np.pi
+_TURNED = np.array([turned_type(np.arange(CROSSING_TYPES), t) for t in range(4)])
+"""(4, T) every type, named by axes that are so many quarter turns further."""
 _TINY = 1e-12
 """In place of a sum that is zero."""
 
@@ -121,22 +121,20 @@ class ViewEvidence:
         self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
         self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
         self._expected_lines = self._lines_of(self._expected.xy_map_m, self._expected.crossing_type)
-        self._gain, self._mistaken, self._loss = _tables(
-            around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0
-        )
+        self._ratios = _ratios(around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0)
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
-        self._types = np.array([turned_type(self._view.crossing_type, t) for t in range(4)])
+        self._types = _TURNED[:, self._view.crossing_type]
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, rare, corners_m=view.visible_m)
         self._lines = lines_through(
             self._view.xy_base_m, self._view.crossing_type, around.axis_rad - self._view.heading_rad
         )
-        self._seen_as = np.array([turned_type(np.arange(CROSSING_TYPES), -t) for t in range(4)])
+        self._seen_as = _TURNED[[0, 3, 2, 1]]
         self.take(worth)
 
     def take(self, worth: Array) -> None:
         """From now on features are of another worth (K,)."""
         own = worth[self._which]
-        self._worth = _by_kind(own * self._lamp, np.sqrt(own) * self._lamp)
+        self._any, self._alike = own * self._lamp, np.sqrt(own) * self._lamp
         self._worth_of_missed = float(np.mean(own)) if len(own) else 0.0
 
     def log_ratio(self, poses: Array) -> Array:
@@ -172,8 +170,10 @@ class ViewEvidence:
     def _speaks_for(self, pose: Array, grid: TypeGrid) -> Array:
         """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
         at, types = _moved(pose, self._view.xy_base_m), self._types[self._turns(pose)]
-        each = self._each(at, types, *self._found_in(grid, at, types))[0, :, 0]
-        return np.asarray(np.maximum(each * self._worth[0], 0.0))
+        matched, other = self._found_in(grid, at, types)
+        views = self._around.coverage.views(at)
+        each = kernel.each_of(self._ratios, views, types, matched, other, self._lines)
+        return np.asarray(np.maximum(each[0, :, 0] * self._any, 0.0))
 
     @property
     def reach_m(self) -> float:
@@ -214,28 +214,23 @@ class ViewEvidence:
 
     def _scored(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
         """(M, R) of features (M, K) seen at (M, K, 2): whether a landmark of their type is there, or one beside."""
-        return np.asarray(np.einsum("mkr,rk->mr", self._each(at, types, matched, other), self._worth))
-
-    def _each(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
-        """(M, K, R) the same of each, but for its worth."""
-        views = self._around.coverage.views(at)
-        step = views // _VIEWS_PER_STEP
-        none = np.where(other[..., None], self._mistaken[step, types], self._loss[step, types])
-        each = np.where(matched[..., None], self._gain[step, types], none)
-        known = np.where(matched, np.minimum(views / VIEWS, 1.0), views >= VIEWS)
-        known = np.where(matched, known, _worth_by_line(~matched & (known > 0.0), self._lines))
-        return np.asarray(each * known[..., None])
+        views, worth = self._around.coverage.views(at), _by_kind(self._any, self._alike)
+        score: Array = kernel.scored(self._ratios, views, types, matched, other, worth, self._lines)
+        return score
 
     def _missed(self, poses: Array) -> Array:
         """(M, R) of landmarks that should be seen and are not."""
         landmarks = self._expected
-        out = np.zeros((len(poses), 2 * len(CHANGED)))
         if not len(self._view.visible_m) or not len(landmarks):
-            return out
-        surprise = self._surprise(landmarks.crossing_type, landmarks.visibility, self._expected_lamp)
-        kind = np.broadcast_to(landmarks.crossing_type, (len(poses), len(landmarks)))
-        missed = self._is_missed(poses[:, None], landmarks.xy_map_m, kind)
-        return np.asarray(_worth_by_line(missed, self._expected_lines) @ surprise)
+            return np.zeros((len(poses), 2 * len(CHANGED)))
+        kind = landmarks.crossing_type
+        surprise = self._surprise(kind, landmarks.visibility, self._expected_lamp)
+        own = np.left_shift(1, self._seen_as[:, kind]).astype(np.uint16)
+        at, turns = landmarks.xy_map_m, self._turns(poses)
+        score: Array = kernel.missed(
+            self._raster.picture, poses, at, own, turns, int(VISIBLE), int(RARE), surprise, self._expected_lines
+        )
+        return score
 
     def _missed_in(self, grid: TypeGrid, poses: Array) -> Array:
         """(M, R) the same anywhere on the map."""
@@ -284,12 +279,6 @@ class ViewEvidence:
         return np.asarray(np.concatenate(each, axis=1) * _by_kind(worth * lamp, np.sqrt(worth) * lamp).T)
 
 
-def _worth_by_line(events: NDArray[np.bool_], lines: Ints) -> Array:
-    """(M, K) of events (M, K) at crossings of lines (K, 2); of those along one line LINE_FEATURES in all at most."""
-    share = by_line(events, lines)
-    return np.asarray(np.where(events, np.minimum(LINE_FEATURES * share, 1.0), 0.0))
-
-
 def _by_kind(any_: Array, alike: Array) -> Array:
     """(2 R, N) worths (N,) against either kind of wrong place, for every fraction of change."""
     return np.repeat(np.stack([any_, alike]), len(CHANGED), axis=0)
@@ -318,9 +307,15 @@ def _telling(chance: Array, rare: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-def _tables(chance: Chance, least_unmapped: float) -> tuple[Array, Array, Array]:
-    """(V, 9, 2 R) log-likelihood ratios of a feature with a landmark of its type, with one of another type, and without
-    any, by steps of views and type; against any wrong place and against one like it, for every fraction of change."""
+def _ratios(chance: Chance, least_unmapped: float) -> Ratios:
+    """Against any wrong place and against one like it, for every fraction of change."""
+    return _ratios_of(chance.same.tobytes(), chance.rare_one.tobytes(), least_unmapped)
+
+
+@lru_cache(maxsize=4)
+def _ratios_of(same: bytes, rare_one: bytes, least_unmapped: float) -> Ratios:
+    """The same of a chance's numbers: it is measured now and then, and asked in every view."""
+    chance = Chance(*(np.frombuffer(v).reshape(2, -1) for v in (same, rare_one)))
     views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
     unmapped = np.where(chance.rare, 1.0 / (UNMAPPED_FIRST + views[:, None] / UNMAPPED_VIEWS), UNMAPPED_COMMON)[
         ..., None
@@ -338,7 +333,8 @@ def _tables(chance: Chance, least_unmapped: float) -> tuple[Array, Array, Array]
         out[2].append(np.minimum(np.log(np.maximum(unmapped, least_unmapped)) - none, 0.0))
     rare = chance.rare[:, None]
     ratios = [np.concatenate(kinds, axis=2) for kinds in out]
-    return np.where(rare, ratios[0], np.minimum(ratios[0], 0.0)), np.where(rare, ratios[1], ratios[2]), ratios[2]
+    gain, mistaken = np.where(rare, ratios[0], np.minimum(ratios[0], 0.0)), np.where(rare, ratios[1], ratios[2])
+    return Ratios(gain, mistaken, ratios[2], _VIEWS_PER_STEP, VIEWS)
 
 
 def _moved(poses: Array, xy: Array) -> Array:

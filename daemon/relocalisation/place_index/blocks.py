@@ -12,13 +12,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.relocalisation import kernel
+from ceilvo.daemon.relocalisation.kernel.arguments import END, Chains, Fine
 from ceilvo.daemon.relocalisation.place_index.id_table import IdTable, Slots
 from ceilvo.types import Array, Ints, Landmarks
 
 _T = TypeVar("_T", bound=np.generic)
-Fine = NDArray[np.int32]
-"""Coordinates in the map, in 1/256 of a cell."""
-
 CELL_M = 0.1
 """Side of a cell; two thirds of the association gate of 0.15 m. Memory grows with its inverse square."""
 FINE_BITS, BLOCK_BITS = 8, 4
@@ -34,8 +33,6 @@ MARGIN = 8
 """Blocks that the rectangle grows by beyond what is needed, so that a map in the making seldom makes it grow."""
 GROWTH = 1.2
 """Arrays that are full grow by this factor."""
-END = -1
-"""After the last landmark of a block; type of a free slot."""
 
 
 def fine(xy_m: Array) -> Fine:
@@ -235,35 +232,19 @@ class LandmarkBlocks:
         return np.unique(self.pairs(xy, reach)[1])
 
     def pairs(self, xy: Fine, reach: int) -> tuple[Ints, Slots]:
-        """All pairs of a point (Q, 2) and the slot of a landmark within reach of it along both axes."""
-        number = self.directory.at(*(_touched(xy, reach) << BLOCK_SHIFT).T).astype(np.int64)
-        count = self.directory.count
-        point, number = np.divmod(np.unique((np.arange(len(number)) % max(len(xy), 1)) * count + number), count)
-        found = [(np.empty(0, np.int64), np.empty(0, np.int32))]
-        for which, slot in self.walk(number.astype(np.int32)):
-            mine = point.take(which)
-            off = np.abs(self.xy.take(slot, axis=0) - xy.take(mine, axis=0))
-            on = np.flatnonzero(np.max(off, axis=1) <= reach)
-            found.append((mine.take(on), slot.take(on)))
-        points, slots = zip(*found, strict=True)
-        return np.concatenate(points), np.concatenate(slots)
+        """All pairs of a point (Q, 2) and the slot of a landmark within reach of it along both axes, in any order."""
+        which, slots = kernel.pairs(self._chains(), xy, reach)
+        return which, slots
 
     def nearest(self, xy: Fine, wanted: NDArray[np.uint16], reach: int) -> tuple[Slots, NDArray[np.float64]]:
         """For each point (Q, 2) the slot of the nearest landmark of the types whose bits (Q,) are set, or -1, and its
         distance in FINE."""
-        best, label = np.full(len(xy), np.inf), np.full(len(xy), END, np.int32)
-        corners = ((-reach, -reach), (-reach, reach), (reach, -reach), (reach, reach))
-        blocks = np.array([self.directory.at(xy[:, 0] + np.int32(dx), xy[:, 1] + np.int32(dy)) for dx, dy in corners])
-        for i in range(1, 4):
-            blocks[i, np.any(blocks[:i] == blocks[i], axis=0)] = 0  # there is nothing in block 0
-        for number in blocks:
-            for which, slot in self.walk(number):
-                off = (self.xy.take(slot, axis=0) - xy.take(which, axis=0)).astype(np.float64)
-                apart = np.hypot(off[:, 0], off[:, 1])
-                closer = np.flatnonzero((apart < best.take(which)) & (self.own_bit(slot) & wanted.take(which) > 0))
-                best[which[closer]], label[which[closer]] = apart[closer], slot[closer]
-        label[best > reach] = END
-        return label, best
+        slots, apart = kernel.nearest(self._chains(), xy, wanted, reach)
+        return slots, apart
+
+    def _chains(self) -> Chains:
+        d = self.directory
+        return Chains(d.origin, d.number, self.head, self.chain, self.xy, self.crossing_type, BLOCK_SHIFT)
 
     @property
     def nbytes(self) -> int:

@@ -143,6 +143,8 @@ class PlaceIndex:
         self._remove(slots[slots >= 0])
 
     def _remove(self, slots: Slots) -> None:
+        if not len(slots):
+            return
         beside = same_corner(self.grid.blocks, slots)
         self.members.remove(slots, self.grid.blocks.crossing_type[slots].astype(np.int64))
         self.grid.remove(slots)

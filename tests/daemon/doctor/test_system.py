@@ -26,6 +26,7 @@ from ceilvo.daemon.doctor.system import (
     unit_file,
 )
 from ceilvo.daemon.odometry import kernel
+from ceilvo.daemon.relocalisation import kernel as place_kernel
 from ceilvo.daemon.vision import kernel as vision_kernel
 from ceilvo.drivers.host.machine import Done
 
@@ -34,6 +35,7 @@ def test_a_kernel_that_was_not_compiled_is_told_with_what_to_do(monkeypatch: pyt
     for vision, odometry, words in ((True, True, ""), (False, False, "not compiled"), (True, False, "in part")):
         monkeypatch.setattr(vision_kernel, "COMPILED", vision)
         monkeypatch.setattr(kernel, "COMPILED", odometry)
+        monkeypatch.setattr(place_kernel, "COMPILED", odometry)
         (finding,) = compiled_kernel()
         if not words:
             assert finding == fine("kernel", "compiled")
