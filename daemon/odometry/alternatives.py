@@ -59,9 +59,6 @@ _QUARTER_SIGMAS = 4.0
 _QUARTER_RAD = 0.5 * np.pi
 _CARRIED_MPS, _CARRIED_RADPS, _CARRIED_NEAR_M = 10.0, 10.0, 1.3
 """Nobody moves a robot faster, but for a snatch by two tiles; chosen: half of it is a throw."""
-_HAND_MPS, _HAND_NEAR_M, _SNATCHED = 4.0, 0.1, 0.1
-"""A hand moves a robot so fast (CARRY_MPS of doubts.py), give or take a bin; of all who move one, so many are faster;
-chosen. Between two frames a tenth of a second apart it reaches the next tile of 0.3 m, and no other place."""
 _STAMP_LIES = 1e-3
 """Of all that happens to a robot, so much is not that but pictures whose stamps are wrong: then it may be anywhere;
 chosen."""
@@ -234,9 +231,7 @@ def _prior_share(at: Array, prior: Prior, far_m: float) -> tuple[Array, Array]:
     own = np.minimum(_TILE_M2 * density, 1.0) * of_turn
     near = np.hypot(off[:, 0], off[:, 1]) <= _CARRIED_NEAR_M + _CARRIED_MPS * prior.carried_s
     near &= np.abs(wrap_array(at[:, 2] - prior.mean[2])) <= _SAME_RAD + _CARRIED_RADPS * prior.carried_s
-    by_hand = near & (np.hypot(off[:, 0], off[:, 1]) <= _HAND_NEAR_M + _HAND_MPS * prior.carried_s)
-    how = np.where(by_hand, 1.0, np.where(near, _SNATCHED, _STAMP_LIES))
-    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0 * how
+    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0 * np.where(near, 1.0, _STAMP_LIES)
     share = np.asarray((1.0 - prior.carried) * own + anywhere + _TINY)
     return share, anywhere / share
 

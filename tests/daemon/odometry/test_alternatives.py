@@ -22,7 +22,6 @@ TILE_M = 0.6
 LAMPS = CeilingSpec(room_m=SIDE_M, tile_m=TILE_M)
 BARE_GRID = CeilingSpec(room_m=SIDE_M, tile_m=TILE_M, lamp_every=(0, 0), vents=0)
 SPECS = {"lamps": LAMPS, "grid": BARE_GRID, "small tiles": CeilingSpec(room_m=SIDE_M, tile_m=0.3)}
-SPECS["small grid"] = CeilingSpec(room_m=SIDE_M, tile_m=0.3, lamp_every=(0, 0), vents=0)
 
 
 @cache
@@ -148,27 +147,3 @@ def test_the_chance_of_being_carried_brings_in_what_the_prediction_excludes() ->
         k = np.flatnonzero(is_at(found.ref_from_curr, true))[0]
         shares.append(found.log_weight[k] - found.log_ratio[k])
     assert shares[0] - shares[1] == pytest.approx(np.log(1e-4 / 1e-2), abs=0.01)
-
-
-def test_between_two_frames_a_hand_reaches_the_next_small_tile_and_not_the_fourth() -> None:
-    """Which tiles are in reach depends on the time; one in ten of those who move a robot snatches it further."""
-    rng = np.random.default_rng(31)
-    here, still = somewhere(rng), np.zeros(3)
-    ref, curr = (camera("small grid", 1, True).sees(here, k) for k in range(2))
-    sigma = np.array([0.004, 0.004, 0.003])
-    turn = direction_change(ref.psi_rad, curr.psi_rad, 0.0)
-
-    def weights(carried_s: float) -> dict[int, float]:
-        """Of those that are not turned, by how many hundredths of a metre they are away."""
-        found = find_candidates(ref, curr, turn, Prior(still, np.diag(sigma**2), 1e-2, carried_s))
-        straight = np.abs(found.ref_from_curr[:, 2]) < 0.1
-        apart = np.hypot(*found.ref_from_curr[straight, :2].T)
-        return {round(100.0 * d): w for d, w in zip(apart.tolist(), found.log_weight[straight].tolist(), strict=True)}
-
-    long, short = weights(1.0), weights(0.1)
-    at_cm = sorted(long.keys() & short.keys())
-    print(at_cm)
-    assert any(0 < d < 45 for d in at_cm) and any(55 < d < 135 for d in at_cm)
-    for d in at_cm:
-        expected = np.log(0.1) if 50 < d < 230 else 0.0  # further than so there is the stamp that lies
-        assert abs(short[d] - long[d] - expected) < 0.05, d
