@@ -166,6 +166,7 @@ class Pipeline:
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             in_doubt=self.relocaliser.doubt,
+            elsewhere=self.elsewhere,
             suspected=self.odometry.heights.suspicion if degraded is None else degraded.reason,
         )
         verdict = self.states.step(evidence)

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from ceilvo.config import States
+from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 from ceilvo.daemon.relocalisation.relocaliser import AMBIGUOUS, NOT_THIS_MAP
 from ceilvo.types import State
 
@@ -45,6 +46,7 @@ class Evidence:
         landmarks_matched: observations that a landmark explained; needed to confirm a relocalisation.
         in_doubt: why the robot may be at another place than the pose says, "" while that is less likely than
             states.false_place_rate.
+        elsewhere: how likely it is, where it may be.
         suspected: what picture, wheels and stamps say against each other, "" for nothing.
     """
 
@@ -60,6 +62,7 @@ class Evidence:
     ess_ratio: float = 1.0
     landmarks_matched: int = 0
     in_doubt: str = ""
+    elsewhere: float = 1.0
     suspected: str = ""
 
 
@@ -135,7 +138,7 @@ class StateMachine:
     def step(self, evidence: Evidence) -> Verdict:
         s = self.state
         self._update(evidence)
-        if evidence.in_doubt:
+        if self._gives_up(evidence):
             self._drop_evidence()
         state, cause, reason = self._decide(evidence)
         if state is not s.current or cause not in ("", s.cause):
@@ -176,6 +179,7 @@ class StateMachine:
         self._set_above("far", far_m, cfg.degraded_within_m, "position only within {:.2f} m, not {:g} m")
         self._set_above("turned", far_deg, cfg.degraded_within_deg, "heading only within {:.1f} deg, not {:g} deg")
         self._set("suspected", bool(e.suspected), not e.suspected, e.suspected)
+        self._set("in doubt", bool(e.in_doubt), not e.in_doubt, e.in_doubt)
         self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
@@ -212,7 +216,7 @@ class StateMachine:
         """The state that this frame calls for, with its cause and reason; cause "" keeps the standing reason."""
         cfg, s = self._cfg, self.state
         state = s.current
-        if e.in_doubt and not self._blind(e):
+        if self._gives_up(e) and not self._blind(e):
             cause = next((c for c in (AMBIGUOUS, NOT_THIS_MAP) if e.in_doubt.startswith(c)), "in doubt")
             return State.RELOCALISING, cause, e.in_doubt
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
@@ -233,10 +237,14 @@ class StateMachine:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
-        cause = self._first_cause("nis", "suspected", "sigma", "heading", "inliers")
+        cause = self._first_cause("in doubt", "nis", "suspected", "sigma", "heading", "inliers")
         if cause:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"
+
+    def _gives_up(self, e: Evidence) -> bool:
+        """Whether the place is too doubtful for the pose to be used; one that was not usable waits until it is sure."""
+        return bool(e.in_doubt) and (e.elsewhere >= UNLIKELY or self.state.current in UNUSABLE)
 
     def _blind(self, e: Evidence) -> bool:
         """Whether vision went out while the place was sure; whether it still is, is asked when vision is back."""

@@ -15,7 +15,7 @@ from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, Vi
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
-from ceilvo.daemon.relocalisation.place_belief import PlaceBelief, of_tracked
+from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief, of_tracked
 from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
@@ -109,8 +109,7 @@ class Relocaliser:
     @property
     def _view_period_s(self) -> float:
         """How long after a view the next one is news to a robot that stands."""
-        period_s = self._settings.update_period_s
-        return period_s if self.sure else min(VIEW_PERIOD_S, period_s)
+        return float(min(self._settings.update_period_s, np.inf if self.sure else VIEW_PERIOD_S))
 
     # -- what happens to the robot
 
@@ -123,7 +122,7 @@ class Relocaliser:
         self._on_map.end()
         s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, False, None
         s.leads = np.zeros((0, 3))
-        s.survey.measured_m = np.inf
+        s.survey.measured_m = s.doubted_m = np.inf
         if known is None:
             self.state = RelocaliserState()
             return
@@ -146,6 +145,7 @@ class Relocaliser:
         s.belief.moved(track.moved_m, track.turned_rad)
         self._schedule.travelled(track.moved_m, track.turned_rad)
         s.survey.measured_m += track.moved_m
+        s.doubted_m += track.moved_m
         if track.gap is not None:
             s.gapped, s.jumped = True, s.jumped or doubts.shows_a_jump(crossings, s.usual)
         else:
@@ -155,6 +155,8 @@ class Relocaliser:
         self.filter.predict(track.final)
         gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
         s.gapped = s.jumped = False
+        if not gapped and self._rate <= track.final.doubt < doubts.UNLIKELY:
+            s.doubted_m = 0.0
         if gapped or track.final.doubt > 0.0:
             bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
             cov = track.final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
@@ -205,7 +207,8 @@ class Relocaliser:
         """Add what a view says to the belief; True when the filter was put where it says that the robot is."""
         s = self.state
         self._arrive()
-        if s.pending is None and s.belief.spot_views >= SPOT_VIEWS:
+        # lines that were mistaken gave a small doubt, and would count again from the same spot
+        if s.doubted_m < SPOT_M or (s.pending is None and s.belief.spot_views >= SPOT_VIEWS):
             return False
         before = self.filter.estimate()[0]
         reach_m = WATCH_M if s.pending is None else s.pending.search_m
@@ -330,8 +333,7 @@ class Relocaliser:
         """The robot is at a pose (3,); what was learnt in doubt comes along."""
         self._on_map.end()
         s, cov, first_id = self.state, np.diag(JUMP_SIGMA**2), self.state.submap_from
-        s.submap_from = None
-        tracked = self.filter.estimate()[0]
+        s.submap_from, tracked = None, self.filter.estimate()[0]
         whole = None if first_id is None else joined(self.filter.landmarks(), first_id, tracked, found)
         if first_id is None or whole is None:
             self.filter.jump(Pose(found), cov)

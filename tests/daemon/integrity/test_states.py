@@ -40,6 +40,7 @@ STALE = replace(GOOD, nis=5.0)
 WRONG = replace(GOOD, nis=40.0)
 GONE = replace(GOOD, position_sigma_m=0.8)
 SEARCH = replace(GOOD, in_doubt="stored pose")
+UNLIKELY_ELSEWHERE = replace(GOOD, in_doubt="0.1 s without vision", elsewhere=0.001)
 UNSEEN = replace(GOOD, landmarks_matched=0, nis_dof=0)
 
 
@@ -57,6 +58,17 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
     "starts": ([GOOD] * 5, ["INIT", "TRACKING"], "5 good frames in a row"),
     "one frame short": ([GOOD] * 4, ["INIT"], "starting"),
     "the count starts again after a bad frame": ([GOOD] * 4 + [FEW] + [GOOD] * 4, ["INIT"], "starting"),
+    "a small doubt of the place": (
+        [GOOD] * 5 + [UNLIKELY_ELSEWHERE] * 30 + [GOOD] * 5,
+        ["INIT", "TRACKING", "DEGRADED", "TRACKING"],
+        "5 good frames in a row",
+    ),
+    "a small doubt that grows": (
+        [GOOD] * 5 + [UNLIKELY_ELSEWHERE] * 5 + [SEARCH] * 3 + [UNLIKELY_ELSEWHERE] * 30,
+        ["INIT", "TRACKING", "DEGRADED", "RELOCALISING"],
+        "stored pose",
+    ),
+    "a small doubt at the start": ([UNLIKELY_ELSEWHERE] * 30, ["INIT", "RELOCALISING"], "0.1 s without vision"),
     "one frame missed": ([GOOD] * 5 + [BLIND], ["INIT", "TRACKING", "DEGRADED"], "no motion from this frame: 2 crossi"),
     "one frame missed, back": ([GOOD] * 5 + [BLIND] + [GOOD] * 5, ["INIT", "TRACKING", "DEGRADED", "TRACKING"], "5 go"),
     "few from the start": ([FEW] * 10, ["INIT", "DEGRADED"], "4 inliers of 30 crossings, fewer than 6"),
@@ -274,6 +286,7 @@ anything: st.SearchStrategy[Evidence] = st.builds(
     ess_ratio=st.floats(0, 1),
     landmarks_matched=st.integers(0, 20),
     in_doubt=st.sampled_from(["", "", "", "moved"]),
+    elsewhere=st.sampled_from([0.0001, 0.0049, 0.005, 1.0]),
 )
 configs: st.SearchStrategy[States] = st.builds(
     States,
@@ -316,7 +329,7 @@ def test_what_always_holds(config: States, parts: Any) -> None:
         assert "\n" not in v.reason
         assert v.state is not State.TRACKING or (e.motion_ok and not e.in_doubt)
         blind = v.state is State.DEAD_RECKONING and not e.motion_ok  # asked again when vision is back
-        assert v.state is State.RELOCALISING or blind or not e.in_doubt
+        assert v.state is State.RELOCALISING or blind or not e.in_doubt or e.elsewhere < 0.005
         assert v.quality == 0.0 or v.state not in (State.INIT, State.LOST, State.RELOCALISING)
         if e.position_sigma_m > config.lost_sigma_m:
             assert v.state not in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
