@@ -52,6 +52,10 @@ def _compose_one(a_from_b: Array, b_from_c: Array) -> Array:
 def inverse(a_from_b: Array) -> Array:
     """b_from_a, shape (..., 3)."""
     a = np.asarray(a_from_b, np.float64)
+    if a.ndim == 1:
+        x, y, turn = a.tolist()
+        c, s = math.cos(turn), math.sin(turn)
+        return np.array([-c * x - s * y, s * x - c * y, wrap(-turn)])
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     out = np.empty_like(a)
     out[..., 0] = -c * a[..., 0] - s * a[..., 1]

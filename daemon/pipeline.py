@@ -94,7 +94,8 @@ class Pipeline:
         elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
         told = self.checks.told(wheels, elapsed_s, heard)
         expected = self.odometry.expected(elapsed_s, told.wheels, told.turn)
-        twist = self.odometry.expected_twist(elapsed_s, told.wheels, told.turn)
+        rolls = self.vision.rolls
+        twist = self.odometry.expected_twist(elapsed_s, told.wheels, told.turn) if rolls else None
         hint = None if self.odometry.heights.wants_whole_look else expected
         crossings = self.vision(frame, hint, on_stage_done, twist)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done, heard=heard)

@@ -37,7 +37,6 @@ from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
-from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.bus.namesake import refuse_namesake
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.camera.paced import PacedCamera
@@ -66,6 +65,8 @@ _STOP_S = 1.0
 """Patience with each thread at the end; chosen: SIGTERM to exit within 2 s, with the recorder's part."""
 _TRIM_NS = 60 * 10**9
 """Between returns of free memory to the system; chosen: so seldom it costs nothing."""
+_FIRST_TRIM_NS = 5 * 10**9
+"""The first time after the start; chosen: the first frame has made its look-ups then, which takes 5 MB for a while."""
 _SILENT = "the camera gives no frames"
 _MAP_FULL = "the map is full: nothing new is learnt; raise filter.max_landmarks, or reset the map"
 
@@ -194,7 +195,7 @@ class Daemon:
     def _supervise(self, screen: Screen | None) -> None:
         """Everything slow and periodic, until the end is asked for."""
         health = self._clock()
-        trim = health + _TRIM_NS
+        trim = health + _FIRST_TRIM_NS
         reported: State | None = None
         while not self._stop.wait(_TICK_S):
             now, last = self._clock(), self._estimator.last
@@ -250,6 +251,8 @@ class Daemon:
         return {} if self._recording is None else {"recorder": asdict(self._recording.counters())}
 
     def _port(self) -> Base:
+        from ceilvo.drivers.base.modbus import ModbusBase  # 8 MB, with asyncio, that robots without a base do not need
+
         port = ModbusBase(self._config.base)
         return port if self._recording is None else RecordedBase(port, self._recording)
 

@@ -5,6 +5,7 @@ While frames give no motion, predictions carry the pose. The next good motion co
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -89,9 +90,11 @@ class DeadReckoning:
         moved = Displacement(se2.compose(gap.prev_from_curr, motion.prev_from_curr))
         # a good motion corrects the gap's: it is no lever for the error of the heading that was predicted
         before, step = gap.prev_from_curr, np.zeros(3) if motion.ok else motion.prev_from_curr
-        blind_cov, failed_cov = (se2.compose_cov(before, gap.cov, step, c) for c in (motion.prior_cov, motion.cov))
+        blind_cov, failed_cov = motion.prior_cov, motion.cov
+        if s.gap is not None:
+            blind_cov, failed_cov = (se2.compose_cov(before, gap.cov, step, c) for c in (blind_cov, failed_cov))
         by_wheels, watched = gap.by_wheels and motion.by_wheels, gap.watched and motion.watched
-        moved_m = float(np.hypot(*motion.prev_from_curr[:2]))
+        moved_m = math.hypot(*motion.prev_from_curr[:2].tolist())
         s.blind_m += moved_m
         s.blind_s += dt_s
         if motion.ok and s.blind_s > 0:

@@ -114,10 +114,12 @@ class _Found:
 
 
 class VisualOdometry:
-    """Frame-to-frame motion."""
+    """Frame-to-frame motion; `_noise_floor` is the (3, 3) covariance of a step that no residual shows."""
 
     def __init__(self, config: Odometry) -> None:
         self._config = config
+        xy, theta = config.noise_xy_m, config.noise_theta_rad
+        self._noise_floor = np.diag([xy * xy, xy * xy, theta * theta])
         self.state = VisualOdometryState()
 
     def expected(self, dt_s: float, wheels: WheelMotion | None = None, turn: KnownTurn | None = None) -> Array | None:
@@ -172,7 +174,7 @@ class VisualOdometry:
         if self.state.reference is None:
             self._set_reference(crossings)
             still = Displacement(np.zeros(3))
-            return Motion(still, self._noise_floor(), len(crossings), 0.0, "first frame", restarted=True)
+            return Motion(still, self._noise_floor.copy(), len(crossings), 0.0, "first frame", restarted=True)
         course = self._course(predicted, dt_s)
         crossings = as_expected(crossings, self.state.reference, course, self._config.heading_gate_rad)
         found = self._find(self.state.reference, crossings, course)
@@ -200,7 +202,7 @@ class VisualOdometry:
             return Motion(told, cov, 0, 0.0, "", prior_cov=cov, by_wheels=True, watched=wheels.watched)
         last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
         moved, cov = coast(self._config, last, dt_s, turn)
-        cov = cov + self._noise_floor()
+        cov = cov + self._noise_floor
         return Motion(moved, cov, 0, 0.0, "", prior_cov=cov)
 
     def _course(self, predicted: Motion, dt_s: float) -> Course:
@@ -208,7 +210,9 @@ class VisualOdometry:
         carried = s.heading.carried and s.reference is not None
         return Course(
             guess=se2.compose(s.ref_from_prev, predicted.prev_from_curr),
-            cov=se2.compose_cov(s.ref_from_prev, s.ref_cov, predicted.prev_from_curr, predicted.cov),
+            cov=predicted.cov
+            if not s.ref_cov.any()
+            else se2.compose_cov(s.ref_from_prev, s.ref_cov, predicted.prev_from_curr, predicted.cov),
             elapsed_s=s.since_ref_s + dt_s,
             step_s=dt_s,
             twist=s.twist if s.twist_known else None,
@@ -217,11 +221,6 @@ class VisualOdometry:
             refused=s.refused,
             carried_rad=s.reference.psi_sigma_rad if carried and s.reference is not None else 0.0,
         )
-
-    def _noise_floor(self) -> Array:
-        """(3, 3) covariance of a step that no residual shows."""
-        xy, theta = self._config.noise_xy_m, self._config.noise_theta_rad
-        return np.diag([xy * xy, xy * xy, theta * theta])
 
     # -- the view
 
@@ -280,7 +279,7 @@ class VisualOdometry:
         assert place is not None
         fit = HeadingFusion(s.heading).fused(ref, crossings, place, course)
         motion = se2.between(s.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
-        cov = fit.cov + self._noise_floor()
+        cov = fit.cov + self._noise_floor
         cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else _NONE
         before = s.twist

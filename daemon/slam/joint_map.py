@@ -124,15 +124,17 @@ class JointMap:
 
     def xy(self, labels: Ints) -> Array:
         """(K, 2) means."""
-        out, inside = self.table_xy[labels], self.slot[labels] >= 0
-        out[inside] = self.mean[self.rows(labels[inside])].reshape(-1, 2)
+        out, slot = self.table_xy[labels], self.slot[labels]
+        inside = slot >= 0
+        out[inside] = self.mean[3:].reshape(-1, 2)[slot[inside]]
         return out
 
     def packed(self, labels: Ints) -> Array:
         """(K, 3) covariances xx, xy, yy."""
-        out, inside = self.table_packed[labels], self.slot[labels] >= 0
-        a = 3 + 2 * self.slot[labels[inside]]
-        out[inside] = np.column_stack([self.cov[a, a], self.cov[a, a + 1], self.cov[a + 1, a + 1]])
+        out, slot = self.table_packed[labels], self.slot[labels]
+        inside = slot >= 0
+        a = 3 + 2 * slot[inside][:, None]
+        out[inside] = self.cov[a + [0, 0, 1], a + [0, 1, 1]]
         return out
 
     def load(self, landmarks: Landmarks) -> None:

@@ -162,15 +162,16 @@ class JointRule:
         part = view.of(chosen, max(1.0, view.inflation * len(chosen) / len(view))) if len(view) else view
         chances, began = path.chances(mode.slipping, self._settings)
         predicted = Predicted(part, mode.mean[:3], mode.cov[:3, :3])
-        least, most = float(np.log(modes.FAINT)), most_gain(predicted, self._settings.gate_chi2)
-        out = []
+        most, tried = most_gain(predicted, self._settings.gate_chi2), []
         for kind in (NONE, *range(KINDS)):
             log_weight = float(np.log(mode.weight) + np.log(max(chances[kind], np.finfo(np.float64).tiny)))
-            if kind != NONE and log_weight + most < least:
-                continue
-            slipped = self._slip(path, kind, predicted)
-            log_weight += float(np.log(slipped.share))
-            gain = likeliest_gain(predicted, slipped) if slipped.share == 1.0 else most
+            if kind == NONE or log_weight + most >= np.log(modes.FAINT):
+                slipped = self._slip(path, kind, predicted)
+                tried.append((kind, slipped, log_weight + float(np.log(slipped.share))))
+        out = []
+        gains = likeliest_gains(predicted, [slipped for _, slipped, _ in tried[1:]])
+        for (kind, slipped, log_weight), likeliest in zip(tried, [0.0, *gains], strict=True):
+            gain = likeliest if slipped.share == 1.0 else most
             if kind != NONE and log_weight + gain < np.log(modes.LIGHT if slipped.share == 1.0 else modes.FAINT):
                 continue
             share = float(began[kind] / chances[kind]) if kind != NONE else 0.0
@@ -277,12 +278,15 @@ def most_gain(predicted: Predicted, gate: float) -> float:
     return 0.5 * float(np.sum(np.minimum(predicted.chi2(), gate)))
 
 
-def likeliest_gain(predicted: Predicted, slipped: Slip) -> float:
-    """By how much a slip of any amount explains the view better, as a logarithm."""
-    shift = predicted.rows_h @ slipped.direction
-    towards = np.linalg.solve(predicted.rows_total, shift) if len(shift) else shift
-    steepness = float(shift @ towards)
-    return 0.5 * float(predicted.rows @ towards) ** 2 / steepness if steepness > 0.0 else 0.0
+def likeliest_gains(predicted: Predicted, slips: list[Slip]) -> list[float]:
+    """By how much each slip, of any amount, explains the view better, as a logarithm."""
+    if not slips or not len(predicted.rows):
+        return [0.0] * len(slips)
+    shifts = predicted.rows_h @ np.column_stack([slipped.direction for slipped in slips])
+    towards = np.linalg.solve(predicted.rows_total, shifts)
+    steepness = np.sum(shifts * towards, axis=0)
+    gain = 0.5 * (predicted.rows @ towards) ** 2
+    return [g / s if s > 0.0 else 0.0 for g, s in zip(gain.tolist(), steepness.tolist(), strict=True)]
 
 
 def _chosen(chi2: Array, now: int) -> Ints:

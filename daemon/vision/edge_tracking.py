@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,11 +113,12 @@ class EdgeTracker:
         framed = smoothed(self._view.reduced(gray), self._config)
         floor, _ = thresholds(framed, self._config, self._samples)
         rows = None if readout is None else readout.rows
-        edges = _by_group(expected)
-        begins = np.searchsorted(_group(edges), _GROUPS)
+        edges, group = _by_group(expected)
+        begins = np.searchsorted(group, _GROUPS)
 
         def look(edges: EdgeSet, tilt_rad: Array, look: Look) -> tuple[Points, Int32s, Ints]:
-            x, y, line, looked = kernel.follow(framed, self._grids, _oriented(edges), tilt_rad, self._focal, look, rows)
+            lines = _oriented(edges, group)
+            x, y, line, looked = kernel.follow(framed, self._grids, lines, tilt_rad, self._focal, look, rows)
             return Points(x, y, _ends(line, begins), np.inf), line, looked
 
         sparse = look(edges, last.tilt_rad, Look(_SPARSE_STEP_PX, _SPARSE_REACH_PX, floor, self._gate, True))
@@ -127,20 +129,21 @@ class EdgeTracker:
         seen = np.bincount(line, minlength=len(looked))
         if len(line) < _MIN_CLOSE_POINTS or not _enough(seen, looked * edges.coverage):
             return None
-        return self._fit(points, line, edges, tilt_rad, last, prior, readout)
+        starts = [edges.offset_px[a:b] for a, b in pairwise([*begins.tolist(), len(group)])]
+        return self._fit(points, line, edges, starts, tilt_rad, last, prior, readout)
 
     def _fit(
         self,
         points: Points,
         line: Int32s,
         edges: EdgeSet,
+        starts: list[Array],
         tilt_rad: Array,
         last: LastFit,
         prior: TiltPrior,
         readout: Readout | None,
     ) -> tuple[Lines, EdgeSet] | None:
         fraction = 1.0 / _CLOSE_STEP_PX
-        starts = [edges.offset_px[_group(edges) == g] for g in range(4)]
         fit = JointFit(points, edges.psi_rad, starts, self._focal, self._config, fraction, tilt_rad, readout)
         fit.start(line, edges.offset_px)
         fit.solve()
@@ -168,15 +171,12 @@ def look_ups(calibration: Calibration, max_view_deg: float) -> Grids:
     return Grids(lookup, table, (float(low[0]), float(low[1])), _CELL_PX)
 
 
-def _group(edges: EdgeSet) -> Ints:
-    return np.asarray(2 * edges.axis + edges.rising, np.int64)
-
-
-def _by_group(edges: EdgeSet) -> EdgeSet:
-    """Edges in the order in which points stand: group after group."""
-    order = np.argsort(_group(edges), kind="stable")
+def _by_group(edges: EdgeSet) -> tuple[EdgeSet, Ints]:
+    """Edges in the order in which points stand, group after group, and the group of each."""
+    group = 2 * edges.axis + edges.rising
+    order = np.argsort(group, kind="stable")
     fields = {k: getattr(edges, k)[order] for k in ("axis", "rising", "offset_px", "start_px", "end_px", "coverage")}
-    return replace(edges, **fields)
+    return replace(edges, **fields), group[order]
 
 
 def _ends(line: Int32s, begins: Ints) -> Ends:
@@ -185,14 +185,15 @@ def _ends(line: Int32s, begins: Ints) -> Ends:
     return a, b, c, d, len(line)
 
 
-def _oriented(edges: EdgeSet) -> Array:
+def _oriented(edges: EdgeSet, group: Ints) -> Array:
     """(E, 5) rows of kernel.follow: cos and sin of the direction in which brightness rises, offset, start, end."""
     c, s = math.cos(edges.psi_rad), math.sin(edges.psi_rad)
     normals = np.array([[-c, -s], [c, s], [s, -c], [-s, c]])  # of each group, along which brightness rises
-    out, falling = np.empty((len(edges.axis), 5)), ~edges.rising
-    out[:, :2] = normals[_group(edges)]
-    out[:, 2], out[:, 3], out[:, 4] = edges.offset_px, edges.start_px, edges.end_px
-    out[falling, 2:] = -out[falling][:, [2, 4, 3]]
+    out, rising = np.empty((len(group), 5)), edges.rising
+    out[:, :2] = normals[group]
+    out[:, 2] = np.where(rising, edges.offset_px, -edges.offset_px)
+    out[:, 3] = np.where(rising, edges.start_px, -edges.end_px)
+    out[:, 4] = np.where(rising, edges.end_px, -edges.start_px)
     return out
 
 

@@ -42,16 +42,4 @@ class SeenLines:
         normals = rotation(crossings.psi_rad).T
         from_camera = (crossings.xy_base_m - mount_xy_m) @ normals.T
         quarters = round((crossings.psi_rad + turned_rad) / _QUARTER_RAD)
-        kinds = np.divmod(crossings.crossing_type, 3)
-        axis, kind, apparent, of_crossing = [], [], [], np.zeros((len(crossings), 2), np.int64)
-        first = 0
-        for own in (0, 1):
-            number, at = kernel.grouped(np.ascontiguousarray(from_camera[:, own]), kinds[own], _SAME_M)
-            of_crossing[:, own] = first + number
-            turned = (own + quarters) % 4
-            sign = 1 if turned < 2 else -1
-            apparent.append(sign * from_camera[at, own])
-            kind.append(sign * (kinds[own][at] - 1))
-            axis.append(np.full(len(at), turned % 2))
-            first += len(at)
-        return SeenLines(np.concatenate(axis), np.concatenate(kind), np.concatenate(apparent), of_crossing, normals)
+        return SeenLines(*kernel.lines_seen(from_camera, crossings.crossing_type, quarters, _SAME_M), normals)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
-from ceilvo.daemon.odometry.kernel.arguments import RatioNoise
-from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.kernel.arguments import Limits, RatioNoise
 from ceilvo.types import Array, Ints
 
 Bools = NDArray[np.bool_]
@@ -41,7 +40,7 @@ _STRANGE = 3
 """Measurements in a row that are not of the line that was followed: it is another; chosen."""
 _STEADY = 1.5
 """A line moves evenly whose distance scatters by no more than so many times what is usual; chosen."""
-_KINDS = 3
+_LIMITS = Limits(_OUTLIER_SIGMAS, _OUTLIER_M, FEWEST, _STRANGE)
 
 
 @dataclass(slots=True)
@@ -87,12 +86,9 @@ class Tracks:
             ratio: (T,) how fast each track moves past, over the camera.
         """
         expected = self.apparent_m - (camera_m[self.axis] - self.camera_m) * ratio
-        # one axis and kind a group; only the distance counts
-        at, to = (np.column_stack([v, np.zeros(len(v))]) for v in (seen.apparent_m, expected))
-        groups = _KINDS * seen.axis + seen.kind, _KINDS * self.axis + self.kind
-        i, j = mutual_nearest(at, groups[0], to, groups[1], _GATE_M)
-        found = np.full(len(seen), -1, np.int64)
-        found[i] = j
+        found: Ints = kernel.lines_followed(
+            seen.axis, seen.kind, seen.apparent_m, self.axis, self.kind, expected, _GATE_M
+        )
         return found
 
     def seen_again(self, seen: SeenLines, track: Ints, camera_m: Array, next_name: int) -> tuple[Tracks, Ints]:
@@ -108,15 +104,10 @@ class Tracks:
 
     def measure(self, row: Ints) -> None:
         """Take in where the tracks `row` were seen last, as far as that is news."""
-        s, a = self.camera_m[row], self.apparent_m[row]
-        news = ~(np.abs(s - self.measured_m[row]) < _STEP_M)
-        row, s, a = row[news], s[news], a[news]
-        take = self._plausible(row, s, a)
-        self.strange[row] = np.where(take, 0, self.strange[row] + 1)
-        self.measured_m[row] = s
-        self._begin_anew(row[self.strange[row] >= _STRANGE])
-        row, s, a = row[take], s[take], a[take]
-        self.sums[row] += np.column_stack([np.ones(len(row)), s, a, s * s, s * a, a * a])
+        where, before = (self.camera_m, self.apparent_m), (self.measured_m, self.sums, self.strange)
+        others = kernel.lines_measured(row, *where, *before, _NOISE, _LIMITS)
+        if len(others):
+            self._begin_anew(others)
 
     def _begin_anew(self, row: Ints) -> None:
         """Another line is followed in their place."""
@@ -151,15 +142,6 @@ class Tracks:
         return replace(
             self, **{f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}
         )
-
-    def _plausible(self, row: Ints, camera_m: Array, apparent_m: Array) -> Bools:
-        n, s, a = self.sums[row, :3].T
-        n = np.maximum(n, 1.0)
-        ratio, sigma = (v[row] for v in self.ratios())
-        ahead = camera_m - s / n
-        off = np.abs(apparent_m - a / n + ratio * ahead)
-        young = n < FEWEST
-        return np.asarray(young | (off < _OUTLIER_M + _OUTLIER_SIGMAS * np.minimum(sigma, 1.0) * np.abs(ahead)))
 
     def ratios(self) -> tuple[Array, Array]:
         """(T,) how fast each moves past, over the camera; (T,) its standard deviation, infinite where not measured."""

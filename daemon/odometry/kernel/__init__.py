@@ -20,4 +20,5 @@ mutual_nearest, median_translation, median_radius = (
     _views.median_radius,
 )
 refined, homography_residuals = _views.refined, _homographies.homography_residuals
-alike, calm_difference, grouped, line_ratios = _lines.alike, _lines.calm_difference, _lines.grouped, _lines.line_ratios
+alike, calm_difference, line_ratios = _lines.alike, _lines.calm_difference, _lines.line_ratios
+lines_seen, lines_followed, lines_measured = _lines.lines_seen, _lines.lines_followed, _lines.lines_measured

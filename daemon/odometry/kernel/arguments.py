@@ -50,6 +50,21 @@ class RatioNoise(NamedTuple):
     independent: float
 
 
+class Limits(NamedTuple):
+    """Which measurements are of the line that was followed.
+
+    Attributes:
+        outlier_sigmas, outlier_m: one further off is of another line that lies over this one.
+        fewest: measurements of a line before one of them is judged.
+        strange: measurements in a row that are of another line: it is followed from then on.
+    """
+
+    outlier_sigmas: float
+    outlier_m: float
+    fewest: int
+    strange: int
+
+
 def check_length(name: str, found: int, expected: int) -> None:
     if found != expected:
         raise ValueError(f"{name} has {found} items, expected {expected}")

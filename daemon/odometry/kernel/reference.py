@@ -14,6 +14,7 @@ from ceilvo.daemon.odometry.kernel.arguments import (
     MAX_ROUNDS,
     Bools,
     Gate,
+    Limits,
     RatioNoise,
     check_pairs,
 )
@@ -218,7 +219,7 @@ def line_ratios(sums: Array, noise: RatioNoise) -> tuple[Array, Array, Array]:
     return ratio, np.where(known, np.hypot(error, noise.sigma_ratio), np.inf), bent
 
 
-def grouped(value: Array, kind: Ints, same: float) -> tuple[Ints, Ints]:
+def _grouped(value: Array, kind: Ints, same: float) -> tuple[Ints, Ints]:
     """(M,) number of the group of each value, and (L,) the first one of each group: of one kind, each nearer than
     `same` to the next; groups are counted by kind, then by value."""
     order = np.lexsort((value, kind))
@@ -227,3 +228,78 @@ def grouped(value: Array, kind: Ints, same: float) -> tuple[Ints, Ints]:
     number = np.empty(len(order), np.int64)
     number[order] = np.cumsum(begins) - 1
     return number, order[begins]
+
+
+def lines_seen(from_camera: Array, crossing_type: Ints, quarters: int, same: float) -> tuple[Ints, Ints, Array, Ints]:
+    """The lines that crossings (M, 2), as seen from the camera along a frame's normals, lie on.
+
+    Args:
+        quarters: turns of the fixed normals against the frame's.
+        same: crossings of a kind that follow each other so closely across a line are on one.
+
+    Returns:
+        (L,) axis 0 or 1 of the fixed normals, kind and distance along it, and (M, 2) the two lines of each crossing.
+    """
+    kinds = np.divmod(crossing_type, 3)
+    axis, kind, apparent, of_crossing = [], [], [], np.zeros((len(from_camera), 2), np.int64)
+    first = 0
+    for own in (0, 1):
+        number, at = _grouped(from_camera[:, own], kinds[own], same)
+        of_crossing[:, own] = first + number
+        turned = (own + quarters) % 4
+        sign = 1 if turned < 2 else -1
+        apparent.append(sign * from_camera[at, own])
+        kind.append(sign * (kinds[own][at] - 1))
+        axis.append(np.full(len(at), turned % 2))
+        first += len(at)
+    return np.concatenate(axis), np.concatenate(kind), np.concatenate(apparent), of_crossing
+
+
+def lines_followed(
+    seen_axis: Ints, seen_kind: Ints, seen_m: Array, axis: Ints, kind: Ints, expected_m: Array, gate_m: float
+) -> Ints:
+    """(L,) which of the lines (T,) that are expected each of those seen is, or -1: the nearest of its axis and kind, if
+    it is the nearest to that one as well, and within the gate."""
+    off = np.abs(seen_m[:, None] - expected_m)
+    off[(seen_axis[:, None] != axis) | (seen_kind[:, None] != kind)] = np.inf
+    found = np.full(len(seen_m), -1, np.int64)
+    if off.size:
+        near, every = np.argmin(off, axis=1), np.arange(len(seen_m))
+        good = (off[every, near] < gate_m) & (np.argmin(off, axis=0)[near] == every)
+        found[good] = near[good]
+    return found
+
+
+def lines_measured(
+    row: Ints,
+    camera_m: Array,
+    apparent_m: Array,
+    measured_m: Array,
+    sums: Array,
+    strange: Ints,
+    noise: RatioNoise,
+    limits: Limits,
+) -> Ints:
+    """Take in where lines `row`, each once, were seen last, as far as that is news, in place; those that are others.
+
+    Args:
+        camera_m, apparent_m, measured_m: (T,) where the camera was along a line's normal, where the line was seen, and
+            where the camera was at its last measurement, nan before the first.
+        sums: (T, 6) as of line_ratios().
+        strange: (T,) measurements in a row that were of another line.
+    """
+    s, a = camera_m[row], apparent_m[row]
+    news = ~(np.abs(s - measured_m[row]) < noise.step_m)
+    row, s, a = row[news], s[news], a[news]
+    n = np.maximum(sums[row, 0], 1.0)
+    ratio, sigma, _ = line_ratios(sums[row], noise)
+    ahead = s - sums[row, 1] / n
+    off = np.abs(a - sums[row, 2] / n + ratio * ahead)
+    allowed = limits.outlier_m + limits.outlier_sigmas * np.minimum(sigma, 1.0) * np.abs(ahead)
+    take = (n < limits.fewest) | (off < allowed)
+    strange[row] = np.where(take, 0, strange[row] + 1)
+    measured_m[row] = s
+    anew = row[strange[row] >= limits.strange]
+    row, s, a = row[take], s[take], a[take]
+    sums[row] += np.column_stack([np.ones(len(row)), s, a, s * s, s * a, a * a])
+    return anew

@@ -54,6 +54,11 @@ class CrossingFinder:
     def state(self, state: LineFinderState) -> None:
         self._lines.state = state
 
+    @property
+    def rolls(self) -> bool:
+        """Whether the camera's rows are read one after the other, so that the robot's twist matters."""
+        return self._lines.rolls
+
     def __call__(
         self,
         frame: Frame,

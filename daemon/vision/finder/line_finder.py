@@ -75,6 +75,11 @@ class LineFinder:
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
 
+    @property
+    def rolls(self) -> bool:
+        """Whether rows are read one after the other."""
+        return self._shutter.rolls
+
     def __call__(
         self,
         gray: NDArray[np.uint8],

@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from ceilvo import se2
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.kernel import reference
-from ceilvo.daemon.odometry.kernel.arguments import Gate, RatioNoise
+from ceilvo.daemon.odometry.kernel.arguments import Gate, Limits, RatioNoise
 
 pytestmark = pytest.mark.skipif(not kernel.COMPILED, reason="ceilvo was installed without a compiler")
 BOTH = pytest.mark.parametrize("k", [reference, kernel], ids=["numpy", "compiled"])
 SEEDS = st.integers(0, 2**32 - 1)
 GATE = Gate(4.0, 0.01, 0.001, 3)
 NOISE = RatioNoise(0.004, 0.0004, 0.002, 8.0)
+LIMITS = Limits(4.0, 0.003, 4, 3)
 
 
 def test_without_the_compiled_one_numpy_takes_over() -> None:
@@ -125,14 +126,52 @@ def test_samples_that_are_alike_are_counted_alike(seed: int) -> None:
     assert kernel.calm_difference(new, before[1], 0.75, 2, 253)[1] == 0.0
 
 
-@given(SEEDS)
+@given(SEEDS, st.integers(-5, 5))
 @settings(max_examples=40, deadline=None)
-def test_values_are_grouped_alike(seed: int) -> None:
+def test_seen_lines_are_the_same(seed: int, quarters: int) -> None:
     rng = np.random.default_rng(seed)
     n = int(rng.integers(0, 50))
-    value, kind = np.round(rng.uniform(0, 1, n), 2), rng.integers(0, 3, n)
-    for a, b in zip(reference.grouped(value, kind, 0.015), kernel.grouped(value, kind, 0.015), strict=True):
+    at, kind = np.round(rng.uniform(-1, 1, (n, 2)), 2), rng.integers(0, 9, n)
+    one, other = (k.lines_seen(at, kind, quarters, 0.015) for k in (reference, kernel))
+    for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(b, a)
+    if n:  # every crossing lies on its two lines, but for what counts as one
+        axis, _, apparent, of = other
+        assert np.all(axis[of[:, 0]] != axis[of[:, 1]])
+        assert np.all(np.abs(np.abs(apparent[of]) - np.abs(at)) <= 0.015 * n)
+
+
+@given(SEEDS)
+@settings(max_examples=60, deadline=None)
+def test_followed_lines_are_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(0, 30, 2)
+    axes, kinds = [rng.integers(0, 2, k) for k in (n, m)], [rng.integers(-1, 2, k) for k in (n, m)]
+    at, to = (np.round(rng.uniform(0, 1, k), int(rng.integers(1, 4))) for k in (n, m))  # also equally near ones
+    arguments = (axes[0], kinds[0], at, axes[1], kinds[1], to, 0.05)
+    np.testing.assert_array_equal(kernel.lines_followed(*arguments), reference.lines_followed(*arguments))
+
+
+@given(SEEDS)
+@settings(max_examples=60, deadline=None)
+def test_lines_are_measured_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    lines = 12
+    strange = [rng.integers(0, 3, lines)] * 2
+    measured, sums = [np.full(lines, np.nan)] * 2, [np.zeros((lines, 6))] * 2
+    strange, measured, sums = ([v.copy() for v in both] for both in (strange, measured, sums))
+    camera, others = np.zeros(lines), [0, 0]
+    for _ in range(12):
+        row = rng.permutation(lines)[: int(rng.integers(0, lines + 1))]
+        camera = camera + rng.uniform(0.0, 0.02, lines)
+        apparent = 0.5 - camera + rng.normal(0, 0.0004, lines) + 0.1 * (rng.random(lines) < 0.2)
+        for i, k in enumerate((reference, kernel)):
+            anew = k.lines_measured(row, camera, apparent, measured[i], sums[i], strange[i], NOISE, LIMITS)
+            others[i] += int(anew.sum())
+        np.testing.assert_array_equal(strange[1], strange[0])
+        np.testing.assert_array_equal(measured[1], measured[0])
+        np.testing.assert_allclose(sums[1], sums[0], rtol=1e-12)
+    assert others[0] == others[1]
 
 
 @given(SEEDS)
@@ -164,12 +203,14 @@ def calls() -> dict[str, tuple[Any, ...]]:
         "homography_residuals": (a, a, np.ones(8, bool)),
         "alike": (np.zeros(8, np.uint8), np.zeros((2, 8), np.uint8), 1.0, 2, 253),
         "calm_difference": (np.zeros(8, np.uint8), np.zeros(8, np.uint8), 0.75, 2, 253),
-        "grouped": (a[:, 0].copy(), kind, 0.1),
+        "lines_seen": (a, kind, 1, 0.1),
+        "lines_followed": (kind, kind, a[:, 0].copy(), kind, kind, a[:, 0].copy(), 0.1),
+        "lines_measured": (kind, *rng.normal(0, 1, (3, 8)), np.zeros((8, 6)), kind.copy(), NOISE, LIMITS),
         "line_ratios": (rng.normal(0, 1, (4, 6)), NOISE),
     }
 
 
-ANY_LENGTH = {("mutual_nearest", 0), ("median_radius", 0), ("line_ratios", 0), ("alike", 1)}
+ANY_LENGTH = {("mutual_nearest", 0), ("median_radius", 0), ("line_ratios", 0), ("alike", 1), ("lines_measured", 0)}
 
 
 @pytest.mark.parametrize("name", calls())
