@@ -132,9 +132,8 @@ class JointMap:
     def packed(self, labels: Ints) -> Array:
         """(K, 3) covariances xx, xy, yy."""
         out, slot = self.table_packed[labels], self.slot[labels]
-        inside = slot >= 0
-        a = 3 + 2 * slot[inside][:, None]
-        out[inside] = self.cov[a + [0, 0, 1], a + [0, 1, 1]]
+        a = 3 + 2 * slot[slot >= 0][:, None]
+        out[slot >= 0] = self.cov[a + np.array([0, 0, 1]), a + np.array([0, 1, 1])]
         return out
 
     def load(self, landmarks: Landmarks) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.edges import noise_samples, smoothed, thresholds
+from ceilvo.daemon.vision.edges import framed_room, noise_samples, smoothed, thresholds
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
 from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
 from ceilvo.daemon.vision.line_fit import JointFit, Points
@@ -91,7 +91,7 @@ class EdgeTracker:
         self._config = config
         self._view, self._focal = calibration.level_view, calibration.level_view.focal_px
         self._grids = look_ups(calibration, config.max_view_deg)
-        self._samples = noise_samples(self._view, config.max_view_deg)
+        self._samples, self._framed = noise_samples(self._view, config.max_view_deg), framed_room(self._view)
         self._gate = float(np.cos(np.radians(config.direction_gate_deg)))
         self._tilt_sigma_rad = _TURN_SIGMA_RAD if config.estimate_tilt else _HELD_RAD
 
@@ -110,7 +110,7 @@ class EdgeTracker:
             prior: for the final estimate of the tilt.
             readout: of a rolling shutter.
         """
-        framed = smoothed(self._view.reduced(gray), self._config)
+        framed = smoothed(self._view.reduced(gray), self._config, self._framed)
         floor, _ = thresholds(framed, self._config, self._samples)
         rows = None if readout is None else readout.rows
         edges, group = _by_group(expected)

@@ -57,17 +57,20 @@ class EdgeDetector:
         usable[[0, -1], :] = False
         usable[:, [0, -1]] = False
         self._usable = usable.astype(np.uint8) * 255
+        # of every frame the same room: memory that the system gives anew costs as much as what is put there
+        self._framed, self._mask = framed_room(view), np.empty(shape, np.uint8)
+        self._gradient = np.empty(shape, np.int16), np.empty(shape, np.int16)
         # a fixed, patternless order of the pixels: a regular one would favour lines at some angle
         rank = np.random.default_rng(0).permutation(usable.size) * _RANKS // usable.size
         self._rank = rank.astype(np.uint16).reshape(shape)
 
     def __call__(self, gray: NDArray[np.uint8], readout: Readout | None = None) -> Edges:
         """Edge points of a (H, W) frame of the calibrated size, at the instant of its middle row."""
-        framed = smoothed(self._view.reduced(gray), self._config)
-        dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(framed[1:-1, 1:-1]))
+        framed = smoothed(self._view.reduced(gray), self._config, self._framed)
+        dx, dy = (np.asarray(d, np.int16) for d in cv2.spatialGradient(framed[1:-1, 1:-1], *self._gradient))
         low, high = thresholds(framed, self._config, self._samples)
-        mask = cv2.Canny(dx, dy, low, high, L2gradient=True)
-        edges = np.asarray(cv2.bitwise_and(mask, self._usable), np.uint8)
+        mask = cv2.Canny(dx, dy, low, high, self._mask, L2gradient=True)
+        edges = np.asarray(cv2.bitwise_and(mask, self._usable, self._mask), np.uint8)
         limit, fraction = self._limit(cv2.countNonZero(edges))
         rows = None if readout is None else readout.rows
         uv, phi = kernel.level_points(edges, dx, dy, self._lookup, self._rank, limit, rows)
@@ -91,10 +94,18 @@ def noise_samples(view: LevelView, max_view_deg: float) -> Ints:
     return np.asarray(at.reshape(-1), np.int64)
 
 
-def smoothed(gray: NDArray[np.uint8], config: Features) -> NDArray[np.uint8]:
-    """(H + 2, W + 2) the frame (H, W) without the finest noise, and around it a frame of one pixel."""
-    smooth = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0)
-    return np.asarray(cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REFLECT_101), np.uint8)
+def framed_room(view: LevelView) -> NDArray[np.uint8]:
+    """(H + 2, W + 2) not set: where smoothed() puts frames of this camera."""
+    return np.empty((view.camera.height_px // view.reduction + 2, view.camera.width_px // view.reduction + 2), np.uint8)
+
+
+def smoothed(gray: NDArray[np.uint8], config: Features, room: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H + 2, W + 2) the frame (H, W) without the finest noise, and around it a frame of one pixel, in `room`."""
+    inner = room[1:-1, 1:-1]
+    inner[...] = cv2.GaussianBlur(gray, (config.smoothing_px, config.smoothing_px), 0, inner)  # itself, where it can
+    room[0], room[-1] = room[2], room[-3]
+    room[:, 0], room[:, -1] = room[:, 2], room[:, -3]
+    return room
 
 
 def thresholds(framed: NDArray[np.uint8], config: Features, samples: Ints) -> tuple[float, float]:

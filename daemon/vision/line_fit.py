@@ -225,18 +225,20 @@ class JointFit:
 
     def apply_prior(self, prior: TiltPrior) -> None:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""
-        off = prior.mean_rad - self.tilt
-        (a, b), (c, d) = self.covariance[1:, 1:].tolist()
+        (off_x, off_y), cov = (prior.mean_rad - self.tilt).tolist(), self.covariance.tolist()
         sigma_x, sigma_y = prior.sigma_rad.tolist()
-        a, d = a + sigma_x**2, d + sigma_y**2
-        spread_inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
-        if float(off @ spread_inverse @ off) > _TILT_CHI2:
+        a, b, c, d = cov[1][1] + sigma_x**2, cov[1][2], cov[2][1], cov[2][2] + sigma_y**2
+        det = a * d - b * c
+        a, b, c, d = d / det, -b / det, -c / det, a / det  # plain numbers: numpy takes longer to be asked
+        if (a * off_x + b * off_y) * off_x + (c * off_x + d * off_y) * off_y > _TILT_CHI2:
             return
-        gain = self.covariance[:, 1:] @ spread_inverse
-        step = gain @ off
-        self.covariance = self.covariance - gain @ self.covariance[1:, :]
-        self.psi += float(step[0])
-        self.tilt = self.tilt + step[1:]
+        gain = [(r[1] * a + r[2] * c, r[1] * b + r[2] * d) for r in cov]
+        turn, x, y = (u * off_x + v * off_y for u, v in gain)
+        self.covariance = np.array(
+            [[r[k] - (u * cov[1][k] + v * cov[2][k]) for k in range(3)] for r, (u, v) in zip(cov, gain, strict=True)]
+        )
+        self.psi += turn
+        self.tilt = self.tilt + np.array([x, y])
         self._settle()
 
     def _settle(self) -> None:
@@ -251,10 +253,10 @@ class JointFit:
             self._unbend()
         self.assign(self.last_gate_px())
         self.solve()
-        grow = np.ones(3)
-        grow[1:] += np.diag(self.covariance)[1:] / _WEAK_RAD**2
-        self.covariance = self.covariance * np.outer(grow, grow)
-        return TiltPrior(self.tilt, np.sqrt(np.diag(self.covariance)[1:]))
+        own = self.covariance[[1, 2], [1, 2]] / _WEAK_RAD**2
+        grow = np.array([1.0, 1.0 + own[0], 1.0 + own[1]])
+        self.covariance = self.covariance * grow * grow[:, None]
+        return TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
 
     def cost(self, points: int) -> float:
         """Squared residuals, px^2, of so many points that were there: those that fit no line count with the gate."""

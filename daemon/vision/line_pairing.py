@@ -81,7 +81,7 @@ def pair_edges(
         kind=kind,
         support=support,
         tilt_rad=fit.tilt,
-        tilt_sigma_rad=np.sqrt(np.diag(fit.covariance)[1:]),
+        tilt_sigma_rad=np.sqrt(fit.covariance[[1, 2], [1, 2]]),
         free_tilt_rad=free.mean_rad,
         free_tilt_sigma_rad=free.sigma_rad,
         points=points,

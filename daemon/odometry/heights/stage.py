@@ -258,9 +258,11 @@ class Heights:
         """As Tracks.ratios(), by the calibrated level's lines: what is wrong with the way is in theirs as well."""
         t = self.state.tracks
         ratio, sigma = t.ratios()
+        if not self.several:
+            return ratio, sigma
         main = t.own & (t.level == 0) & np.isfinite(sigma)
         info = float(np.sum(sigma[main] ** -2.0))
-        if not self.several or info < _ANCHORED:
+        if info < _ANCHORED:
             return ratio, sigma
         return ratio / float(np.average(ratio[main], weights=sigma[main] ** -2.0)), sigma
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ceilvo.config import Features
-from ceilvo.daemon.vision.edges import noise_samples, smoothed, thresholds
+from ceilvo.daemon.vision.edges import framed_room, noise_samples, smoothed, thresholds
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 
 SEED = 3
@@ -17,7 +17,7 @@ def test_clutter_at_the_rim_of_a_fisheye_does_not_raise_the_threshold() -> None:
     rim = ~np.isfinite(view.lookup(56.0)[:480, :640, 0])
     cluttered = np.where(rim, rng.integers(0, 256, clean.shape), clean).astype(np.uint8)
     (*_, of_clean), (*_, of_cluttered) = (
-        thresholds(smoothed(gray, Features()), Features(), samples) for gray in (clean, cluttered)
+        thresholds(smoothed(gray, Features(), framed_room(view)), Features(), samples) for gray in (clean, cluttered)
     )
     print(f"seed {SEED}: {rim.mean():.2f} of the picture is rim; thresholds {of_clean:.1f} and {of_cluttered:.1f}")
     assert rim.mean() > 0.1
