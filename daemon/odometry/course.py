@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,10 @@ DIRECTION_SIGMAS = 5.0
 """Of a direction that is predicted or carried on, by which that of the lines may be off; chosen, as above."""
 _WHEELS_CHI2 = 21.1
 """Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
+
+
+NOWHERE = np.empty((0, 3))
+"""No displacements."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,37 @@ class Course:
     def reach_m(self, sigmas: float) -> float:
         """How far off its prediction the robot can be."""
         return sigmas * math.sqrt(max(se2.greatest_variance(self.cov[:2, :2]), 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A registration to the reference, or why there is none; what else fits, as in Motion but from the reference.
+
+    Attributes:
+        unpredicted: probability that somebody moved the robot, or that what predicts its motion is wrong.
+        jump: the displacement that no robot makes, where that is why.
+        out_of_view: the robot is likelier to have left the reference's view than to be anywhere in it.
+    """
+
+    place: Registration | None
+    failure: str = ""
+    others: Array = field(default_factory=lambda: NOWHERE)
+    log_ratio: Array = field(default_factory=lambda: np.empty(0))
+    doubt: float = 0.0
+    unpredicted: float = 0.0
+    jump: Array | None = None
+    out_of_view: bool = False
+
+
+def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:
+    """The same, refused where the view contradicts it or no robot makes it; sure: nothing else fits."""
+    if found.place is None:
+        return found
+    failure = contradicted(found.place, config, course)
+    if failure:
+        return Found(None, failure)
+    failure = off_course(found.place.fit, sure, course, config)
+    return Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
 
 
 def contradicted(found: Registration, config: Odometry, course: Course) -> str:

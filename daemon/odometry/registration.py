@@ -13,6 +13,7 @@ from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.points.constellation import Points
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion
 from ceilvo.robust import median
 from ceilvo.types import Array, Crossings, Ints
@@ -118,6 +119,12 @@ def register(
 def has_points(crossings: Crossings) -> bool:
     """Whether there are other features than crossings of lines."""
     return int(crossings.crossing_type.max(initial=0)) >= LINE_CROSSINGS
+
+
+def points_of(crossings: Crossings) -> Points:
+    """Those features that are no crossings of lines."""
+    which = np.flatnonzero(crossings.crossing_type >= LINE_CROSSINGS)
+    return Points(crossings.xy_base_m[which], crossings.crossing_type[which], _own_sigma_m(crossings, which))
 
 
 def fewest(crossings: Crossings, config: Odometry) -> int:

@@ -17,7 +17,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, twist_prior
-from ceilvo.daemon.odometry.course import Course, contradicted, off_course
+from ceilvo.daemon.odometry.course import NOWHERE, Course, Found, contradicted, judged
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
     HeadingFusion,
@@ -26,7 +26,16 @@ from ceilvo.daemon.odometry.heading_fusion import (
     with_carried,
     with_direction,
 )
-from ceilvo.daemon.odometry.registration import Registration, expected_turn, fewest, has_points, register, view_size_m
+from ceilvo.daemon.odometry.points.constellation import laid
+from ceilvo.daemon.odometry.registration import (
+    Registration,
+    expected_turn,
+    fewest,
+    has_points,
+    points_of,
+    register,
+    view_size_m,
+)
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
@@ -51,7 +60,7 @@ _MOST_USUAL = 0.4
 """Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 _MOVED_RAD = np.pi / math.sqrt(3.0)
 """Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
-_NONE, _NO_FIT = np.empty((0, 3)), "nothing fits the last good view"
+_NO_FIT = "nothing fits the last good view"
 
 
 @dataclass(slots=True)
@@ -91,26 +100,6 @@ class VisualOdometryState:
     disagreeing: float = 0.1
     special_disagreeing: float = 0.2
     twist_change: Array = field(default_factory=lambda: np.zeros(3))
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """A registration to the reference, or why there is none; what else fits, as in Motion but from the reference.
-
-    Attributes:
-        unpredicted: probability that somebody moved the robot, or that what predicts its motion is wrong.
-        jump: the displacement that no robot makes, where that is why.
-        out_of_view: the robot is likelier to have left the reference's view than to be anywhere in it.
-    """
-
-    place: Registration | None
-    failure: str = ""
-    others: Array = field(default_factory=lambda: _NONE)
-    log_ratio: Array = field(default_factory=lambda: np.empty(0))
-    doubt: float = 0.0
-    unpredicted: float = 0.0
-    jump: Array | None = None
-    out_of_view: bool = False
 
 
 class VisualOdometry:
@@ -224,7 +213,7 @@ class VisualOdometry:
 
     # -- the view
 
-    def _find(self, ref: Crossings, crossings: Crossings, course: Course) -> _Found:
+    def _find(self, ref: Crossings, crossings: Crossings, course: Course) -> Found:
         """The view on the reference: near the prediction where that suffices, else wherever it fits."""
         turn = expected_turn(ref, crossings, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
@@ -234,10 +223,25 @@ class VisualOdometry:
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
         if narrow and carried < _JUMPED and near is not None and near.is_usual(usual):
-            return self._judged(_Found(near), course)
+            found = judged(Found(near), True, course, self._config)
+            return found if found.jump is None else self._by_points(ref, crossings, course) or found
+        alone = self._by_points(ref, crossings, course)
+        if alone is not None:
+            return alone
         known = None if near is None else near.fit.b_from_a
-        found = find_candidates(ref, crossings, turn, prior, known)
-        return self._judged(self._chosen(ref, crossings, found, near, why, course), course)
+        candidates = find_candidates(ref, crossings, turn, prior, known)
+        found = self._chosen(ref, crossings, candidates, near, why, course)
+        return judged(found, found.doubt < _FALSE_RATE, course, self._config)
+
+    def _by_points(self, ref: Crossings, crossings: Crossings, course: Course) -> Found | None:
+        """The view where its points lay it and nothing else does, however the robot came there; None if none is so."""
+        way = laid(points_of(ref), points_of(crossings), course.guess, course.elapsed_s, self._config)
+        if way is None or not way.alone:
+            return None
+        x, y, turn = way.ref_from_curr.tolist()
+        guess = np.array([x, y, expected_turn(ref, crossings, turn)])
+        place, _ = register(ref, crossings, guess, _REFINE_M, self._config)
+        return None if place is None or contradicted(place, self._config, course) else Found(place)
 
     def _chosen(
         self,
@@ -247,41 +251,31 @@ class VisualOdometry:
         near: Registration | None,
         why: str,
         course: Course,
-    ) -> _Found:
+    ) -> Found:
         """The likeliest of all displacements that fit, with the others that may be right."""
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
         if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
             why = why or (near is not None and contradicted(near, self._config, course)) or _NO_FIT
-            return _Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
+            return Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
         if place is None:
             place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config)
         if place is None:
-            return _Found(None, why)
+            return Found(None, why)
         doubt = found.doubt()
         if self.state.failed_frames and doubt > _AS_LIKELY:
-            return _Found(None, "several displacements fit the last good view alike")
+            return Found(None, "several displacements fit the last good view alike")
         others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
         ratio = found.log_ratio[others] - found.log_ratio[0]
-        return _Found(place, "", found.ref_from_curr[others], ratio, doubt, float(found.unpredicted[0]))
+        return Found(place, "", found.ref_from_curr[others], ratio, doubt, float(found.unpredicted[0]))
 
-    def _judged(self, found: _Found, course: Course) -> _Found:
-        """The same, refused where the view contradicts it or no robot makes it."""
-        if found.place is None:
-            return found
-        failure = contradicted(found.place, self._config, course)
-        if failure:
-            return _Found(None, failure)
-        failure = off_course(found.place.fit, found.doubt < _FALSE_RATE, course, self._config)
-        return _Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
-
-    def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: _Found, predicted: Motion) -> Motion:
+    def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
         s, place = self.state, found.place
         assert place is not None
         fit = HeadingFusion(s.heading).fused(ref, crossings, place, course)
         motion = se2.between(s.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
         cov = fit.cov + self._noise_floor
         cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
-        alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else _NONE
+        alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else NOWHERE
         before = s.twist
         s.twist, s.twist_span_s = fit.b_from_a / course.elapsed_s, course.elapsed_s
         if course.refused is not None:  # the way up to it was no motion of a robot
