@@ -26,7 +26,7 @@ from ceilvo.daemon.odometry.heading_fusion import (
     with_carried,
     with_direction,
 )
-from ceilvo.daemon.odometry.points.constellation import laid
+from ceilvo.daemon.odometry.points.constellation import LEANS, laid
 from ceilvo.daemon.odometry.registration import (
     Registration,
     expected_turn,
@@ -240,7 +240,9 @@ class VisualOdometry:
             return None
         x, y, turn = way.ref_from_curr.tolist()
         guess = np.array([x, y, expected_turn(ref, crossings, turn)])
-        place, _ = register(ref, crossings, guess, _REFINE_M, self._config)
+        off_m, sigmas = LEANS * self._config.residual_max_m, LEANS * self._config.residual_sigmas
+        leaning = replace(self._config, residual_max_m=off_m, residual_sigmas=sigmas)
+        place, _ = register(ref, crossings, guess, self._config.match_radius_m, leaning)
         return None if place is None or contradicted(place, self._config, course) else Found(place)
 
     def _chosen(

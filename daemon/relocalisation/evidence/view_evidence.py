@@ -118,6 +118,7 @@ class ViewEvidence:
         self._view, self._around = view.of(self._which), around
         kind = around.landmarks.crossing_type  # common ones are seen anywhere, points are not looked for in every view
         self._expected = around.landmarks.of(rare[kind] & (kind < LINE_CROSSINGS))
+        self._placed = _placed(self._view)
         self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
         self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
         self._expected_lines = self._lines_of(self._expected.xy_map_m, self._expected.crossing_type)
@@ -133,7 +134,7 @@ class ViewEvidence:
 
     def take(self, worth: Array) -> None:
         """From now on features are of another worth (K,)."""
-        own = worth[self._which]
+        own = worth[self._which] * self._placed
         self._any, self._alike = own * self._lamp, np.sqrt(own) * self._lamp
         self._worth_of_missed = float(np.mean(own)) if len(own) else 0.0
 
@@ -289,6 +290,16 @@ def _of_lamp(xy_m: Array, rare: NDArray[np.bool_]) -> Array:
     out = np.ones(len(xy_m))
     out[rare] = np.minimum(LAMP_FEATURES / np.maximum(crowd(xy_m[rare], LAMP_CELL_M), 1.0), 1.0)
     return out
+
+
+def _placed(view: Observations) -> Array:
+    """(K,) worth of features by how well their places are known: of points, which no line holds in theirs.
+
+    One whose error takes it beyond the reach of its own landmark as often as not says nothing.
+    """
+    variance = np.mean(view.var_m2, axis=1) - view.common_var_m2
+    within = 1.0 - np.exp(-0.5 * REACH_M**2 / np.maximum(variance, _TINY))
+    return np.where(view.crossing_type >= LINE_CROSSINGS, np.maximum(2.0 * within - 1.0, 0.0), 1.0)
 
 
 def _mixed(score: Array) -> Array:
