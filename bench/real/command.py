@@ -145,40 +145,12 @@ def lamps_calibration() -> Calibration:
 
 
 def lamps_config(start: Array) -> Config:
-    """Settings for a fast car, black-and-white frames and few, far lamps.
-
-    Frames were dropped while it was recorded (31, 52 and 58 follow steps of two to three periods, in the reference as
-    well), so the nominal stamps understate the time: the speed limit leaves room for that.
-    """
+    """The default settings, from where the other tracker starts; a recording has no base and no Zenoh."""
     base = Config()
-    features = replace(
-        base.features,
-        max_view_deg=65.0,
-        direction_gate_deg=20.0,
-        # 2, 8, 7 and 12 px of this lens
-        hough_bin_deg=0.6067,
-        min_line_deg=2.4266,
-        groove_deg=2.1233,
-        crossing_reach_deg=3.6399,
-        smoothing_px=5,
-        estimate_tilt=False,
-    )
-    odometry = replace(
-        base.odometry,
-        max_speed_mps=10.0,
-        max_accel_mps2=500.0,
-        max_turn_accel_radps2=500.0,
-        residual_max_m=0.06,
-        match_radius_m=0.25,
-        ransac_px=4.0,
-        heading_gate_rad=0.05,
-        noise_xy_m=0.005,
-        noise_theta_rad=0.003,
-    )
     x, y, theta = (float(v) for v in start)
     pose = replace(base.filter, initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta)))
     off = replace(base.base, enabled=False), replace(base.zenoh, enabled=False)
-    return replace(base, features=features, odometry=odometry, filter=pose, base=off[0], zenoh=off[1])
+    return replace(base, filter=pose, base=off[0], zenoh=off[1])
 
 
 def reference_poses(file: Path) -> Array:
