@@ -6,7 +6,7 @@ whose unknowns are the common direction, the tilt (roll, pitch) and one offset a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,19 @@ class _Problem:
     focal_px: float
     fraction: float
     readout: Readout | None
+    carried_rad: float | None
+
+    def along_carried(self) -> _Problem | None:
+        """The same from the last frame's direction, where that is known: gradients tell it to a quarter of a degree."""
+        if self.carried_rad is None:
+            return None
+        psi = self.psi + float((self.carried_rad - self.psi + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi)
+        if abs(psi - self.psi) > np.radians(self.config.hough_angle_deg):
+            return None
+        bin_px = pixels(self.config.hough_bin_deg, self.focal_px, _FINE_BIN_PX)
+        votes = _votes(self.points, (psi, psi + 0.5 * np.pi), self.focal_px, bin_px)
+        need = _least_votes(self.config, self.fraction, self.focal_px)
+        return replace(self, psi=psi, starts=_peaks(votes, need, self.config, bin_px))
 
     def start(self, tilt_rad: Array, tilt: bool = True) -> JointFit:
         """Coarse rounds from the Hough peaks, then peaks again where direction and tilt are known: sharper ones."""
@@ -128,6 +141,7 @@ def detect(
     last: LastFit = _NO_LAST_FIT,
     readout: Readout | None = None,
     psi_rad: float | None = None,
+    carried_rad: float | None = None,
 ) -> tuple[Lines, EdgeSet] | None:
     """As find_lines, with the edges under the lines.
 
@@ -135,6 +149,7 @@ def detect(
         last: of the frames before; where to begin for a robot that rocks.
         readout: of a rolling shutter.
         psi_rad: the direction, where it is known; else it is that of most gradients.
+        carried_rad: that of the last frame, as this one should show it; tried besides where the fit is doubtful.
     """
     psi = dominant_direction(edges.phi_deg) if psi_rad is None else psi_rad
     if psi is None:
@@ -146,7 +161,7 @@ def detect(
     psi, starts = _hough(points, psi, config, edges.fraction, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
-    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout)
+    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout, carried_rad)
     if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
         fit, free = _solve_steady(problem, prior, last)
     else:
@@ -186,6 +201,9 @@ def _best(problem: _Problem, found: list[_Found], other_rad: Array) -> _Found:
     def cost(candidate: _Found) -> float:
         return candidate[0].cost(len(problem.points.x))
 
+    carried = problem.along_carried()
+    if carried is not None:
+        found = [*found, carried.solve(other_rad)]
     best = min((*found, problem.solve(other_rad)), key=cost)
     return min(best, problem.solve(best[0].tilt), key=cost)
 

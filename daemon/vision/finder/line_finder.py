@@ -149,7 +149,7 @@ class LineFinder:
         last = LastFit(s.tilt_rad, s.best_noise_px)
 
         def along(psi_rad: float | None) -> Lines | None:
-            found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad)
+            found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad, carried_rad)
             lines, s.edges = (None, None) if found is None else found
             return lines
 
