@@ -20,6 +20,7 @@ from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksS
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
 from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
+from ceilvo.daemon.odometry.heights.slope import SlopeState
 from ceilvo.daemon.odometry.heights.stage import HeightsState
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
@@ -59,6 +60,7 @@ class PipelineState:
     heights: HeightsState = field(default_factory=HeightsState)
     floors: FloorTrackerState = field(default_factory=FloorTrackerState)
     beacons: BeaconState = field(default_factory=BeaconState)
+    slope: SlopeState = field(default_factory=SlopeState)
 
 
 class Pipeline:
@@ -115,7 +117,7 @@ class Pipeline:
         expected = self.odometry.expected(elapsed_s, usable.wheels, usable.turn)
         placed = self.odometry.placed(usable.crossings, expected)
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
-        self.odometry.heights.learn(motion)
+        placed = self.odometry.learn(motion, placed)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
         stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
@@ -123,8 +125,8 @@ class Pipeline:
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
         self.relocaliser.follow_lamps(self.dead_reckoning.state, track, heard.lamps)
-        if len(self.odometry.heights.misplaced) and track.gap is None:
-            forget_near(self.filter, self.odometry.heights.misplaced)
+        if len(self.odometry.misplaced) and track.gap is None:
+            forget_near(self.filter, self.odometry.misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)
@@ -168,7 +170,7 @@ class Pipeline:
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             in_doubt=self.relocaliser.doubt,
             elsewhere=self.elsewhere,
-            suspected=self.odometry.heights.suspicion if degraded is None else degraded.reason,
+            suspected=self.odometry.suspicion if degraded is None else degraded.reason,
         )
         verdict = self.states.step(evidence)
         self.seq += 1
@@ -225,6 +227,7 @@ class Pipeline:
             self.odometry.heights.state,
             self.relocaliser.floor_tracker.state,
             self.relocaliser.beacons,
+            self.odometry.slope.state,
         )
 
     @state.setter
@@ -233,6 +236,7 @@ class Pipeline:
         self.dead_reckoning.state = state.dead_reckoning
         self.relocaliser.state, self.filter.state, self.states.state = state.relocaliser, state.filter, state.states
         self.checks.state, self.odometry.heights.state = state.checks, state.heights
+        self.odometry.slope.state = state.slope
         self.relocaliser.floor_tracker.state = state.floors
         self.relocaliser.beacons = state.beacons
 
@@ -253,7 +257,7 @@ class Pipeline:
         tracker.state = FloorTrackerState(tracker.floors if keep_map else Floors())
         self.states.reset("started")
         self.checks.restart()
-        self.odometry.heights.state = HeightsState()
+        self.odometry.heights.state, self.odometry.slope.state = HeightsState(), SlopeState()
 
     def set_pose(self, pose: Pose, cov: Array, reason: str, floor: str = "") -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again.

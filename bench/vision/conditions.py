@@ -139,7 +139,8 @@ def _heights() -> list[Condition]:
     """Ceilings of more than one height; recall and precision count what hangs at the calibrated one."""
     bars = {"drift_pct": at_most(0.1), "worst_mm": at_most(20.0), "wrong": at_most(0.0)}
     high_m = simulated_calibration().ceiling_height_m
-    slope = CeilingSpec(slope=(float(np.tan(np.radians(5.0))), 0.0))
+    steep = float(np.tan(np.radians(5.0)))
+    slopes = {"slope": ((steep, 0.0), "along x"), "slope-across": ((0.0, steep), "along y")}
     about = {
         "step": "the half of the room 0.4 m lower",
         "beams": "beams 0.3 m deep, every 1.6 m",
@@ -149,7 +150,10 @@ def _heights() -> list[Condition]:
     }
     return [
         *(_make(n, a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars) for n, a in about.items()),
-        _make("slope", "the ceiling rises by 5 deg along x", ceiling=slope, bars=bars),
+        *(
+            _make(name, f"the ceiling rises by 5 deg {where}", ceiling=CeilingSpec(slope=rise), bars=bars)
+            for name, (rise, where) in slopes.items()
+        ),
     ]
 
 

@@ -63,6 +63,5 @@ def forget_near(filter_: PoseFilter, xy_base_m: Array) -> None:
     near = filter_.landmarks_near(at, MISPLACED_M)[1]
     off = near.xy_map_m[:, None] - at
     wrong = np.any(np.hypot(off[..., 0], off[..., 1]) < MISPLACED_M, axis=1)
-    if np.any(wrong):
-        landmarks = filter_.landmarks()
-        filter_.reset(pose, cov, landmarks.of(~np.isin(landmarks.ids, near.ids[wrong])))
+    landmarks = filter_.landmarks()  # those that are no landmarks yet go with a reset, also where none is wrong
+    filter_.reset(pose, cov, landmarks.of(~np.isin(landmarks.ids, near.ids[wrong])))

@@ -40,6 +40,9 @@ _REACH_MARGIN = 1.2
 _START_POINTS = 4000
 """Points for direction and first rounds, more of them are thinned; chosen: quicker, and the last rounds take all."""
 _LEVEL_RAD = np.zeros(2)
+_SLOPE_RAD = np.radians(2.5)
+"""A view that tilted more is of a ceiling that slopes, and does so again: votes for lines of a level one miss some
+there; chosen, robots rock by less."""
 NOISE_RATIO = 1.15
 """Lines that fit worse than lately by this factor are doubted; chosen: a false optimum or moved lines fit worse."""
 
@@ -66,6 +69,11 @@ class LastFit:
 
     tilt_rad: Array
     noise_px: float
+
+    @property
+    def leans(self) -> bool:
+        """Whether the ceiling slopes."""
+        return bool(np.hypot(*self.tilt_rad) > _SLOPE_RAD)
 
 
 _NO_LAST_FIT = LastFit(_LEVEL_RAD, 0.0)
@@ -158,7 +166,8 @@ def detect(
         edges.uv_px, edges.phi_deg, float(np.degrees(psi)), config.direction_gate_deg, 1.0 / focal_px
     )
     points = Points(x, y, ends, _reach(x, y))
-    psi, starts = _hough(points, psi, config, edges.fraction, focal_px)
+    voting = points.turned_back(last.tilt_rad) if last.leans else points
+    psi, starts = _hough(voting, psi, config, edges.fraction, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
     problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout, carried_rad)
@@ -173,8 +182,8 @@ def detect(
 
 def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> _Found:
     """A robot that has not tilted lately, or of which nothing is known yet."""
-    fit, free = problem.solve(_LEVEL_RAD)
-    expected = _LEVEL_RAD if prior is None else prior.mean_rad
+    fit, free = problem.solve(last.tilt_rad if last.leans else _LEVEL_RAD)
+    expected = last.tilt_rad if last.leans else _LEVEL_RAD if prior is None else prior.mean_rad
     if not problem.config.estimate_tilt:
         return fit, free
     vague = fit.is_vague(free, prior)

@@ -64,6 +64,11 @@ class Points:
         """Taking every so many-th point leaves about `count`."""
         return max(len(self.x) // count, 1)
 
+    def turned_back(self, tilt_rad: Array) -> Points:
+        """As a level robot would see them, when this one tilts by (2,)."""
+        x, y = kernel.project(self.x, self.y, len(self.x), 0.0, tilt_rad)
+        return Points(x, y, self.ends, float(np.max(np.hypot(x, y), initial=0.0)))
+
     def thinned(self, stride: int) -> Points:
         """Every stride-th point of each group."""
         at = [slice(a, b, stride) for a, b in pairwise(self.ends)]
