@@ -20,6 +20,9 @@ FEWEST_PAIRS = 4
 """Of fewer pairs no period is concluded; chosen."""
 MOST_SHIFTS = 33
 """Tiles along a side of the square of shifts at most: 16 either way, 4.8 m of the smallest tiles."""
+WATCH_M, WATCH_TILES = 2.0, 3
+"""How far those are looked for that a robot may have got to without a trace: three tiles, and no less than three of
+0.6 m; chosen. A robot that was snatched away by two tiles of 1.25 m was never told by what it saw there."""
 _QUARTER = 0.5 * np.pi
 
 
@@ -48,6 +51,11 @@ class Lattice:
         if not np.any(tile):
             return None
         return Lattice(tile, axis_rad, _phase(at, tile), common)
+
+    @property
+    def watched_m(self) -> float:
+        """How far rivals of a place that was sure are looked for."""
+        return max(WATCH_M, WATCH_TILES * float(np.max(self.tile_m)))
 
     def reach_m(self, reach_m: float) -> float:
         """How far shifts within reach are listed along both axes."""

@@ -13,7 +13,7 @@ from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, o
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
-from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief, of_tracked
 from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
@@ -48,8 +48,6 @@ SURPRISE = -3.0
 """Log-likelihood ratio of a view below which rivals of a place that was sure are weighed; 1 view in 100 (docs)."""
 FRESH_SPOTS = 12
 """While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
-WATCH_M = 2.0
-"""How far those are looked for; chosen: three tiles, as a robot that jumps without a trace does not jump far."""
 MOST_FOUND = 2048
 """Places that a view is found at, the likeliest; chosen for time, half a second."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
@@ -260,13 +258,13 @@ class Relocaliser:
             if doubt.unmeasured:
                 pose = aligned_pose(lattice, expected, view, evidence)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
-            rivals = lattice.rivals(pose, view, max(doubt.search_m, WATCH_M), turned=True)
+            rivals = lattice.rivals(pose, view, max(doubt.search_m, lattice.watched_m), turned=True)
             off = offset(rival_poses(rivals, pose), expected)
             here = offset(pose, expected)
             s.belief.add(rivals, doubt.log_odds(off, here, lattice.tile_m))
             unknown = doubt.unknown_by_tiles(here, lattice.tile_m) if doubt.unmeasured else unknown
         if doubt.elsewhere >= doubts.UNLIKELY:
-            listed_m = max(doubt.search_m, WATCH_M)
+            listed_m = max(doubt.search_m, WATCH_M if lattice is None else lattice.watched_m)
             known = float(evidence.known(expected[None])[0])
             self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
         s.belief.doubt_unknown(unknown)
