@@ -93,10 +93,9 @@ class Pipeline:
         heard: Heard = NOTHING,
     ) -> Estimate:
         """Take one frame of the calibrated size, in order of time."""
-        elapsed_s = self.dead_reckoning.elapsed_s(frame.stamp_ns)
+        rolls, elapsed_s = self.vision.rolls, self.dead_reckoning.elapsed_s(frame.stamp_ns)
         told = self.checks.told(wheels, elapsed_s, heard)
         expected = self.odometry.expected(elapsed_s, told.wheels, told.turn)
-        rolls = self.vision.rolls
         twist = self.odometry.expected_twist(elapsed_s, told.wheels, told.turn) if rolls else None
         hint = None if self.odometry.heights.wants_whole_look else expected
         crossings = self.vision(frame, hint, on_stage_done, twist)
@@ -118,6 +117,7 @@ class Pipeline:
         placed = self.odometry.placed(usable.crossings, expected)
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
         placed = self.odometry.learn(motion, placed)
+        misplaced, odd_ceiling = self.odometry.misplaced, self.odometry.suspicion
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
         stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
@@ -125,8 +125,8 @@ class Pipeline:
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
         self.relocaliser.follow_lamps(self.dead_reckoning.state, track, heard.lamps)
-        if len(self.odometry.misplaced) and track.gap is None:
-            forget_near(self.filter, self.odometry.misplaced)
+        if len(misplaced) and track.gap is None:
+            forget_near(self.filter, misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)
@@ -139,7 +139,8 @@ class Pipeline:
         if crossings is not None and len(crossings) and track.gap is None and not stands:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
-        return self._estimate(stamp_ns, motion, track, 0 if crossings is None else len(crossings), view, suspicions)
+        seen = 0 if crossings is None else len(crossings)
+        return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling)
 
     def _estimate(
         self,
@@ -149,6 +150,7 @@ class Pipeline:
         crossings: int,
         view: Observations | None,
         suspicions: Suspicions,
+        odd_ceiling: str,
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
@@ -170,7 +172,7 @@ class Pipeline:
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             in_doubt=self.relocaliser.doubt,
             elsewhere=self.elsewhere,
-            suspected=self.odometry.suspicion if degraded is None else degraded.reason,
+            suspected=odd_ceiling if degraded is None else degraded.reason,
         )
         verdict = self.states.step(evidence)
         self.seq += 1

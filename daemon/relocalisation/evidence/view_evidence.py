@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, turned_type
-from ceilvo.daemon.odometry.sight import crowd, is_in, lines_through
+from ceilvo.daemon.odometry.sight import is_in, lines_through
 from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, REACH_M, VISIBLE, TypeRaster
+from ceilvo.daemon.relocalisation.evidence.worth import of_lamp, of_place, telling
 from ceilvo.daemon.relocalisation.kernel.arguments import LINE_FEATURES, Ratios
 from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
@@ -45,17 +46,12 @@ CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
 """How likely each of those is; chosen: ceilings change seldom and mostly little."""
 INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines; chosen."""
-LAMP_CELL_M, LAMP_FEATURES = 0.4, 4.0
-"""Rare features of a cell and the eight around it are one lamp's, and are worth so many together: where one corner is,
-the others are; chosen."""
 ALIKE = 0.1
 """Of wrong places, how many are as like this one as any: lamps hang in a pattern, and go on so; chosen."""
 MOST_VISIBLE = 0.8
 """A landmark's own visibility is believed up to here: it was counted from other spots."""
 CLOSE = 15.0
 """Log-likelihood under the best pose from which landmarks that are not seen are no longer looked for; chosen."""
-MOST_RARE, MOST_COMMON = 40, 16
-"""Features of a view that are weighed at every place, for time: of types that tell places apart, and of others."""
 AT_ONCE = 256
 """Poses weighed at once, so that their arrays stay in the cache; chosen."""
 _QUARTER = 0.5 * np.pi
@@ -114,13 +110,13 @@ class ViewEvidence:
 
     def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
         rare = around.chance.rare
-        self._which = _telling(around.chance.same[0, view.crossing_type], rare[view.crossing_type])
+        self._which = telling(around.chance.same[0, view.crossing_type], rare[view.crossing_type])
         self._view, self._around = view.of(self._which), around
         kind = around.landmarks.crossing_type  # common ones are seen anywhere, points are not looked for in every view
         self._expected = around.landmarks.of(rare[kind] & (kind < LINE_CROSSINGS))
-        self._placed = _placed(self._view)
-        self._lamp = _of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
-        self._expected_lamp = _of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
+        self._placed = of_place(self._view)
+        self._lamp = of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
+        self._expected_lamp = of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
         self._expected_lines = self._lines_of(self._expected.xy_map_m, self._expected.crossing_type)
         self._ratios = _ratios(around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0)
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
@@ -247,7 +243,7 @@ class ViewEvidence:
             FINE_M * blocks.xy.take(slot, axis=0).astype(np.float64),
             blocks.crossing_type.take(slot).astype(np.int64),
         )
-        surprise = self._surprise(kind, blocks.visibility.take(slot) / 255.0, _of_lamp(xy, np.ones(len(xy), bool)))
+        surprise = self._surprise(kind, blocks.visibility.take(slot) / 255.0, of_lamp(xy, np.ones(len(xy), bool)))
         missed = np.flatnonzero(self._is_missed(poses[which], xy[of], kind[of]))
         of, which = of[missed], which[missed]
         most = np.ones(len(missed))
@@ -285,37 +281,10 @@ def _by_kind(any_: Array, alike: Array) -> Array:
     return np.repeat(np.stack([any_, alike]), len(CHANGED), axis=0)
 
 
-def _of_lamp(xy_m: Array, rare: NDArray[np.bool_]) -> Array:
-    """(N,) worth of features (N, 2) beside those of the same lamp; of a feature that is not rare 1."""
-    out = np.ones(len(xy_m))
-    out[rare] = np.minimum(LAMP_FEATURES / np.maximum(crowd(xy_m[rare], LAMP_CELL_M), 1.0), 1.0)
-    return out
-
-
-def _placed(view: Observations) -> Array:
-    """(K,) worth of features by how well their places are known: of points, which no line holds in theirs.
-
-    One whose error takes it beyond the reach of its own landmark as often as not says nothing.
-    """
-    variance = np.mean(view.var_m2, axis=1) - view.common_var_m2
-    within = 1.0 - np.exp(-0.5 * REACH_M**2 / np.maximum(variance, _TINY))
-    return np.where(view.crossing_type >= LINE_CROSSINGS, np.maximum(2.0 * within - 1.0, 0.0), 1.0)
-
-
 def _mixed(score: Array) -> Array:
     """(M, 2) over all fractions of change, of scores (M, 2 R)."""
     kinds = (INDEPENDENCE * score).reshape(-1, 2, len(CHANGED)) + np.log(CHANGED_CHANCE)
     return np.asarray(np.logaddexp.reduce(kinds, axis=2))
-
-
-def _telling(chance: Array, rare: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(K,) features that are weighed: of the rare ones those that chance (K,) explains least, and a few others."""
-    out = np.zeros(len(chance), bool)
-    few = np.flatnonzero(rare)
-    out[few[np.argsort(chance[few], kind="stable")[:MOST_RARE]]] = True
-    usual = np.flatnonzero(~rare)
-    out[usual[:: max(len(usual) // MOST_COMMON, 1)]] = True
-    return out
 
 
 def _ratios(chance: Chance, least_unmapped: float) -> Ratios:
