@@ -54,8 +54,8 @@ def inverse(a_from_b: Array) -> Array:
     a = np.asarray(a_from_b, np.float64)
     if a.ndim == 1:
         x, y, turn = a.tolist()
-        c, s = math.cos(turn), math.sin(turn)
-        return np.array([-c * x - s * y, s * x - c * y, wrap(-turn)])
+        cosine, sine = math.cos(turn), math.sin(turn)
+        return np.array([-cosine * x - sine * y, sine * x - cosine * y, wrap(-turn)])
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     out = np.empty_like(a)
     out[..., 0] = -c * a[..., 0] - s * a[..., 1]

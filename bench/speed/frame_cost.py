@@ -40,7 +40,7 @@ def main() -> int:
     p.add_argument("--whole", action="store_true", help="look at every frame whole")
     p.add_argument("--keep", type=Path, help="folder for rendered frames, to be used again")
     a = p.parse_args()
-    sites = {"now": None} if a.before is None else {"before": a.before, "now": None}
+    sites: dict[str, Path | None] = {"now": None} if a.before is None else {"before": a.before, "now": None}
     with tempfile.TemporaryDirectory() as temporary:
         for scene in a.scenes:
             folder = (a.keep or Path(temporary)) / scene

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from ceilvo.bench.speed import filter_load
+from ceilvo.bench.speed import filter_load, frame_cost
 from ceilvo.bench.speed import filter_step as filter_speed
+from ceilvo.calibration_file import write_calibration
+from ceilvo.sim.rig import simulated_calibration
 
 
 def test_the_scene_has_as_many_landmarks_as_asked_and_only_those_in_view_are_near():
@@ -66,3 +70,16 @@ def test_the_daemon_s_step_sees_what_the_table_says_and_keeps_its_pose(
         seen[landmarks] = filters[0].counters()["observations"]
         assert 40 <= health.nis_dof / 2 <= 75
     assert seen[100] == pytest.approx(seen[10_000], rel=0.02)
+
+
+def test_two_versions_say_the_same_of_every_frame_by_turns(tmp_path: Path) -> None:
+    """Here both are this one: what is told apart are processes, and times."""
+    rng = np.random.default_rng(5)
+    np.save(tmp_path / "frames.npy", rng.integers(90, 110, (3, 480, 640)).astype(np.uint8))
+    np.save(tmp_path / "stamps.npy", 1_000_000_000 + 33_000_000 * np.arange(3))
+    write_calibration(tmp_path / "calibration.yaml", simulated_calibration())
+    said = frame_cost.by_turns(tmp_path, 3, {"before": None, "now": None}, ("features.points=false",))
+    assert [len(frames) for frames in said.values()] == [3, 3]
+    for before, now in zip(said["before"], said["now"], strict=True):
+        assert before["pose"] == now["pose"] and before["state"] == now["state"]
+        assert now["s"]["canny"] > 0.0 and now["s"]["lines"] > 0.0 and now["s"].keys() <= {"canny", *frame_cost.STAGES}

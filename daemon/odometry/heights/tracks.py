@@ -104,8 +104,9 @@ class Tracks:
 
     def measure(self, row: Ints) -> None:
         """Take in where the tracks `row` were seen last, as far as that is news."""
-        where, before = (self.camera_m, self.apparent_m), (self.measured_m, self.sums, self.strange)
-        others = kernel.lines_measured(row, *where, *before, _NOISE, _LIMITS)
+        others = kernel.lines_measured(
+            row, self.camera_m, self.apparent_m, self.measured_m, self.sums, self.strange, _NOISE, _LIMITS
+        )
         if len(others):
             self._begin_anew(others)
 

@@ -58,7 +58,7 @@ class TypeRaster:
         own = np.left_shift(1, crossing_type) if named is None else np.where(named, np.left_shift(1, crossing_type), 0)
         bits = np.zeros(shape, np.uint16)
         what = own.astype(np.uint16) | np.where(rare[crossing_type], RARE, np.uint16(0))
-        kernel.stamped(bits, np.floor(xy_m / CELL_M).astype(np.int64) - low, what, disc)
+        kernel.stamped(bits, np.floor(xy_m / CELL_M).astype(np.int64) - low, what, np.asarray(disc, np.uint8))
         if corners_m is not None and len(corners_m) > 2:
             seen = np.zeros(shape, np.uint8)
             cv2.fillConvexPoly(seen, np.round(corners_m / CELL_M - 0.5 - low).astype(np.int32), 1)

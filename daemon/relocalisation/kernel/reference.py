@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.kernel.arguments import (
     COVERAGE_OFFSET,
@@ -97,8 +98,8 @@ def _touched(xy: Fine, reach: int, shift: int) -> Fine:
 # -- pictures to look into
 
 
-def stamped(cells: Bits, place: Ints, bits: Bits, disc: Bools) -> None:
-    """Set bits (N,) in a picture (H, W), in place, on discs (S, S) about places (N, 2); S is odd."""
+def stamped(cells: Bits, place: Ints, bits: Bits, disc: NDArray[np.uint8]) -> None:
+    """Set bits (N,) in a picture (H, W), in place, where discs (S, S) about places (N, 2) are not 0; S is odd."""
     check_length("disc", disc.shape[0] % 2, 1)
     half = disc.shape[0] // 2
     for v, u in np.argwhere(disc) - half:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, Fine
+from ceilvo.daemon.relocalisation.kernel.arguments import Fine
+from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M
 from ceilvo.daemon.relocalisation.place_index.turned_views import TURNS
 from ceilvo.types import Ints
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_BITS, BLOCK_SHIFT, FINE_BITS, Fine, LandmarkBlocks
+from ceilvo.daemon.relocalisation.kernel.arguments import Fine
+from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_BITS, BLOCK_SHIFT, FINE_BITS, LandmarkBlocks
 from ceilvo.daemon.relocalisation.place_index.turned_views import SIDE, TurnedViews
 from ceilvo.types import Ints
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ceilvo.crossing_types import CROSSING_TYPES, turned_type
-from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_BITS, CELL_M, FINE_BITS, Fine, fine
+from ceilvo.daemon.relocalisation.kernel.arguments import Fine
+from ceilvo.daemon.relocalisation.place_index.blocks import BLOCK_BITS, CELL_M, FINE_BITS, fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import Bits, reached
 from ceilvo.se2 import rotation, wrap
 from ceilvo.types import Array, Ints, Observations

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import LINE_CROSSINGS, turned_type
+from ceilvo.daemon.relocalisation.kernel.arguments import Fine
 from ceilvo.daemon.relocalisation.place_index.blocks import (
     BLOCK_BITS,
     CELL_M,
     FINE_BITS,
     FINE_M,
-    Fine,
     LandmarkBlocks,
     fine,
     grown,
