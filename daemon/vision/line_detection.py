@@ -65,10 +65,12 @@ def _modulo_90(degrees: Array32) -> Array32:
 
 @dataclass(frozen=True, slots=True)
 class LastFit:
-    """What the frames before leave for the next: (2,) tilt of the last, and how well lines have fitted lately, px."""
+    """What the frames before leave for the next: (2,) tilt of the last, how well lines have fitted lately, px, and
+    whether the ceiling has several heights."""
 
     tilt_rad: Array
     noise_px: float
+    several: bool = False
 
     @property
     def leans(self) -> bool:
@@ -91,6 +93,7 @@ class _Problem:
     fraction: float
     readout: Readout | None
     carried_rad: float | None
+    several: bool
 
     def along_carried(self) -> _Problem | None:
         """The same from the last frame's direction, where that is known: gradients tell it to a quarter of a degree."""
@@ -114,7 +117,9 @@ class _Problem:
             coarse.assign(gate_px)
             coarse.solve(tilt)
         need = _least_votes(config, fraction, self.focal_px)
-        fine = JointFit(points, coarse.psi, self.starts, self.focal_px, config, fraction, coarse.tilt, self.readout)
+        fine = JointFit(
+            points, coarse.psi, self.starts, self.focal_px, config, fraction, coarse.tilt, self.readout, self.several
+        )
         again = Points(fine.rho, fine.tangent, points.ends, _REACH_MARGIN * points.reach)
         fine.restart(_peaks(_votes(again, (0.0, 0.0), self.focal_px, _FINE_BIN_PX), need, config, _FINE_BIN_PX))
         fine.assign(_FINE_GATE_PX)
@@ -170,7 +175,7 @@ def detect(
     psi, starts = _hough(voting, psi, config, edges.fraction, focal_px)
     if sum(len(s) for s in starts) < 2:
         return None
-    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout, carried_rad)
+    problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout, carried_rad, last.several)
     if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
         fit, free = _solve_steady(problem, prior, last)
     else:

@@ -43,6 +43,9 @@ _DOUBT_RAD = np.radians(0.3)
 """A tilt this far from the expected one is tried again from there; chosen: 11 mm on a ceiling 2.2 m high."""
 _DOUBT_SIGMAS = 3.0
 """The same in standard deviations of the prior, where that is more: 99.7 %."""
+_DOUBLE, _DOUBLE_ROUNDS = 2.0, 3
+"""A line is two whose points scatter by so many times what half of the points do; and how often that is asked; chosen:
+two lines half a pixel apart scatter by four times as much, and what they bent by twice at first."""
 _WEAK_RAD = np.radians(0.014)
 """A tilt known to this has its error doubled, a weaker one more; chosen: with few lines tilt rests on
 what no noise model knows, such as bloom of lamps and remains of the lens."""
@@ -102,8 +105,11 @@ class JointFit:
         fraction: float,
         tilt_rad: Array,
         readout: Readout | None = None,
+        several: bool = False,
     ) -> None:
+        """several: the ceiling has several heights, so that a line may be two."""
         self.psi = psi
+        self._several = several
         self.tilt = tilt_rad
         self.focal_px, self._config, self._readout = focal_px, config, readout
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
@@ -185,11 +191,15 @@ class JointFit:
         Args:
             tilt: False holds the tilt where it is.
         """
+        self._solve(self.rho, self.tangent, self.line, self.ends[2], tilt)
+
+    def _solve(self, rho: Array32, tangent: Array32, line: NDArray[np.int32], half: int, tilt: bool) -> None:
+        """By some of the points, of which those before `half` belong to axis 0."""
         held = not (tilt and self._config.estimate_tilt)
         prior_rad = float(np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg))
         step = Step(self.focal_px, self.correlated, _SIGMA_FLOOR_PX, _DIRECTION_INFO, prior_rad**-2, held)
         self.support, self.noise_px, moved, self.covariance = kernel.fit(
-            self.rho, self.tangent, self.line, self.ends[2], len(self.offset), self.psi, self.tilt, step
+            rho, tangent, line, half, len(self.offset), self.psi, self.tilt, step
         )
         self.psi += float(moved[0])
         self.tilt = self.tilt + moved[1:]
@@ -258,10 +268,27 @@ class JointFit:
             self._unbend()
         self.assign(self.last_gate_px())
         self.solve()
+        if self._several:
+            self._leave_out_double()
         own = self.covariance[[1, 2], [1, 2]] / _WEAK_RAD**2
         grow = np.array([1.0, 1.0 + own[0], 1.0 + own[1]])
         self.covariance = self.covariance * grow * grow[:, None]
         return TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
+
+    def _leave_out_double(self) -> None:
+        """Direction and tilt without lines that are two, of different heights, which meet: they are bent as by a tilt."""
+        rho, tangent, line, half = self.rho, self.tangent, self.line, self.ends[2]
+        for _ in range(_DOUBLE_ROUNDS):
+            off2 = (self.rho - (self.offset / self.focal_px).astype(np.float32)[self.line]) ** 2
+            count = np.bincount(self.line, minlength=len(self.offset))
+            scatter = np.sqrt(np.bincount(self.line, off2, len(self.offset)) / np.maximum(count, 1))
+            usual = np.sort(scatter[self.line])[len(self.line) // 2]
+            single = scatter <= _DOUBLE * usual
+            of = single[self.line]
+            rho, tangent, line = self.rho[of], self.tangent[of], self.line[of]
+            half = int(np.count_nonzero(of[: self.ends[2]]))
+            self._solve(rho, tangent, line, half, tilt=True)
+        self.support = np.bincount(self.line, minlength=len(self.offset))
 
     def cost(self, points: int) -> float:
         """Squared residuals, px^2, of so many points that were there: those that fit no line count with the gate."""

@@ -65,14 +65,16 @@ class CrossingFinder:
         expected: Array | None,
         on_stage_done: OnStageDone = ignore,
         twist: TwistPrior | None = None,
+        several: bool = False,
     ) -> Crossings | None:
         """Crossings of a frame, and points where these are few; None without either.
 
         Args:
             expected: (3,) predicted motion since the last frame.
             twist: predicted while the frame is read, for a rolling shutter.
+            several: the ceiling seems to have several heights.
         """
-        lines = self._lines(frame.gray, expected, on_stage_done, twist)
+        lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
         crossings = None if lines is None else cross(lines, self._calibration, self._lines.config)
         if crossings is not None:
             crossings = thinned(crossings, self._calibration.level_view.focal_px)

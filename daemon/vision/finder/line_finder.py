@@ -45,6 +45,7 @@ class LineFinderState:
         since_detection: frames since then.
         detections, tracked: frames that were searched whole, and near the predicted edges only.
         faint: what the last looks for faint lines showed.
+        several: the ceiling was found to have several heights.
     """
 
     tilt: TiltState = field(default_factory=TiltState)
@@ -57,6 +58,7 @@ class LineFinderState:
     tracked: int = 0
     faint: FaintState = field(default_factory=FaintState)
     psi_rad: float | None = None
+    several: bool = False
 
 
 class LineFinder:
@@ -86,6 +88,7 @@ class LineFinder:
         prev_from_curr: Array | None,
         on_stage_done: Callable[[str], None] = lambda stage: None,
         twist: TwistPrior | None = None,
+        several: bool = False,
     ) -> Lines | None:
         """Lines of a frame, None when too few edge points agree on a direction.
 
@@ -94,7 +97,10 @@ class LineFinder:
             prev_from_curr: (3,) predicted motion since the last frame; None when there is no good prediction.
             on_stage_done: called with "edges" and "lines" when these stages have ended.
             twist: predicted of the robot while the frame is read, for a rolling shutter; None when nothing is known.
+            several: the ceiling seems to have several heights; tilts seen before that was known are forgotten.
         """
+        if several and not self.state.several:
+            self.state.tilt, self.state.several = TiltState(), True
         s, tilt = self.state, TiltTracker(self.state.tilt)
         s.faint.since_look += 1
         readout = self._shutter.readout(twist)
@@ -146,7 +152,7 @@ class LineFinder:
         edges = self._detector(gray, readout)
         on_stage_done("edges")
         focal_px = self._calibration.level_view.focal_px
-        last = LastFit(s.tilt_rad, s.best_noise_px)
+        last = LastFit(s.tilt_rad, s.best_noise_px, s.several)
 
         def along(psi_rad: float | None) -> Lines | None:
             found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad, carried_rad)
