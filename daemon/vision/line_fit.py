@@ -276,7 +276,7 @@ class JointFit:
         return TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
 
     def _leave_out_double(self) -> None:
-        """Direction and tilt without lines that are two, of different heights, which meet: they are bent as by a tilt."""
+        """Direction and tilt without lines that are two, of different heights, which meet: those seem bent by tilt."""
         rho, tangent, line, half = self.rho, self.tangent, self.line, self.ends[2]
         for _ in range(_DOUBLE_ROUNDS):
             off2 = (self.rho - (self.offset / self.focal_px).astype(np.float32)[self.line]) ** 2
