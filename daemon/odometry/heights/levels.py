@@ -21,6 +21,9 @@ _VAGUE = 0.05
 """A line whose own ratio is known worse founds no level: 11 cm at 2.2 m; chosen."""
 _DIFFERENT = 0.04
 """By so much at least a line that founds a level differs from all others: 8.5 cm at 2.2 m; chosen."""
+_BESIDE, _NEAT = 0.018, 0.004
+"""By so much from all but the calibrated one, where its ratio is known so well; chosen: the edges of thin bars are at
+two heights, a bar between them seems to be at a third, and lines of neither are on that."""
 _SLOWEST, _FASTEST = 0.4, 4.0
 """Ratios beyond are no heights of a ceiling; chosen."""
 _LEAST_INFO, _MOST_INFO = 0.01**-2, 0.0005**-2
@@ -60,7 +63,9 @@ class Levels:
     def unlisted(self, ratio: Array, sigma: Array) -> NDArray[np.bool_]:
         """(T,) lines that are on no level, clearly."""
         off = self.apart(ratio)
-        clear = off > np.maximum(_DIFFERENT, SIGMAS * sigma)
+        beside = np.abs(ratio - self.ratio[0]) > _DIFFERENT
+        least = np.where(beside & (sigma < _NEAT), _BESIDE, _DIFFERENT)
+        clear = off > np.maximum(least, SIGMAS * sigma)
         return np.asarray((sigma < _VAGUE) & clear & (ratio > _SLOWEST) & (ratio < _FASTEST))
 
     def apart(self, ratio: Array) -> Array:

@@ -57,6 +57,8 @@ _MISPLACED_M = 0.005
 _BENT = 0.0015
 """rad, by which the joint fit takes a right angle for another one (_over_floor); chosen: so do 3 deg obliquely to the
 lines, and 5 deg from 11 deg off them on."""
+_FIRST_FRAMES = 20
+"""In which a tilt may not have been told yet, so that the places of crossings are remembered in any case; chosen."""
 _RASTER_M, _MOST_LEARNT = 0.02, 2000
 """Of the places that are remembered for that, and how many; chosen: a third of how far landmarks are looked for."""
 HEIGHT_UNKNOWN = "the ceiling slopes: how high it is where the robot began is not known"
@@ -80,8 +82,8 @@ class SlopeState:
         by_tiles: the height is known by them.
         ended: a plane ended before.
         bent: lines that cross at right angles do not seem to, more than the joint fit bears.
-        learnt: (N, 2) along the fixed axes, where crossings were taken to be in frames that leant, before a plane was
-            known.
+        learnt: (N, 2) along the fixed axes, where crossings were taken to be in the first frames and in those that
+            leant, before a plane was known.
     """
 
     pose: Array = field(default_factory=lambda: np.zeros(3))
@@ -148,10 +150,9 @@ class Slope:
     def learn(self, motion: Motion) -> None:
         """What the motion says about the plane."""
         s, self.moved, self.misplaced = self.state, False, np.zeros((0, 2))
-        if motion.restarted:
-            s = self.state = SlopeState()
-        else:
-            s.pose = se2.compose(s.pose, motion.prev_from_curr)
+        s.pose = se2.compose(s.pose, motion.prev_from_curr)
+        if motion.restarted:  # the plane stays, unless it turns out to lean otherwise: somebody turned the robot
+            s.key = None
         s.raw = raw = self._seen if motion.ok or motion.restarted else None
         if raw is None:
             return
@@ -160,7 +161,7 @@ class Slope:
         s.fit.take_lean(lean, turned)
         if s.first_lean is None:
             s.first_lean = lean
-        if s.used is None and float(np.hypot(*lean)) > _LEAST:
+        if s.used is None and (s.fit.frames < _FIRST_FRAMES or float(np.hypot(*lean)) > _LEAST):
             both = np.vstack([s.learnt, se2.transform(s.pose, raw.xy_base_m)])
             s.learnt = np.unique(np.rint(both / _RASTER_M), axis=0)[-_MOST_LEARNT:] * _RASTER_M
         s.steady &= bool(np.max(np.abs(lean - s.first_lean)) < _STEADY_RAD)

@@ -11,7 +11,7 @@ _REACH, _STEPS = 0.14, 141
 or less a fifth would be missed."""
 _FEWEST = 4
 """Joints of one direction, and in which so many must stand at whole tiles from each other; chosen."""
-_FITS = 0.85
+_FITS = 0.8
 """Length of the mean of the joints' phases as unit vectors, from which on they stand at whole tiles; chosen."""
 _OFF_M = 0.008
 """A joint stands at most so far from its place; chosen: as wide as a joint."""
@@ -22,13 +22,13 @@ def seen_high(apparent_m: Array, weight: Array, tile_m: float, expected: float) 
 
     Args:
         apparent_m: (L,) where joints of one direction seem to be across it, were they at the assumed height.
-        weight: (L,) how much each counts.
+        weight: (L,) crossings of each; a vent's have few.
         expected: about the ratio that is sought.
     """
     if len(apparent_m) < _FEWEST:
         return None
     order = np.argsort(apparent_m)
-    at, weight = apparent_m[order], weight[order] / np.sum(weight)
+    at, weight = apparent_m[order], weight[order] ** 2 / np.sum(weight**2)
     tried = expected * np.linspace(1.0 - _REACH, 1.0 + _REACH, _STEPS)
     phase = np.exp(2j * np.pi / tile_m * tried[:, None] * at) @ weight
     fits = np.abs(phase)

@@ -26,6 +26,12 @@ _NOISE_GROWTH = 1.01
 _TURNED_RAD = np.radians(0.3)
 """A direction this far from where the last frame's should be may be another optimum; chosen: motions are predicted
 better, and seams of a hall that are not quite parallel have optima 0.7 deg apart."""
+_FIRST_LOOKS = 3
+"""Whole looks at the start in which a ceiling that slopes is looked for where a level one shows little; chosen."""
+_LEANS_RAD = np.radians([[0.0, 5.0], [5.0, 0.0], [0.0, -5.0], [-5.0, 0.0]])
+"""Tilts that are tried then; chosen: lines are found from 2 deg off."""
+_VAGUE_TILT_RAD = np.radians(0.1)
+"""A tilt known worse is none; chosen, as in line_fit.py."""
 _CLEARLY = 0.5
 """Ratio of the errors of two directions, from which it is plain which one is right; chosen: noise alone, from frame to
 frame, makes that of two optima of the same lines 0.7 to 1.4."""
@@ -154,12 +160,20 @@ class LineFinder:
         focal_px = self._calibration.level_view.focal_px
         last = LastFit(s.tilt_rad, s.best_noise_px, s.several)
 
-        def along(psi_rad: float | None) -> Lines | None:
+        def along(psi_rad: float | None, last: LastFit = last) -> Lines | None:
             found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad, carried_rad)
             lines, s.edges = (None, None) if found is None else found
             return lines
 
         lines = along(None)
+        if s.detections <= _FIRST_LOOKS and (lines is None or _is_vague(lines)):
+            as_level = lines, s.edges
+            for lean in _LEANS_RAD:
+                lines = along(None, LastFit(lean, s.best_noise_px))
+                if lines is not None and not _is_vague(lines) and LastFit(lines.tilt_rad, 0.0).leans:
+                    break
+            else:
+                lines, s.edges = as_level
         if carried_rad is not None and (lines is None or _is_doubtful(lines, carried_rad)):
             free, edges_of_it = lines, s.edges
             lines = along(carried_rad)
@@ -186,6 +200,11 @@ class LineFinder:
 def _is_doubtful(lines: Lines, carried_rad: float) -> bool:
     """Whether lines along the last frame's direction may be the better ones: these tell theirs badly, or another."""
     return bool(lines.psi_sigma_rad > VAGUE_RAD or _apart(lines.psi_rad, carried_rad) > _TURNED_RAD)
+
+
+def _is_vague(lines: Lines) -> bool:
+    """Whether the lines of a frame leave its tilt open."""
+    return bool(np.max(lines.free_tilt_sigma_rad) > _VAGUE_TILT_RAD)
 
 
 def _stays(free: Lines, carried: Lines) -> bool:
