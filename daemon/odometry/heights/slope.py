@@ -298,6 +298,7 @@ class Slope:
             psi_rad=_direction(flat, crossings.psi_rad),
             tilt_rad=crossings.tilt_rad - np.array([-rise[1], rise[0]]),
             common_cov_m2=crossings.common_cov_m2 * scale**2,
+            complete=False,  # who asks what should be in view asks of a level ceiling at the calibrated height
         )
 
 
