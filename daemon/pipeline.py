@@ -117,10 +117,10 @@ class Pipeline:
         placed = self.odometry.placed(usable.crossings, expected)
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
         placed = self.odometry.learn(motion, placed)
-        misplaced, odd_ceiling = self.odometry.misplaced, self.odometry.suspicion
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
         stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
+        misplaced, odd_ceiling = self.odometry.misplaced, self.odometry.suspicion
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)

@@ -27,6 +27,7 @@ from ceilvo.daemon.odometry.heading_fusion import (
     with_direction,
 )
 from ceilvo.daemon.odometry.points.constellation import LEANS, laid
+from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.registration import (
     Registration,
     expected_turn,
@@ -83,6 +84,7 @@ class VisualOdometryState:
         disagreeing: usual fraction of the crossings that both frames must show but do not agree.
         special_disagreeing: the same of those of all types but the commonest.
         twist_change: (3,) [m/s, m/s, rad/s] of the twist from the step before to the last.
+        lean: how far a robot that rocks may be off, where only points tell its motion.
     """
 
     reference: Crossings | None = None
@@ -100,6 +102,7 @@ class VisualOdometryState:
     disagreeing: float = 0.1
     special_disagreeing: float = 0.2
     twist_change: Array = field(default_factory=lambda: np.zeros(3))
+    lean: LeanState = field(default_factory=LeanState)
 
 
 class VisualOdometry:

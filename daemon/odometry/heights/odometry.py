@@ -1,24 +1,46 @@
-"""Visual odometry under a ceiling that may have several heights, or slope."""
+"""Visual odometry under a ceiling that may have several heights, or slope, of a robot that may rock."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import replace
 
 import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Odometry
+from ceilvo.crossing_types import LINE_CROSSINGS
+from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
+from ceilvo.daemon.odometry.points.lean import learn, step_cov, view_cov
+from ceilvo.daemon.odometry.registration import points_of
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.types import Array, Crossings, Motion
 
+ROCKS_M = 0.015
+"""Standard deviation by which a view is off, from which no place is called good: within 5 cm, by three of them; chosen.
+"""
+
 
 class HeightsOdometry(VisualOdometry):
-    """With the heights of the lines that motion is measured by."""
+    """With the heights of the lines that motion is measured by, and how far one from points alone may be off."""
 
     def __init__(self, config: Odometry, calibration: Calibration) -> None:
         super().__init__(config)
         self.slope = Slope(calibration)
         self.heights = Heights(calibration)
+        self._height_m = calibration.ceiling_height_m
+
+    @property
+    def suspicion(self) -> str:
+        """What is wrong with the ceiling, or with what is known of the robot's tilt, for people; "" for nothing."""
+        sloping = self.slope.state.used is not None
+        odd = self.slope.suspicion if sloping else self.heights.suspicion
+        if odd or self.state.lean.told:
+            return odd
+        sigma_m = math.sqrt(float(np.max(view_cov(self.state.lean))))
+        return f"the robot rocks by {sigma_m:.3f} m under points alone" if sigma_m > ROCKS_M else ""
 
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
         """The crossings of a frame where they are, and so those of the last one; expected: (3,) motion since then."""
@@ -39,7 +61,25 @@ class HeightsOdometry(VisualOdometry):
         """(N, 2) in base, where crossings of the last frame were taken to be until it told otherwise."""
         return np.vstack([self.heights.misplaced, self.slope.misplaced])
 
-    @property
-    def suspicion(self) -> str:
-        """What is wrong with the ceiling, for people; "" for nothing."""
-        return self.slope.suspicion if self.slope.state.used is not None else self.heights.suspicion
+    def directed(self, crossings: Crossings) -> Crossings:
+        seen = super().directed(crossings)
+        self.state.lean.told = _tells_tilt(seen)
+        if self.state.lean.told:
+            return seen
+        shared = view_cov(self.state.lean)
+        return replace(seen, cov_base_m2=seen.cov_base_m2 + shared, common_cov_m2=seen.common_cov_m2 + shared)
+
+    def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
+        motion, lean = super()._accept(ref, crossings, course, found, predicted), self.state.lean
+        if _tells_tilt(ref) or _tells_tilt(crossings) or found.place is None:
+            return motion
+        moved = found.place.fit.b_from_a
+        learn(lean, points_of(ref), points_of(crossings), moved, course.elapsed_s, self._height_m)
+        cov = motion.cov.copy()
+        cov[:2, :2] += step_cov(lean)
+        return replace(motion, cov=cov)
+
+
+def _tells_tilt(crossings: Crossings) -> bool:
+    """Whether lines cross there: else the robot was taken to be as level as it was."""
+    return bool(np.any(crossings.crossing_type < LINE_CROSSINGS))
