@@ -120,7 +120,8 @@ class Pipeline:
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
         stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
-        misplaced, odd_ceiling = self.odometry.misplaced, self.odometry.suspicion
+        misplaced = self.odometry.misplaced
+        odd_ceiling, rocking = self.odometry.suspicion, self.odometry.rocking
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
@@ -140,7 +141,7 @@ class Pipeline:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
         seen = 0 if crossings is None else len(crossings)
-        return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling)
+        return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling, rocking)
 
     def _estimate(
         self,
@@ -151,6 +152,7 @@ class Pipeline:
         view: Observations | None,
         suspicions: Suspicions,
         odd_ceiling: str,
+        rocking: str,
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
@@ -173,6 +175,7 @@ class Pipeline:
             in_doubt=self.relocaliser.doubt,
             elsewhere=self.elsewhere,
             suspected=odd_ceiling if degraded is None else degraded.reason,
+            rocking=rocking,
         )
         verdict = self.states.step(evidence)
         self.seq += 1

@@ -25,6 +25,8 @@ _NIS_CAP = 2.0
 _FEW_TIMES = 2
 """Times tracking_frames, frames with few inliers after which a start is DEGRADED: two lamps in view are never more;
 chosen: few prove as much in twice the time."""
+_SLIGHT = ("rocking", "inliers")
+"""With nothing worse than these a start ends in DEGRADED."""
 BOUND_SIGMAS = 3.0
 """What DEGRADED promises of a pose holds for so many standard deviations: 99.7 % of one axis."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
@@ -48,6 +50,7 @@ class Evidence:
             states.false_place_rate.
         elsewhere: how likely it is, where it may be.
         suspected: what picture, wheels and stamps say against each other, "" for nothing.
+        rocking: by how much the robot rocks where nothing tells its tilt, for people; "" where that is little.
     """
 
     stamp_ns: int
@@ -64,6 +67,7 @@ class Evidence:
     in_doubt: str = ""
     elsewhere: float = 1.0
     suspected: str = ""
+    rocking: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,7 @@ class StateMachineState:
         vision_score: in [0, 1], fading without vision.
         stamp_ns, vision_ns: the last frame's, and of the last one with a motion.
         good_frames, vision_frames: in a row, without anything bad and with a motion.
-        steady_frames: in a row, with nothing worse than few inliers.
+        steady_frames: in a row, with nothing worse than few inliers or a robot that rocks under points alone.
         confirmed: landmarks have matched since the pose was last given up.
     """
 
@@ -180,10 +184,11 @@ class StateMachine:
         self._set_above("turned", far_deg, cfg.degraded_within_deg, "heading only within {:.1f} deg, not {:g} deg")
         self._set("suspected", bool(e.suspected), not e.suspected, e.suspected)
         self._set("in doubt", bool(e.in_doubt), not e.in_doubt, e.in_doubt)
+        self._set("rocking", bool(e.rocking), not e.rocking, e.rocking)
         self._update_nis(e)
         spike = e.nis_dof > 0 and not e.nis <= cfg.nis_high
         s.good_frames = s.good_frames + 1 if e.motion_ok and not s.conditions and not spike else 0
-        steady = e.motion_ok and set(s.conditions) <= {"inliers"} and not spike
+        steady = e.motion_ok and set(s.conditions) <= set(_SLIGHT) and not spike
         s.steady_frames = s.steady_frames + 1 if steady else 0
         s.confirmed |= not e.in_doubt and e.landmarks_matched > 0
         hold = math.exp(-elapsed_s / cfg.dead_reckoning_s) if cfg.dead_reckoning_s > 0 else 0.0
@@ -226,7 +231,8 @@ class StateMachine:
         if state in (State.INIT, State.RELOCALISING):
             sure = state is State.INIT or s.confirmed
             if sure and not enough and s.steady_frames >= _FEW_TIMES * cfg.tracking_frames and s.conditions:
-                return State.DEGRADED, "inliers", s.conditions["inliers"]
+                slight = self._first_cause(*_SLIGHT)
+                return State.DEGRADED, slight, s.conditions[slight]
             return (State.TRACKING, "good", self._good_reason()) if enough and sure else (state, "", "")
         far = self._first_cause("far", "turned")
         if not e.motion_ok:
@@ -237,7 +243,7 @@ class StateMachine:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
-        cause = self._first_cause("in doubt", "nis", "suspected", "sigma", "heading", "inliers")
+        cause = self._first_cause("in doubt", "nis", "suspected", "sigma", "heading", *_SLIGHT)
         if cause:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"

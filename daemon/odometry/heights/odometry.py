@@ -34,12 +34,14 @@ class HeightsOdometry(VisualOdometry):
 
     @property
     def suspicion(self) -> str:
-        """What is wrong with the ceiling, or with what is known of the robot's tilt, for people; "" for nothing."""
-        sloping = self.slope.state.used is not None
-        odd = self.slope.suspicion if sloping else self.heights.suspicion
-        if odd or self.state.lean.told:
-            return odd
-        sigma_m = math.sqrt(float(np.max(view_cov(self.state.lean))))
+        """What is wrong with the ceiling, for people; "" for nothing."""
+        return self.slope.suspicion if self.slope.state.used is not None else self.heights.suspicion
+
+    @property
+    def rocking(self) -> str:
+        """By how much the robot rocks where nothing tells its tilt, for people; "" where that is little."""
+        lean = self.state.lean
+        sigma_m = 0.0 if lean.told else math.sqrt(float(np.max(view_cov(lean))))
         return f"the robot rocks by {sigma_m:.3f} m under points alone" if sigma_m > ROCKS_M else ""
 
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:

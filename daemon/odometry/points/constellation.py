@@ -27,8 +27,8 @@ _MOST_LIKE = 128
 """Pairs of points that may be one, beyond which so many are alike that nothing stands alone; chosen for time: 13 lamps
 3 m apart and 0.13 s without a motion have 120, which took 7 ms on a busy computer."""
 LEANS = 3.0
-"""Times what points may be off by in a steady drive: a robot that starts or brakes so hard leans by half a degree more in
-one view than in the other; chosen: a car at 2.4 m/s on which the recorded lamps were seen."""
+"""Times what points may be off by in a steady drive: a robot that starts or brakes that hard leans by half a degree
+more in one view than in the other; chosen: the car on which the recorded lamps were seen, at 2.4 m/s."""
 _BASELINES = 4.0
 """Tolerances that two points must be apart to tell a rotation; chosen."""
 
