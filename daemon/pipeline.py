@@ -160,6 +160,7 @@ class Pipeline:
         path = self.dead_reckoning.state
         degraded = suspicions.gravest(Severity.DEGRADED)
         floor, pose, cov = self.relocaliser.floor_tracker.floors.on_floor(pose, cov)
+        in_doubt = self.relocaliser.doubt
         evidence = Evidence(
             stamp_ns=stamp_ns,
             motion_ok=motion.ok,
@@ -172,8 +173,8 @@ class Pipeline:
             nis_dof=health.nis_dof if view is not None else 0,
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
-            in_doubt=self.relocaliser.doubt,
-            elsewhere=self.elsewhere,
+            in_doubt=in_doubt,
+            elsewhere=self.elsewhere if in_doubt else 0.0,
             suspected=odd_ceiling if degraded is None else degraded.reason,
             rocking=rocking,
         )
