@@ -153,7 +153,7 @@ class Relocaliser:
         self.filter.predict(track.final)
         gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
         s.gapped = s.jumped = False
-        if not gapped and self._rate <= track.final.doubt < doubts.UNLIKELY:
+        if self.sure and not gapped and self._rate <= track.final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
         if gapped or track.final.doubt > 0.0:
             bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
