@@ -174,7 +174,7 @@ class Pipeline:
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             in_doubt=in_doubt,
-            elsewhere=self.elsewhere if in_doubt else 0.0,
+            elsewhere=self.elsewhere if in_doubt and not self.relocaliser.state.grave else 1.0,
             suspected=odd_ceiling if degraded is None else degraded.reason,
             rocking=rocking,
         )

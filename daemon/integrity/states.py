@@ -48,7 +48,7 @@ class Evidence:
         landmarks_matched: observations that a landmark explained; needed to confirm a relocalisation.
         in_doubt: why the robot may be at another place than the pose says, "" while that is less likely than
             states.false_place_rate.
-        elsewhere: how likely it is, where it may be; not asked otherwise.
+        elsewhere: how likely it is, where it may be and a small doubt began it.
         suspected: what picture, wheels and stamps say against each other, "" for nothing.
         rocking: by how much the robot rocks where nothing tells its tilt, for people; "" where that is little.
     """

@@ -138,7 +138,7 @@ class NotThisMap:
         before = self.state
         each = unknown - float(np.log(max(area_m2, 1.0) * PLACES_PER_M2))
         beyond = unknown + float(np.log(beyond)) if beyond > 0.0 else _NEVER
-        if before.views:  # what was doubted before, and has been seen of that, is not settled
+        if before.said:  # another doubt does not take it back
             unknown = float(np.logaddexp(unknown, -before.odds))
         self.state = NotThisMapState(area_m2, unknown, beyond, each, said=before.said, times=before.times)
 

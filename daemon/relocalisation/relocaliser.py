@@ -124,7 +124,7 @@ class Relocaliser:
         if known is None:
             self.state = RelocaliserState()
             return
-        s.pending = doubt
+        s.pending, s.grave = doubt, doubt is not None
         s.reason = "" if doubt is None else doubt.reason
 
     def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float, doubt: Doubt) -> None:
@@ -170,7 +170,7 @@ class Relocaliser:
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
         if s.survey.coverage.area_m2 > YOUNG_M2 and not doubts.negligible(doubt, self._rate):
-            s.pending = doubt
+            s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
     # -- a view
 
@@ -322,7 +322,7 @@ class Relocaliser:
         if s.belief.doubt() >= self._rate or said:
             s.reason = s.reason or CONTRADICTION
         elif s.views >= FEWEST_VIEWS:
-            s.reason, s.began, s.submap_from, s.leads = "", 0.0, None, np.zeros((0, 3))
+            s.reason, s.began, s.grave, s.submap_from, s.leads = "", 0.0, False, None, np.zeros((0, 3))
             s.belief.forget()
             self._on_map.end()
         return winner is not None

@@ -34,6 +34,7 @@ class RelocaliserState:
         survey: of the map, to find a place on it.
         schedule: when a view is news.
         not_this_map: whether the robot is on the map at all.
+        grave: the doubt was not small when it began, so that the pose is not used before the place is sure.
         doubted_m: way since a view and the one before it gave a small doubt.
         listed: all places where the robot may be were listed one by one; what the index leaves out is none of them.
     """
@@ -55,5 +56,6 @@ class RelocaliserState:
     survey: MapSurvey = field(default_factory=MapSurvey)
     schedule: ScheduleState = field(default_factory=ScheduleState)
     not_this_map: NotThisMapState = field(default_factory=NotThisMapState)
+    grave: bool = False
     doubted_m: float = np.inf
     listed: bool = False
