@@ -33,7 +33,7 @@ def pairs(chains: Chains, points: Fine, reach: int) -> tuple[Ints, Slots]:
     count = len(chains.head)
     point, numbers = np.divmod(np.unique((np.arange(len(numbers)) % max(len(points), 1)) * count + numbers), count)
     found = [(np.empty(0, np.int64), np.empty(0, np.int32))]
-    for which, slot in _walk(chains, numbers.astype(np.int32)):
+    for which, slot in walk(chains.head, chains.chain, numbers.astype(np.int32)):
         mine = point.take(which)
         off = np.abs(chains.xy.take(slot, axis=0) - points.take(mine, axis=0))
         on = np.flatnonzero(np.max(off, axis=1) <= reach)
@@ -58,7 +58,7 @@ def nearest(chains: Chains, points: Fine, wanted: Bits, reach: int) -> tuple[Slo
     for i in range(1, 4):
         blocks[i, np.any(blocks[:i] == blocks[i], axis=0)] = 0  # there is nothing in block 0
     for number in blocks:
-        for which, slot in _walk(chains, number):
+        for which, slot in walk(chains.head, chains.chain, number):
             off = (chains.xy.take(slot, axis=0) - points.take(which, axis=0)).astype(np.float64)
             apart = np.hypot(off[:, 0], off[:, 1])
             own = np.left_shift(np.uint16(1), chains.crossing_type.take(slot).astype(np.uint16))
@@ -76,16 +76,16 @@ def _numbers(chains: Chains, column: Ints, row: Ints) -> Slots:
     return np.where(inside, chains.number.reshape(-1).take(np.where(inside, column * h + row, 0)), 0).astype(np.int32)
 
 
-def _walk(chains: Chains, numbers: Slots) -> Iterator[tuple[Ints, Slots]]:
+def walk(head: Slots, chain: Slots, numbers: Slots) -> Iterator[tuple[Ints, Slots]]:
     """All landmarks in blocks (Q,), in parts: which of the blocks, and a slot in it."""
-    which, slot = np.arange(len(numbers)), chains.head.take(numbers)
+    which, slot = np.arange(len(numbers)), head.take(numbers)
     while True:
         on = np.flatnonzero(slot >= 0)
         if not len(on):
             return
         which, slot = which.take(on), slot.take(on)
         yield which, slot
-        slot = chains.chain.take(slot)
+        slot = chain.take(slot)
 
 
 def _touched(xy: Fine, reach: int, shift: int) -> Fine:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.kernel.arguments import END, Chains, Fine
+from ceilvo.daemon.relocalisation.kernel.reference import walk
 from ceilvo.daemon.relocalisation.place_index.id_table import IdTable, Slots
 from ceilvo.types import Array, Ints, Landmarks
 
@@ -214,14 +215,7 @@ class LandmarkBlocks:
 
     def walk(self, blocks: NDArray[np.int32]) -> Iterator[tuple[Ints, Slots]]:
         """All landmarks in blocks (Q,), in parts: which of the blocks, and a slot in it."""
-        which, slot = np.arange(len(blocks)), self.head.take(blocks)
-        while True:
-            on = np.flatnonzero(slot >= 0)
-            if not len(on):
-                return
-            which, slot = which.take(on), slot.take(on)
-            yield which, slot
-            slot = self.chain.take(slot)
+        return walk(self.head, self.chain, blocks)
 
     def own_bit(self, slots: Slots) -> NDArray[np.uint16]:
         """(N,) with the bit of each landmark's type."""
