@@ -206,7 +206,8 @@ class Relocaliser:
         s = self.state
         self._arrive()
         # lines that were mistaken gave a small doubt, and would count again from the same spot
-        if s.doubted_m < SPOT_M or (s.pending is None and s.belief.spot_views >= SPOT_VIEWS):
+        again = s.doubted_m < SPOT_M and not s.grave
+        if again or (s.pending is None and s.belief.spot_views >= SPOT_VIEWS):
             return False
         before = self.filter.estimate()[0]
         reach_m = WATCH_M if s.pending is None else s.pending.search_m
