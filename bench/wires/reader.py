@@ -12,6 +12,7 @@ import logging
 import math
 import os
 import sys
+import time
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
@@ -75,7 +76,11 @@ class Reader:
             info = discovery.get_topic_info(topic, verbose=True, **router)
             ends = [] if info is None else info.publishers
             out[topic] = {"types": kinds, "publishers": [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]}
-        return out | {"services": dict(discovery.get_service_names_and_types(**router))}
+        services: dict[str, Any] = {}
+        until = time.monotonic() + _ANSWER_S
+        while not services and time.monotonic() < until:  # it says "none" also where its question went astray
+            services = dict(discovery.get_service_names_and_types(**router))
+        return out | {"services": services}
 
     def initial_pose(self, x_m: float, y_m: float, theta_rad: float) -> None:
         from zenoh_ros2_sdk import ROS2Publisher

@@ -268,7 +268,7 @@ class JointFit:
             self._unbend()
         self.assign(self.last_gate_px())
         self.solve()
-        if self._several:
+        if self._several and len(self.line):
             self._leave_out_double()
         own = self.covariance[[1, 2], [1, 2]] / _WEAK_RAD**2
         grow = np.array([1.0, 1.0 + own[0], 1.0 + own[1]])

@@ -11,8 +11,8 @@ PATIENCE_S = 180.0
 _POLL_S = 0.005
 
 
-def until(true: Callable[[], object], what: str = "it") -> None:
-    """For conditions that nobody signals: polled, not slept for."""
+def until(true: Callable[[], object], what: object = "it") -> None:
+    """For conditions that nobody signals: polled, not slept for. `what` is put into words when it did not come."""
     deadline = time.monotonic() + PATIENCE_S
     pause = threading.Event()
     while not true():
