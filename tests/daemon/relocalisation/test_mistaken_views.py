@@ -77,3 +77,15 @@ def test_a_large_doubt_is_weighed_at_once(seed: int) -> None:
     for _ in range(2):
         drive.tick()
     assert len(weighed) == 1 and weighed[0] < 0.15
+
+
+def test_a_large_doubt_after_a_small_one_does_not_wait_for_another_spot() -> None:
+    """A robot that was lifted and stands does not come to one."""
+    drive = settled(43)
+    doubted_once(drive, DOUBT)
+    drive.tick()
+    assert drive.pipeline.relocaliser.state.pending is not None, "the small one waits"
+    weighed = doubted_once(drive, 20.0 * UNLIKELY)
+    for _ in range(2):
+        drive.tick()
+    assert len(weighed) == 1 and weighed[0] < 0.15
