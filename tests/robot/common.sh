@@ -34,6 +34,10 @@ is_another_life() {
   answer=$(systemctl show -p MainPID,ActiveState ceilvod)
   grep -q '^ActiveState=active$' <<<"$answer" && ! grep -qE "^MainPID=(0|$1)$" <<<"$answer"
 }
+# ready_ns: when the service said that it is ready, by CLOCK_MONOTONIC; systemd keeps it, so nobody has to be quick.
+ready_ns() { echo "$(show ActiveEnterTimestampMonotonic)000"; }
+# another_life PID: waits for it. Each question takes processes on the one processor that the daemon starts on.
+another_life() { EVERY_S=0.5 wait_for 20 is_another_life "$1"; }
 has_status() { show StatusText | grep -qi "$1"; }
 
 install_service() {

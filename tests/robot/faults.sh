@@ -189,11 +189,10 @@ kills() {
     pid=$(show MainPID)
     t0=$(mono)
     kill -KILL "$pid"
-    wait_for 20 is_another_life "$pid" || return 1
+    another_life "$pid" || return 1
     note "kill${k}_ns" "$t0"
-    note "life${k}_ns" "$(mono)"
+    note "life${k}_ns" "$(ready_ns)"
     n=$(poses)
-    # Seldom asked: each question starts three processes on the one processor that the daemon starts on.
     EVERY_S=1 wait_for 15 has_more_poses_than "$n" || return 1
     sleep "0.$((RANDOM % 9 + 1))"
   done

@@ -63,11 +63,11 @@ be_seen() {
 restarted() {
   local pid n t0
   pid=$(show MainPID)
-  t0=$(now)
-  note "$1_ns" "$t0"
+  note "$1_ns" "$(now)"
+  t0=$(mono)
   kill "$2" "$pid"
-  wait_for 20 is_another_life "$pid" || return 1
-  note "$1_ready_ms" $((($(now) - t0) / 1000000))
+  another_life "$pid" || return 1
+  note "$1_ready_ms" $((($(ready_ns) - t0) / 1000000))
   # What was under way when the old life ended has arrived by now.
   n=$(poses)
   wait_for 15 has_more_poses_than $((n + 15))
