@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -52,27 +51,17 @@ class Aligned:
 
 
 class LevelPicture:
-    """Level views of the frames of one camera; the look-up is made once, part by part or when it is needed."""
+    """Level views of the frames of one camera; the look-up is made once."""
 
     def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
-        self._view = calibration.level_view
-        self.focal_px = self._view.focal_px
-        self._parts = self._make(max_view_deg)
-
-    def prepare(self) -> None:
-        """Make a part of the look-up, so that the first picture does not wait for all of it."""
-        next(self._parts, None)
-
-    def _make(self, max_view_deg: float) -> Iterator[None]:
-        view = self._view
+        self._view = view = calibration.level_view
+        self.focal_px = view.focal_px
         seen = view.lookup(min(max_view_deg, _STEEPEST_DEG), LOOKUP_STEP_PX)
-        yield
         low, high = (np.rint(f(seen, axis=(0, 1))).astype(np.int64) for f in (np.nanmin, np.nanmax))
         self._low, self._high = low.astype(np.float64), high.astype(np.float64)
         x, y = (np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True))
         height, width = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
         (across, down), near = _reduced_px(view, x, y), _invertible(view, x, y)
-        yield
         reach_px = self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
         shape = len(y), len(x)
         self._known = np.zeros(shape, np.uint8)
@@ -88,14 +77,11 @@ class LevelPicture:
             table = at.astype(np.float32)
             self._maps[0][rows], self._maps[1][rows] = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
             self._known[rows] = 255 * known
-            yield
         side = 2 * round(np.radians(_GLARE_DEG) * self.focal_px) + 1
         self._glare = np.ones((side, side), np.uint8)
 
     def __call__(self, gray: Gray) -> tuple[Gray, Gray]:
         """The level view of a frame (H, W) of the calibrated size, and where it shows the ceiling and no lamp."""
-        for _ in self._parts:
-            pass
         level = cv2.remap(self._view.reduced(gray), self._maps[0], self._maps[1], cv2.INTER_LINEAR)
         lamps = cv2.dilate(np.uint8(255) * (np.asarray(level) >= _BRIGHT), self._glare)
         return np.asarray(level, np.uint8), np.asarray(cv2.subtract(self._known, lamps), np.uint8)

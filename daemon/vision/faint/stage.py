@@ -59,15 +59,11 @@ class FaintState:
 
 
 class FaintLines:
-    """Faint lines of the frames of one camera; its look-up is made before the first look."""
+    """Faint lines of the frames of one camera; its look-up is made at the first look."""
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
         self._calibration, self._config = calibration, config
-        self._picture = LevelPicture(calibration, config.max_view_deg)
-
-    def prepare(self) -> None:
-        """A part of what the first look needs."""
-        self._picture.prepare()
+        self._picture: LevelPicture | None = None
 
     def __call__(
         self,
@@ -113,6 +109,8 @@ class FaintLines:
         tilt_rad: Array,
         prior: TiltPrior | None,
     ) -> Lines | None:
+        if self._picture is None:
+            self._picture = LevelPicture(self._calibration, self._config.max_view_deg)
         level, usable = self._picture(gray)
         psi = None if found is None else found.psi_rad
         if weak:

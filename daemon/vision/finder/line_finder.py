@@ -117,8 +117,6 @@ class LineFinder:
             s.since_detection += 1
             s.tracked += 1
             lines, s.edges = found
-            if self._faint is not None and readout is None:
-                self._faint.prepare()
         else:
             last_rad = s.psi_rad if s.edges is None else s.edges.psi_rad
             carried = None if last_rad is None or prev_from_curr is None else last_rad - float(prev_from_curr[2])
