@@ -43,6 +43,13 @@ class NoiseCurves:
     r_min_m: float
     r_max_m: float
 
+    def at(self, r_m: Array) -> tuple[Array, Array]:
+        """Sigma in x and in y, m, at distances (N,) within the measured range, as the curves have it."""
+        x, y = (
+            np.polyval(np.asarray(c)[::-1], r_m) for c in (self.sigma_x_m, self.sigma_y_m)
+        )  # lowest power first there
+        return x, y
+
 
 @dataclass(frozen=True)
 class Calibration:

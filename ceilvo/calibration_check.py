@@ -147,7 +147,7 @@ def _noise_problems(n: NoiseCurves) -> Iterator[str]:
         if not 1 <= len(k) <= _COEFFICIENTS_MOST:
             yield f"noise.{key}: found {len(k)} coefficients, expected 1 to 8"
             continue
-        sigma = np.polynomial.polynomial.polyval(r, k)
+        sigma = np.polyval(k[::-1], r)
         if not (np.isfinite(sigma).all() and sigma.min() > 0.0 and sigma.max() <= _SIGMA_MOST_M):
             yield (
                 f"noise.{key}: found values from {sigma.min():.3g} to {sigma.max():.3g} m between r_min_m and r_max_m, "

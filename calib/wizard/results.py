@@ -114,8 +114,7 @@ def _plots(session: Session, step: str, r: Mapping[str, Any]) -> list[dict[str, 
         if calibration is not None:
             camera = calibration.camera
             r_m = np.hypot(*(in_base(calibration, _pixels(camera)) - calibration.mount_xy_m).T)
-            noise = calibration.noise
-            x, y = (np.polynomial.polynomial.polyval(r_m, c) for c in (noise.sigma_x_m, noise.sigma_y_m))
+            x, y = calibration.noise.at(r_m)
             out.append(_map(camera, 1e3 * np.hypot(x, y), "mm", "How far off a crossing on the ceiling is, one sigma"))
     return out
 

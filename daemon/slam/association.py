@@ -57,7 +57,7 @@ def sigma(curves: NoiseCurves, r_m: Array) -> tuple[Array, Array]:
 @lru_cache(maxsize=8)
 def _tables(curves: NoiseCurves) -> tuple[Array, Array, Array]:
     grid = np.linspace(max(curves.r_min_m, 0.0), max(curves.r_max_m, curves.r_min_m, 0.0), _GRID)
-    x, y = (np.polyval(np.asarray(c)[::-1], grid) for c in (curves.sigma_x_m, curves.sigma_y_m))
+    x, y = curves.at(grid)
     return (
         frozen(grid),
         frozen(np.maximum.accumulate(np.maximum(x, SIGMA_FLOOR_M))),

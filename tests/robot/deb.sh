@@ -75,7 +75,7 @@ upgrade() {
   note kept_after "$(digest /etc/ceilvo/config.yaml /etc/ceilvo/calibration.yaml)"
   note new_defaults "$(cd /etc/ceilvo && echo config.yaml.dpkg-*)"
   note landmarks_after "$(landmarks)"
-  wait_for 20 is_another_life "$pid" && note restarted yes
+  another_life "$pid" && note restarted yes
   note web_restarted "$([ "$(systemctl show -P MainPID ceilvo-web)" != "$web" ] && states ceilvo-web)"
   poses_of_now && note after_tracking yes
 }

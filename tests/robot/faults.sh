@@ -185,7 +185,7 @@ while True:
 kills() {
   local k pid t0 n
   for k in 1 2 3 4 5; do
-    wait_for 20 is_another_life none || return 1 # MainPID=0 would be this script's own group
+    another_life none || return 1 # MainPID=0 would be this script's own group
     pid=$(show MainPID)
     t0=$(mono)
     kill -KILL "$pid"

@@ -65,7 +65,7 @@ def _text(path: Path) -> str:
 
 
 def _after_kills(life: Life) -> Iterator[float]:
-    """Seconds from each kill to the first pose that came after another process was seen."""
+    """Seconds from each kill to the first pose that came after another process was ready."""
     for name in [n for n in life.facts if n.startswith("kill") and n.endswith("_ns")]:
         seen_ns = life.ns(name.replace("kill", "life"))
         came = (recv_ns for recv_ns, *_ in life.poses if 0 < seen_ns < recv_ns)

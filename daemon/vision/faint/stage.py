@@ -33,7 +33,8 @@ _FIRST_FRAMES = 3
 """The first look where edge points do; chosen: before the first good pose, for what is seen changes when it helps, and
 not at the first frame: a robot that starts had its first pose .15 s later."""
 _OF_TILES = 42
-"""Places taken for those of the last look before there was one; tiles of .6 m show 32 to 48 of them, faint ones 20."""
+"""Places taken for those of a look before the first one, so that this is taken at once below 25; measured: tiles of
+.6 m show 32 to 48, faint ones 14 to 20."""
 _FEWER = 0.6
 """Places over those at the last look, below which it is not waited for so long; chosen: other ground."""
 _MORE, _STILL_MORE = 1.25, 1.1
