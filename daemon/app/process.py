@@ -37,6 +37,7 @@ from ceilvo.daemon.app.wires import wires_of
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.recording import RecordedBase, recording_of
 from ceilvo.daemon.replay.summary import format_summary
+from ceilvo.drivers.base.late import late_modbus
 from ceilvo.drivers.bus.namesake import refuse_namesake
 from ceilvo.drivers.camera.capture import CaptureEvent, CaptureLoop
 from ceilvo.drivers.camera.paced import PacedCamera
@@ -251,9 +252,7 @@ class Daemon:
         return {} if self._recording is None else {"recorder": asdict(self._recording.counters())}
 
     def _port(self) -> Base:
-        from ceilvo.drivers.base.modbus import ModbusBase  # 8 MB, with asyncio, that robots without a base do not need
-
-        port = ModbusBase(self._config.base)
+        port = late_modbus(self._config.base)
         return port if self._recording is None else RecordedBase(port, self._recording)
 
     # -- other threads

@@ -12,8 +12,8 @@ from typing import Protocol
 import pytest
 
 from ceilvo import config
+from ceilvo.drivers.base.late import late_modbus
 from ceilvo.drivers.base.mock_base import BaseModel, MockBase
-from ceilvo.drivers.base.modbus import ModbusBase
 from ceilvo.drivers.base.protocol import decode_pose, encode_pose
 from ceilvo.drivers.base.wheel_track import WheelTrack
 from ceilvo.drivers.ports import Base
@@ -77,7 +77,7 @@ class PtyRig:
         self.sim.start()
         self.model = self.sim.model
         settings = config.Base(port=str(link), baud=1_000_000, function=function, timeout_s=TIMEOUT_S)
-        self.base: Base = ModbusBase(settings)
+        self.base: Base = late_modbus(settings)
 
     def unplug(self) -> None:
         self.sim.stop()

@@ -6,6 +6,8 @@ that ray, so parallel lines stand out there together, however faint each of thei
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +61,8 @@ def common_direction(level: Gray, usable: Gray) -> float | None:
         flags=cv2.DFT_COMPLEX_OUTPUT,
     )
     power = spectrum[..., 0] ** 2 + spectrum[..., 1] ** 2
-    votes = np.bincount(_BIN, (power.reshape(-1)[_WHICH] * _WEIGHT), _BINS)
+    which, cell, weight = _rays()
+    votes = np.bincount(cell, power.reshape(-1)[which] * weight, _BINS)
     three = votes + np.roll(votes, 1) + np.roll(votes, -1)
     usual = float(np.median(three))
     spread = MAD_TO_SIGMA * median(np.abs(three - usual))
@@ -94,6 +97,7 @@ def _smooth(picture: Array32, weight: Array32, sigma_px: float) -> Array32:
     return np.asarray(total / np.maximum(of, _LEAST_WEIGHT), np.float32)
 
 
+@cache
 def _rays() -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Frequencies that are looked at, the direction of each modulo 90 deg as a bin, and its part of the bin's ray."""
     f = np.fft.fftfreq(_SPECTRUM_PX, 1.0 / _SPECTRUM_PX)
@@ -104,6 +108,3 @@ def _rays() -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     cell = np.rint(angle * _BINS / (0.5 * np.pi)).astype(np.int64) % _BINS
     weight = 1.0 / np.bincount(cell, minlength=_BINS)[cell]
     return which, cell, weight
-
-
-_WHICH, _BIN, _WEIGHT = _rays()
