@@ -189,6 +189,7 @@ kills() {
     pid=$(show MainPID)
     t0=$(mono)
     kill -KILL "$pid"
+    sleep 2 # nobody needs to ask sooner: systemd keeps the moment
     another_life "$pid" || return 1
     note "kill${k}_ns" "$t0"
     note "life${k}_ns" "$(ready_ns)"
