@@ -6,7 +6,7 @@ from setuptools import Extension, setup
 
 VISION, ODOMETRY, PLACE = (f"daemon/{room}/kernel" for room in ("vision", "odometry", "relocalisation"))
 KERNEL = (
-    *(f"{VISION}/{name}" for name in ("following", "joins", "lines", "pixels", "points", "spreads")),
+    *(f"{VISION}/{name}" for name in ("following", "joins", "lines", "pixels", "points", "spreads", "votes")),
     *(f"{ODOMETRY}/{name}" for name in ("followed_lines", "homographies", "views")),
     *(f"{PLACE}/{name}" for name in ("evidence", "neighbours")),
 )
@@ -17,7 +17,7 @@ setup(
         Extension(
             f"ceilvo.{path.replace('/', '.')}",
             [f"{path}.pyx"],
-            depends=[f"{VISION}/picture.pxi", f"{VISION}/solve.pxi"],
+            depends=[f"{VISION}/{name}.pxi" for name in ("groups", "picture", "solve")],
             # no fused multiply-add, which ARM has and the x86-64 of packages has not: the same figures on both
             extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off"],
             optional=True,

@@ -76,6 +76,19 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
     )
 
 
+class Crosser:
+    """cross() for one camera. Asked again of the same lines, as for how many places they show, it has the answer."""
+
+    def __init__(self, calibration: Calibration, config: Features) -> None:
+        self._calibration, self._config = calibration, config
+        self._last: tuple[Lines, Crossings] | None = None
+
+    def __call__(self, lines: Lines) -> Crossings:
+        if self._last is None or self._last[0] is not lines:
+            self._last = lines, cross(lines, self._calibration, self._config)
+        return self._last[1]
+
+
 def squares_with(crossings: Crossings, focal_px: float) -> int:
     """Squares of the picture that hold a crossing: a vent's dozen of them are worth few."""
     column, row = np.floor(crossings.uv_px / pixels(_SQUARE_DEG, focal_px)).astype(np.int64).T

@@ -7,6 +7,7 @@ whose unknowns are the common direction, the tilt (roll, pitch) and one offset a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,16 +52,8 @@ def dominant_direction(phi_deg: Array32) -> float | None:
     """Direction in [-pi/4, pi/4) that most gradients share modulo 90 deg, or None without points."""
     if len(phi_deg) == 0:
         return None
-    folded = _modulo_90(phi_deg[:: 1 + len(phi_deg) // _START_POINTS])
-    votes = np.bincount(np.clip(folded.astype(np.int32), 0, 89), minlength=90)  # rounding may reach 90, or fall below 0
-    peak = float(np.argmax(votes + np.roll(votes, 1) + np.roll(votes, -1))) + 0.5
-    off = _modulo_90(folded - np.float32(peak - 45.0)) - np.float32(45.0)
-    near = off[np.abs(off) < _DIRECTION_REACH_DEG]
-    return fold_direction(float(np.radians(peak + float(np.mean(near, dtype=np.float64)))))[0]
-
-
-def _modulo_90(degrees: Array32) -> Array32:
-    return np.asarray(degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0)), np.float32)
+    found_deg = kernel.direction(phi_deg, _DIRECTION_REACH_DEG, 1 + len(phi_deg) // _START_POINTS)
+    return fold_direction(float(np.radians(found_deg)))[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,15 +248,9 @@ def _votes(
 
 def _peaks(votes: NDArray[np.int64], need: float, config: Features, bin_px: float) -> list[Array]:
     """For each group, rising offsets of its strongest `max_lines` local maxima of three neighbouring bins."""
-    three = np.zeros_like(votes)
-    three[:, 1:-1] = votes[:, :-2] + votes[:, 1:-1] + votes[:, 2:]
-    inner = three[:, 1:-1]
-    group, at = np.nonzero((inner >= need) & (inner > three[:, :-2]) & (inner >= three[:, 2:]))
-    at = at + 1
-    strength = three[group, at]
-    moment = (votes[group, at + 1] - votes[group, at - 1]) / strength
-    offset = (at - votes.shape[1] // 2 + 0.5 + moment) * bin_px
-    return [_strongest(offset[group == g], strength[group == g], config.max_lines) for g in range(len(votes))]
+    at, strength, ends = kernel.peaks(votes, need)
+    offset = at * bin_px
+    return [_strongest(offset[a:b], strength[a:b], config.max_lines) for a, b in pairwise(ends)]
 
 
 def _strongest(offset: Array, strength: NDArray[np.int64], most: int) -> Array:

@@ -141,19 +141,16 @@ class JointFit:
 
     def assign(self, gate_px: float) -> None:
         """Give every point the nearest line of its axis and polarity within the gate; drop points of no line."""
-        order = np.lexsort((self.offset, self.line_group))
-        counts = np.bincount(self.line_group, minlength=4)
-        self._x, self._y, self.rho, self.tangent, line, self.ends = kernel.assign(
+        self._x, self._y, self.rho, self.tangent, self.line, self.ends = kernel.assign(
             self._x,
             self._y,
             self.rho,
             self.tangent,
             self.ends,
-            self.offset[order] / self.focal_px,
-            counts,
+            self.offset / self.focal_px,
+            self.line_group,
             gate_px / self.focal_px,
         )
-        self.line = order.astype(np.int32)[line]
 
     def restart(self, starts: list[Array]) -> None:
         """Lines to fit, by their offsets in each group."""

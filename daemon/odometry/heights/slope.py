@@ -83,7 +83,7 @@ class SlopeState:
         ended: a plane ended before.
         bent: lines that cross at right angles do not seem to, more than the joint fit bears.
         learnt: (N, 2) along the fixed axes, where crossings were taken to be in the first frames and in those that
-            leant, before a plane was known.
+            leant, before a plane was known; some more than once.
     """
 
     pose: Array = field(default_factory=lambda: np.zeros(3))
@@ -162,8 +162,10 @@ class Slope:
         if s.first_lean is None:
             s.first_lean = lean
         if s.used is None and (s.fit.frames < _FIRST_FRAMES or float(np.hypot(*lean)) > _LEAST):
-            both = np.vstack([s.learnt, se2.transform(s.pose, raw.xy_base_m)])
-            s.learnt = np.unique(np.rint(both / _RASTER_M), axis=0)[-_MOST_LEARNT:] * _RASTER_M
+            new = _RASTER_M * np.rint(se2.transform(s.pose, raw.xy_base_m) / _RASTER_M)
+            s.learnt = np.vstack([s.learnt, new])
+            if len(s.learnt) > 2 * _MOST_LEARNT:
+                s.learnt = _once(s.learnt)
         s.steady &= bool(np.max(np.abs(lean - s.first_lean)) < _STEADY_RAD)
         if expected is not None and self._is_other(lean - expected):
             s = self._begin_anew(s.used)
@@ -201,7 +203,7 @@ class Slope:
         """(N, 2) in base, where crossings were taken to be that are elsewhere on this plane."""
         s = self.state
         if s.used is None:
-            return np.vstack([crossings.xy_base_m, se2.transform(se2.inverse(s.pose), s.learnt)])
+            return np.vstack([crossings.xy_base_m, se2.transform(se2.inverse(s.pose), _once(s.learnt))])
         before, after = (self._on(p, crossings, s.pose).xy_base_m for p in (s.used, plane))
         return np.asarray(before[np.hypot(*(after - before).T) > _MISPLACED_M])
 
@@ -300,6 +302,11 @@ class Slope:
             common_cov_m2=crossings.common_cov_m2 * scale**2,
             complete=False,  # who asks what should be in view asks of a level ceiling at the calibrated height
         )
+
+
+def _once(places: Array) -> Array:
+    """Places (N, 2) of the raster once each, the last _MOST_LEARNT of them in order."""
+    return np.asarray(np.unique(places, axis=0)[-_MOST_LEARNT:])
 
 
 def _lean(tilt_rad: Array) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
-from ceilvo.daemon.vision.crossings import cross, squares_with
+from ceilvo.daemon.vision.crossings import Crosser, squares_with
 from ceilvo.daemon.vision.faint.direction import common_direction
 from ceilvo.daemon.vision.faint.level_picture import LevelPicture
 from ceilvo.daemon.vision.faint.line_search import find_faint
@@ -62,8 +62,9 @@ class FaintState:
 class FaintLines:
     """Faint lines of the frames of one camera; its look-up is made at the first look."""
 
-    def __init__(self, calibration: Calibration, config: Features) -> None:
-        self._calibration, self._config = calibration, config
+    def __init__(self, calibration: Calibration, config: Features, crossed: Crosser) -> None:
+        """crossed: gives crossings of lines."""
+        self._calibration, self._config, self._crossed = calibration, config, crossed
         self._picture: LevelPicture | None = None
 
     def __call__(
@@ -99,7 +100,7 @@ class FaintLines:
     def _places(self, lines: Lines | None) -> int:
         if lines is None:
             return 0
-        return squares_with(cross(lines, self._calibration, self._config), self._calibration.level_view.focal_px)
+        return squares_with(self._crossed(lines), self._calibration.level_view.focal_px)
 
     def _look(
         self,

@@ -9,7 +9,6 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
-from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
@@ -75,7 +74,7 @@ class CrossingFinder:
             several: the ceiling seems to have several heights.
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
-        crossings = None if lines is None else cross(lines, self._calibration, self._lines.config)
+        crossings = None if lines is None else self._lines.crossed(lines)
         if crossings is not None:
             crossings = thinned(crossings, self._calibration.level_view.focal_px)
         if self._points is not None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
-from ceilvo.daemon.vision.crossings import VAGUE_RAD
+from ceilvo.daemon.vision.crossings import VAGUE_RAD, Crosser
 from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.faint.stage import FaintLines, FaintState
@@ -72,6 +72,7 @@ class LineFinder:
 
     Attributes:
         config: the settings for this camera's lens.
+        crossed: gives crossings of lines.
     """
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
@@ -79,7 +80,8 @@ class LineFinder:
         self._calibration = calibration
         self._detector = EdgeDetector(calibration, config)
         self._shutter = RollingShutter(calibration, config.max_view_deg)
-        self._faint = FaintLines(calibration, config) if config.faint_lines else None
+        self.crossed = Crosser(calibration, config)
+        self._faint = FaintLines(calibration, config, self.crossed) if config.faint_lines else None
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
 

@@ -8,7 +8,7 @@ falling, axis 0 rising, axis 1 falling, axis 1 rising along the normal; `ends` a
 
 from ceilvo.daemon.vision.kernel import reference
 
-_following = _joins = _lines = _pixels = _points = _spreads = reference
+_following = _joins = _lines = _pixels = _points = _spreads = _votes = reference
 COMPILED = True
 try:
     from ceilvo.daemon.vision.kernel import following as _following  # type: ignore[attr-defined,no-redef]
@@ -17,12 +17,14 @@ try:
     from ceilvo.daemon.vision.kernel import pixels as _pixels  # type: ignore[attr-defined,no-redef]
     from ceilvo.daemon.vision.kernel import points as _points  # type: ignore[attr-defined,no-redef]
     from ceilvo.daemon.vision.kernel import spreads as _spreads  # type: ignore[attr-defined,no-redef]
+    from ceilvo.daemon.vision.kernel import votes as _votes  # type: ignore[attr-defined,no-redef]
 except ImportError:
     COMPILED = False
 
 level_points, follow = _pixels.level_points, _following.follow
-split, vote, project, assign = _points.split, _points.vote, _points.project, _points.assign
+split, project, assign = _points.split, _points.project, _points.assign
 settle, extents = _points.settle, _points.extents
+direction, vote, peaks = _votes.direction, _votes.vote, _votes.peaks
 spread, crowd, median_slope = _spreads.spread, _spreads.crowd, _spreads.median_slope
 align, fit = _lines.align, _lines.fit
 picture, join, arms = _joins.picture, _joins.join, _joins.arms

@@ -39,6 +39,35 @@ cdef inline void to_one_instant(const float *row, float shift_y, Place *to) noex
     to.along_y[0], to.along_y[1] = c * u - s * v + along, s * u + c * v + across
 
 
+cdef inline const float *corners_of(const Picture *p, Py_ssize_t x, Py_ssize_t y) noexcept nogil:
+    """Where the cell of the look-up that a pixel is in begins."""
+    return p.lookup + 2 * ((y // STEP) * p.columns + x // STEP)
+
+
+cdef inline float within_cell(Py_ssize_t at) noexcept nogil:
+    """How far into its cell a column or row is, in cells."""
+    cdef float one = 1
+    return <float>(at & (STEP - 1)) * (one / <float>STEP)
+
+
+cdef inline float peak_shift(float before, float here, float after) noexcept nogil:
+    """Where between pixels a parabola through three magnitudes of the gradient has its peak."""
+    cdef float half = 0.5, two = 2, bend = two * here - before - after, least = <float>1e-3
+    cdef float shift = half * (after - before) / (bend if bend > least else least)
+    return -half if shift < -half else half if shift > half else shift
+
+
+cdef inline void interpolate(
+    float low, float right, float up, float both, float fx, float fy, float shift_x, float shift_y, float *to
+) noexcept nogil:
+    """One coordinate: of the level pixel, and its changes per raw pixel along x and y; corners of a cell are known."""
+    cdef float one = 1, per_step = one / <float>STEP, level
+    to[1] = ((one - fy) * (right - low) + fy * (both - up)) * per_step
+    to[2] = ((one - fx) * (up - low) + fx * (both - right)) * per_step
+    level = (one - fy) * (low + fx * (right - low)) + fy * (up + fx * (both - up))
+    to[0] = level + (shift_x * to[1] + shift_y * to[2])
+
+
 cdef inline void locate(
     const Picture *p, Py_ssize_t x, Py_ssize_t y, bint horizontal, float before, float here, float after, Place *to
 ) noexcept nogil:
@@ -47,21 +76,15 @@ cdef inline void locate(
     Args:
         before, here, after: the gradient's magnitude there and beside along that.
     """
-    cdef float one = 1, half = 0.5, two = 2, per_step = one / <float>STEP
-    cdef float by_x = <float>horizontal, by_y = one - by_x
-    cdef float bend = two * here - before - after, least = <float>1e-3
-    cdef float shift = half * (after - before) / (bend if bend > least else least)
-    shift = -half if shift < -half else half if shift > half else shift
-    cdef const float *low = p.lookup + 2 * ((y // STEP) * p.columns + x // STEP)
+    cdef float by_x = <float>horizontal, by_y = <float>(not horizontal), shift = peak_shift(before, here, after)
+    cdef const float *low = corners_of(p, x, y)
     cdef const float *up = low + 2 * p.columns
-    cdef float fx = <float>(x & (STEP - 1)) * per_step, fy = <float>(y & (STEP - 1)) * per_step
-    cdef float right, right_up, level
+    cdef float[3] of
     cdef int k
     for k in range(2):
-        right, right_up = low[k + 2] - low[k], up[k + 2] - up[k]
-        to.along_x[k] = ((one - fy) * right + fy * right_up) * per_step
-        to.along_y[k] = ((one - fx) * (up[k] - low[k]) + fx * (up[k + 2] - low[k + 2])) * per_step
-        level = (one - fy) * (low[k] + fx * right) + fy * (up[k] + fx * right_up)
-        to.uv[k] = level + shift * (by_x * to.along_x[k] + by_y * to.along_y[k])
+        interpolate(
+            low[k], low[k + 2], up[k], up[k + 2], within_cell(x), within_cell(y), shift * by_x, shift * by_y, of
+        )
+        to.uv[k], to.along_x[k], to.along_y[k] = of[0], of[1], of[2]
     if p.rows != NULL:
         to_one_instant(p.rows + 4 * y, shift * by_y, to)

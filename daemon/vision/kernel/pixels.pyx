@@ -10,6 +10,15 @@ from libc.string cimport memcpy
 
 include "picture.pxi"
 
+cdef enum:
+    BLOCK = 64  # points that are computed together; chosen: 6 kB, which stays near
+
+
+cdef struct Points:
+    float *uv  # where the next ones go
+    float *phi
+    Py_ssize_t count
+
 
 cdef check_pixels(str name, Py_ssize_t height, Py_ssize_t width, const Picture *p):
     if height != p.height or width != p.width:
@@ -43,22 +52,89 @@ cdef inline float degrees(float y, float x) noexcept nogil:
     return a - <float>(a >= turn) * turn
 
 
-cdef inline float magnitude(const Picture *p, Py_ssize_t at) noexcept nogil:
+cdef inline float square(const Picture *p, Py_ssize_t at) noexcept nogil:
     cdef float x = p.dx[at], y = p.dy[at]
-    return sqrtf(x * x + y * y)
+    return x * x + y * y
+
+
+cdef struct Block:
+    # Points, each kind of figure of them in a row: loops over rows need no branch, so that four are computed at once.
+    Py_ssize_t count
+    int32_t[BLOCK] y
+    float[BLOCK] gx, gy, by_x, before, here, after, fx, fy
+    float[BLOCK] low_u, right_u, up_u, both_u, low_v, right_v, up_v, both_v
+    float[BLOCK] u, u_by_x, u_by_y, v, v_by_x, v_by_y, phi
+
+
+cdef inline void gather(const Picture *p, Py_ssize_t x, Py_ssize_t y, Block *b) noexcept nogil:
+    """Add what has to be read of a pixel."""
+    cdef Py_ssize_t at = y * p.width + x, i = b.count, beside
+    cdef float gx = p.dx[at], gy = p.dy[at]
+    cdef bint horizontal = fabsf(gx) >= fabsf(gy)
+    cdef const float *low = corners_of(p, x, y)
+    cdef const float *up = low + 2 * p.columns
+    beside = p.width + horizontal * (1 - p.width)
+    b.y[i], b.gx[i], b.gy[i], b.by_x[i] = <int32_t>y, gx, gy, <float>horizontal
+    b.before[i], b.here[i], b.after[i] = square(p, at - beside), square(p, at), square(p, at + beside)
+    b.fx[i], b.fy[i] = within_cell(x), within_cell(y)
+    b.low_u[i], b.low_v[i], b.right_u[i], b.right_v[i] = low[0], low[1], low[2], low[3]
+    b.up_u[i], b.up_v[i], b.both_u[i], b.both_v[i] = up[0], up[1], up[2], up[3]
+    b.count = i + 1
+
+
+cdef void place(Block *b) noexcept nogil:
+    """As locate() does, all points of a block."""
+    cdef Py_ssize_t i
+    cdef float one = 1, shift, shift_x, shift_y
+    cdef float[3] u, v
+    for i in range(b.count):
+        shift = peak_shift(sqrtf(b.before[i]), sqrtf(b.here[i]), sqrtf(b.after[i]))
+        shift_x, shift_y = shift * b.by_x[i], shift * (one - b.by_x[i])
+        interpolate(b.low_u[i], b.right_u[i], b.up_u[i], b.both_u[i], b.fx[i], b.fy[i], shift_x, shift_y, u)
+        interpolate(b.low_v[i], b.right_v[i], b.up_v[i], b.both_v[i], b.fx[i], b.fy[i], shift_x, shift_y, v)
+        b.u[i], b.u_by_x[i], b.u_by_y[i] = u[0], u[1], u[2]
+        b.v[i], b.v_by_x[i], b.v_by_y[i] = v[0], v[1], v[2]
+        b.after[i] = shift_y
+
+
+cdef void bring_to_one_instant(const float *rows, Block *b) noexcept nogil:
+    cdef Py_ssize_t i
+    cdef Place at
+    for i in range(b.count):
+        at.uv[0], at.along_x[0], at.along_y[0] = b.u[i], b.u_by_x[i], b.u_by_y[i]
+        at.uv[1], at.along_x[1], at.along_y[1] = b.v[i], b.v_by_x[i], b.v_by_y[i]
+        to_one_instant(rows + 4 * b.y[i], b.after[i], &at)
+        b.u[i], b.u_by_x[i], b.u_by_y[i] = at.uv[0], at.along_x[0], at.along_y[0]
+        b.v[i], b.v_by_x[i], b.v_by_y[i] = at.uv[1], at.along_x[1], at.along_y[1]
+
+
+cdef void empty(const Picture *p, Block *b, Points *to) noexcept nogil:
+    """Compute a block's points and write them where the last ones end."""
+    cdef Py_ssize_t i
+    place(b)
+    if p.rows != NULL:
+        bring_to_one_instant(p.rows, b)
+    for i in range(b.count):
+        b.phi[i] = degrees(
+            b.u_by_x[i] * b.gy[i] - b.u_by_y[i] * b.gx[i], b.v_by_y[i] * b.gx[i] - b.v_by_x[i] * b.gy[i]
+        )
+    for i in range(b.count):
+        to.uv[2 * i], to.uv[2 * i + 1] = b.u[i], b.v[i]
+    memcpy(to.phi, b.phi, b.count * sizeof(float))
+    to.uv, to.phi, to.count = to.uv + 2 * b.count, to.phi + b.count, to.count + b.count
+    b.count = 0
 
 
 cdef Py_ssize_t points_of(
-    const Picture *p, const uint8_t *mask, const uint16_t *rank, Py_ssize_t limit, float *uv, float *phi, Py_ssize_t room
+    const Picture *p, const uint8_t *mask, const uint16_t *rank, Py_ssize_t limit, Points to
 ) noexcept nogil:
-    cdef Py_ssize_t x, y, at, out = 0, beside
+    cdef Py_ssize_t x, y, at
     cdef uint64_t eight
-    cdef float gx, gy
-    cdef bint horizontal
-    cdef Place place
+    cdef Block b
+    b.count = 0
     for y in range(1, p.height - 1):  # a neighbour on every side
         x = 0
-        while x < p.width - 2 and out < room:
+        while x < p.width - 2:
             x += 1
             at = y * p.width + x
             if not mask[at]:
@@ -71,18 +147,11 @@ cdef Py_ssize_t points_of(
                     continue
             if limit < UINT16_MAX and rank[at] >= limit:
                 continue
-            gx, gy = p.dx[at], p.dy[at]
-            horizontal = fabsf(gx) >= fabsf(gy)
-            beside = p.width + horizontal * (1 - p.width)
-            locate(
-                p, x, y, horizontal, magnitude(p, at - beside), magnitude(p, at), magnitude(p, at + beside), &place
-            )
-            uv[2 * out], uv[2 * out + 1] = place.uv[0], place.uv[1]
-            phi[out] = degrees(
-                place.along_x[0] * gy - place.along_y[0] * gx, place.along_y[1] * gx - place.along_x[1] * gy
-            )
-            out += 1
-    return out
+            gather(p, x, y, &b)
+            if b.count == BLOCK:
+                empty(p, &b, &to)
+    empty(p, &b, &to)
+    return to.count
 
 
 def level_points(
@@ -99,5 +168,5 @@ def level_points(
     cdef float[:, ::1] uv = uv_px
     cdef float[::1] phi = phi_deg
     with nogil:
-        n = points_of(&p, &mask[0, 0], &rank[0, 0], limit, &uv[0, 0], &phi[0], room)
+        n = points_of(&p, &mask[0, 0], &rank[0, 0], limit, Points(&uv[0, 0], &phi[0], 0))
     return uv_px[:n], phi_deg[:n]

@@ -13,17 +13,16 @@ import numpy as np
 
 from ceilvo.daemon.vision.kernel.arguments import check_length
 
-from libc.math cimport INFINITY, fabs, fabsf, rintf
-from libc.stdint cimport int8_t, int32_t, int64_t
+from libc.math cimport INFINITY, fabs, fabsf
+from libc.stdint cimport int8_t, int16_t, int32_t, int64_t
 
-cdef int8_t[4] GROUP_OF_QUARTER = [1, 3, 0, 2]
+cdef int8_t[5] GROUP_OF_QUARTER = [1, 3, 0, 2, 4]
 
 
-cdef unpack(tuple ends, Py_ssize_t points, Py_ssize_t *e):
-    """The bounds of the four groups, which must rise from 0 to no more than there are points."""
-    e[0], e[1], e[2], e[3], e[4] = ends
-    if not (0 == e[0] <= e[1] <= e[2] <= e[3] <= e[4] <= points):
-        raise ValueError(f"groups bounded by {ends}, expected rising bounds from 0 to {points} at most")
+include "groups.pxi"
+
+cdef enum:
+    CELLS = 256  # in which a line is looked up; chosen: most hold no boundary between two lines
 
 
 cdef check_lines(Py_ssize_t bad, const int32_t[::1] line, Py_ssize_t lines):
@@ -32,29 +31,40 @@ cdef check_lines(Py_ssize_t bad, const int32_t[::1] line, Py_ssize_t lines):
 
 
 cdef void group(
-    const float[:, ::1] uv, const float[::1] phi, float turn, float gate, float scale, float[:, ::1] xy, int8_t[::1] groups,
+    const float[:, ::1] uv, const float[::1] phi, float turn, float gate, float scale, float[:, ::1] xy, int8_t[::1] quarters,
     Py_ssize_t *ends
 ) noexcept nogil:
-    """Args: turn: deg. gate: quarter turns."""
+    """Args: turn: deg. gate: quarter turns. Points of no group stand after the others."""
+    if phi.shape[0] == 0:
+        return
     cdef float t, nearest, per_quarter = <float>1 / <float>90
-    cdef Py_ssize_t[4] at
-    cdef Py_ssize_t i, n = phi.shape[0]
+    cdef float large = 12582912  # 1.5 * 2^23: a float of this size has no fraction
+    cdef const float *u = &uv[0, 0]
+    cdef const float *angle = &phi[0]
+    cdef float *x = &xy[0, 0]
+    cdef float *y = &xy[1, 0]
+    cdef int8_t *quarter = &quarters[0]
+    cdef Py_ssize_t[5] at
+    cdef Py_ssize_t i, k, n = phi.shape[0]
+    cdef int32_t found
     cdef int g
     for i in range(n):
-        t = (phi[i] - turn) * per_quarter
-        nearest = rintf(t)
-        g = GROUP_OF_QUARTER[<int>nearest & 3] if fabsf(t - nearest) < gate else 4
-        groups[i] = <int8_t>g
-        if g < 4:
-            ends[g + 1] += 1
+        t = (angle[i] - turn) * per_quarter
+        nearest = (t + large) - large  # rintf of a small one; a loop without calls computes four at once
+        quarter[i] = <int8_t>(<int>nearest & 3) if fabsf(t - nearest) < gate else 4
     for g in range(4):
+        found = 0  # in a loop of its own each: one counter after the other in memory would be waited for
+        for i in range(n):
+            found += quarter[i] == g
+        ends[GROUP_OF_QUARTER[g] + 1] = found
+    for g in range(5):
         at[g] = ends[g]
         ends[g + 1] += ends[g]
     for i in range(n):
-        g = groups[i]
-        if g < 4:
-            xy[0, at[g]], xy[1, at[g]] = uv[i, 0] * scale, uv[i, 1] * scale
-            at[g] += 1
+        g = GROUP_OF_QUARTER[quarter[i]]
+        k = at[g]
+        x[k], y[k] = u[2 * i] * scale, u[2 * i + 1] * scale
+        at[g] = k + 1
 
 
 def split(const float[:, ::1] uv not None, const float[::1] phi not None, double psi_deg, double gate_deg, double scale):
@@ -63,51 +73,11 @@ def split(const float[:, ::1] uv not None, const float[::1] phi not None, double
     check_length("a point", uv.shape[1], 2)
     out = np.empty((2, n), np.float32)
     cdef float[:, ::1] xy = out
-    cdef int8_t[::1] groups = np.empty(n, np.int8)
-    cdef Py_ssize_t[5] e = [0, 0, 0, 0, 0]
+    cdef int8_t[::1] quarters = np.empty(n, np.int8)
+    cdef Py_ssize_t[6] e = [0, 0, 0, 0, 0, 0]
     with nogil:
-        group(uv, phi, <float>psi_deg, <float>(gate_deg / 90.0), <float>scale, xy, groups, e)
+        group(uv, phi, <float>psi_deg, <float>(gate_deg / 90.0), <float>scale, xy, quarters, e)
     return out[0, : e[4]], out[1, : e[4]], (e[0], e[1], e[2], e[3], e[4])
-
-
-cdef void count_votes(
-    const float *x, const float *y, const Py_ssize_t *e, const float *normal, Py_ssize_t stride, int64_t[:, ::1] votes
-) noexcept nogil:
-    cdef Py_ssize_t bins = votes.shape[1], i
-    cdef float middle = <float>(bins // 2), most = <float>bins, c, s, cell
-    cdef int64_t *mine
-    cdef int g
-    for g in range(4):
-        c, s, mine, i = normal[g // 2 * 2], normal[g // 2 * 2 + 1], &votes[g, 0], e[g]
-        while i < e[g + 1]:
-            cell = c * x[i] + s * y[i] + middle
-            if cell >= 0 and cell < most:
-                mine[<Py_ssize_t>cell] += 1
-            i += stride
-
-
-def vote(
-    const float[::1] x not None,
-    const float[::1] y not None,
-    tuple ends not None,
-    tuple angles_rad not None,
-    double scale,
-    Py_ssize_t half,
-    Py_ssize_t stride=1,
-):
-    cdef Py_ssize_t[5] e
-    check_length("y", y.shape[0], x.shape[0])
-    unpack(ends, x.shape[0], e)
-    if half < 1 or stride < 1:
-        raise ValueError(f"{half} bins to a side, every {stride}th point; expected 1 at least")
-    cdef float[4] normal
-    for i, angle in enumerate(angles_rad[:2]):
-        normal[2 * i], normal[2 * i + 1] = scale * math.cos(angle), scale * math.sin(angle)
-    out = np.zeros((4, 2 * half), np.int64)
-    cdef int64_t[:, ::1] votes = out
-    with nogil:
-        count_votes(&x[0], &y[0], e, normal, stride, votes)
-    return out
 
 
 cdef void turn_back(
@@ -148,6 +118,15 @@ cdef struct Points:
     const float *tangent
 
 
+cdef void guesses(const double *offset, Py_ssize_t begin, Py_ssize_t end, double low, double per_cell, int16_t *guess) noexcept nogil:
+    """For each of CELLS even cells of offsets from `low` on, the line that is nearest at its lower end."""
+    cdef Py_ssize_t cell, k = begin
+    for cell in range(CELLS):
+        while k + 1 < end and low + <double>cell * per_cell > 0.5 * (offset[k] + offset[k + 1]):
+            k += 1
+        guess[cell] = <int16_t>k
+
+
 cdef void give(
     const Points *points, const Py_ssize_t *e, const double *offset, const Py_ssize_t *first, double gate,
     float[:, ::1] out, int32_t *line, Py_ssize_t *kept
@@ -157,16 +136,26 @@ cdef void give(
     cdef float *y = &out[1, 0]
     cdef float *rho = &out[2, 0]
     cdef float *tangent = &out[3, 0]
+    cdef int16_t[CELLS] guess
     cdef Py_ssize_t i, k, last, n = 0
-    cdef float r
+    cdef float r, cell, low, cells_per_ray, most = CELLS - 1
+    cdef double width
     cdef int g
     for g in range(4):
-        k, last = first[g], first[g + 1] - 1
+        kept[g + 1] = n
+        last = first[g + 1] - 1
+        if last < first[g]:
+            continue  # no lines in this group
+        low = <float>offset[first[g]]
+        width = (offset[last] - low) / <double>CELLS
+        guesses(offset, first[g], first[g + 1], low, width, guess)
+        cells_per_ray = <float>(1.0 / width) if width > 0 else <float>0
         for i in range(e[g], e[g + 1]):
-            if k > last:
-                break  # no lines in this group
             r = points.rho[i]
-            # neighbours in the picture are mostly on the same line: walk from the last one
+            # looked up: walking from the last point's line takes steps that the processor guesses wrong
+            cell = (r - low) * cells_per_ray
+            cell = cell if cell > 0 else <float>0
+            k = guess[<Py_ssize_t>(cell if cell < most else most)]
             while k < last and r - offset[k] > offset[k + 1] - r:
                 k += 1
             while k > first[g] and offset[k] - r >= r - offset[k - 1]:
@@ -178,6 +167,31 @@ cdef void give(
         kept[g + 1] = n
 
 
+cdef bint sort_lines(
+    const double *offset, const int64_t *group, Py_ssize_t lines, Py_ssize_t *first, double *rising, int32_t *order
+) noexcept nogil:
+    """Lines group after group, rising within each; first: the groups' bounds. False where a group is none."""
+    cdef Py_ssize_t i, k
+    cdef int g
+    for i in range(lines):
+        if not 0 <= group[i] < 4:
+            return False
+        first[group[i] + 1] += 1
+    for g in range(4):
+        first[g + 1] += first[g]
+    for i in range(lines):  # they mostly are in order: one is put in behind the others by a step or none
+        k = i
+        while k > 0 and (
+            group[order[k - 1]] > group[i] or (group[order[k - 1]] == group[i] and offset[order[k - 1]] > offset[i])
+        ):
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = <int32_t>i
+    for i in range(lines):
+        rising[i] = offset[order[i]]
+    return True
+
+
 def assign(
     const float[::1] x not None,
     const float[::1] y not None,
@@ -185,25 +199,31 @@ def assign(
     const float[::1] tangent not None,
     tuple ends not None,
     const double[::1] offset not None,
-    const int64_t[::1] counts not None,
+    const int64_t[::1] group not None,
     double gate,
 ):
-    cdef Py_ssize_t n = x.shape[0], g
+    cdef Py_ssize_t n = x.shape[0], lines = offset.shape[0], i
     cdef Py_ssize_t[5] e, first = [0, 0, 0, 0, 0], kept = [0, 0, 0, 0, 0]
     for name, items in (("y", y.shape[0]), ("rho", rho.shape[0]), ("tangent", tangent.shape[0])):
         check_length(name, items, n)
-    check_length("counts", counts.shape[0], 4)
+    check_length("group", group.shape[0], lines)
+    if lines > 32767:  # int16
+        raise ValueError(f"{lines} lines, expected 32767 at most")
     unpack(ends, n, e)
-    for g in range(4):
-        if not 0 <= counts[g] <= offset.shape[0] - first[g]:
-            raise ValueError(f"{list(counts)} lines a group, expected {offset.shape[0]} in all")
-        first[g + 1] = first[g] + counts[g]
     out, line_out = np.empty((4, n), np.float32), np.empty(n, np.int32)
     cdef float[:, ::1] v = out
-    cdef int32_t[::1] line = line_out
+    cdef int32_t[::1] line = line_out, order = np.empty(lines, np.int32)
+    cdef double[::1] rising = np.empty(lines)
     cdef Points points = Points(&x[0], &y[0], &rho[0], &tangent[0])
+    cdef bint sorted_
     with nogil:
-        give(&points, e, &offset[0], first, gate, v, &line[0], kept)
+        sorted_ = sort_lines(&offset[0], &group[0], lines, first, &rising[0], &order[0])
+        if sorted_:
+            give(&points, e, &rising[0], first, gate, v, &line[0], kept)
+            for i in range(kept[4]):
+                line[i] = order[line[i]]
+    if not sorted_:
+        raise ValueError(f"lines of groups {sorted(set(np.asarray(group).tolist()))}, expected 0 to 3")
     x_out, y_out, rho_out, tangent_out = out[:, : kept[4]]
     return x_out, y_out, rho_out, tangent_out, line_out[: kept[4]], (0, kept[1], kept[2], kept[3], kept[4])
 

@@ -18,12 +18,14 @@ __all__ = [
     "arms",
     "assign",
     "crowd",
+    "direction",
     "extents",
     "fit",
     "follow",
     "join",
     "level_points",
     "median_slope",
+    "peaks",
     "picture",
     "project",
     "settle",
@@ -63,6 +65,44 @@ def vote(
     return votes
 
 
+def peaks(votes: Int64s, need: float) -> tuple[Array, Int64s, Ends]:
+    """Local maxima of three neighbouring bins that have the votes needed, group after group and rising within each.
+
+    Args:
+        votes: (4, B) as of vote().
+
+    Returns:
+        (M,) where they are, from their bins' moments, in bins from the middle; (M,) their votes; the groups' bounds.
+    """
+    three = np.zeros_like(votes)
+    three[:, 1:-1] = votes[:, :-2] + votes[:, 1:-1] + votes[:, 2:]
+    inner = three[:, 1:-1]
+    group, at = np.nonzero((inner >= need) & (inner > three[:, :-2]) & (inner >= three[:, 2:]))
+    at = at + 1
+    strength = three[group, at]
+    moment = (votes[group, at + 1] - votes[group, at - 1]) / strength
+    ends = np.searchsorted(group, np.arange(5))
+    return at - votes.shape[1] // 2 + 0.5 + moment, strength, _ends(ends)
+
+
+def direction(phi: Array32, reach_deg: float, stride: int) -> float:
+    """Modulo 90 deg, what most gradients share: the mean of those within reach of the fullest three bins of 1 deg.
+
+    Args:
+        phi: (P,) deg, P at least 1, of which every stride-th counts.
+    """
+    folded = _modulo_90(phi[::stride])
+    votes = np.bincount(np.clip(folded.astype(np.int32), 0, 89), minlength=90)  # rounding may reach 90, or fall below 0
+    peak = float(np.argmax(votes + np.roll(votes, 1) + np.roll(votes, -1))) + 0.5
+    off = _modulo_90(folded - np.float32(peak - 45.0)) - np.float32(45.0)
+    near = off[np.abs(off) < np.float32(reach_deg)]
+    return peak + float(np.mean(near, dtype=np.float64))
+
+
+def _modulo_90(degrees: Array32) -> Array32:
+    return np.asarray(degrees - np.float32(90.0) * np.floor(degrees * np.float32(1 / 90.0)), np.float32)
+
+
 def project(x: Array32, y: Array32, half: int, psi_rad: float, tilt_rad: Array) -> tuple[Array32, Array32]:
     """(rho, tangent) of rays (x, y, 1) that a robot tilted by (a, b) saw, as a level one would see them.
 
@@ -81,26 +121,27 @@ def project(x: Array32, y: Array32, half: int, psi_rad: float, tilt_rad: Array) 
 
 
 def assign(
-    x: Array32, y: Array32, rho: Array32, tangent: Array32, ends: Ends, offset: Array, counts: Int64s, gate: float
+    x: Array32, y: Array32, rho: Array32, tangent: Array32, ends: Ends, offset: Array, group: Int64s, gate: float
 ) -> tuple[Array32, Array32, Array32, Array32, Int32s, Ends]:
     """Points within the gate of a line of their group, the index of the nearest one, and the groups' new bounds.
 
     Args:
-        offset: (L,) of the lines, group after group, rising within each group.
-        counts: (4,) lines in each group.
+        offset, group: (L,) of the lines, in any order.
     """
-    first = np.concatenate([[0], np.cumsum(counts)])
     keep, line, new_ends = [], [], [0]
     for g in range(4):
-        mine = offset[first[g] : first[g + 1]]
+        mine = np.flatnonzero(group == g)
+        mine = mine[np.argsort(offset[mine], kind="stable")]
+        at = offset[mine]
         r = rho[ends[g] : ends[g + 1]].astype(np.float64)
-        nearest = np.searchsorted(0.5 * (mine[1:] + mine[:-1]), r) if len(mine) else np.zeros(0, np.int64)
-        near = np.flatnonzero(np.abs(r - mine[nearest]) < gate) if len(mine) else np.zeros(0, np.int64)
+        nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), r) if len(mine) else np.zeros(0, np.int64)
+        near = np.flatnonzero(np.abs(r - at[nearest]) < gate) if len(mine) else np.zeros(0, np.int64)
         keep.append(near + ends[g])
-        line.append(nearest[near] + first[g])
+        line.append(mine[nearest[near]])
         new_ends.append(new_ends[-1] + len(near))
-    at = np.concatenate(keep)
-    return x[at], y[at], rho[at], tangent[at], np.concatenate(line).astype(np.int32), _ends(np.array(new_ends))
+    kept = np.concatenate(keep)
+    lines = np.concatenate(line).astype(np.int32)
+    return x[kept], y[kept], rho[kept], tangent[kept], lines, _ends(np.array(new_ends))
 
 
 def settle(

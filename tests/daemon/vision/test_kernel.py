@@ -235,23 +235,66 @@ def test_a_tilted_robots_rays_are_turned_back(seed: int, psi: float, a: float, b
 @settings(max_examples=40, deadline=None)
 def test_points_get_the_nearest_line(seed: int) -> None:
     rng, x, y, ends = scene(seed)
-    counts = rng.integers(0, 6, 4)
-    offset = np.concatenate([np.sort(rng.uniform(-0.7, 0.7, c)) for c in counts] or [np.zeros(0)])
+    group = rng.integers(0, 4, int(rng.integers(0, 20)))
+    offset = rng.uniform(-0.7, 0.7, len(group))
     rho, tangent = x.copy(), y.copy()
     for k in (reference, kernel):
-        x1, y1, rho1, tangent1, line, ends1 = k.assign(x, y, rho, tangent, ends, offset, counts, 0.1)
-        first = np.concatenate([[0], np.cumsum(counts)])
+        x1, y1, rho1, tangent1, line, ends1 = k.assign(x, y, rho, tangent, ends, offset, group, 0.1)
         expected = []
         for g in range(4):
-            mine = offset[first[g] : first[g + 1]]
+            mine = np.flatnonzero(group == g)
             for i in range(ends[g], ends[g + 1]):
-                if len(mine) and np.min(np.abs(rho[i] - mine)) < 0.1:
-                    expected.append((i, first[g] + int(np.argmin(np.abs(rho[i] - mine)))))
+                if len(mine) and np.min(np.abs(rho[i] - offset[mine])) < 0.1:
+                    expected.append((i, mine[int(np.argmin(np.abs(rho[i] - offset[mine])))]))
         at = np.array([i for i, _ in expected], np.int64)
         np.testing.assert_array_equal(line, [m for _, m in expected])
         for new, old in ((x1, x), (y1, y), (rho1, rho), (tangent1, tangent)):
             np.testing.assert_array_equal(new, old[at])
         assert ends1 == (0, *(int(np.searchsorted(at, e)) for e in ends[1:]))
+
+
+@given(SEEDS, st.integers(0, 3))
+@settings(max_examples=40, deadline=None)
+def test_lines_in_one_place_share_its_points_between_them(seed: int, double: int) -> None:
+    """Of lines at one offset any may get a point; which one is the same in both."""
+    rng, x, y, ends = scene(seed)
+    offset = np.repeat(rng.uniform(-0.7, 0.7, 3), 1 + double)
+    group = np.repeat(rng.integers(0, 4), len(offset))
+    of_numpy, compiled = (k.assign(x, y, x, y, ends, offset, group, 0.1) for k in (reference, kernel))
+    np.testing.assert_array_equal(of_numpy[0], compiled[0])
+    np.testing.assert_array_equal(offset[of_numpy[4]], offset[compiled[4]])
+
+
+@given(SEEDS)
+@settings(max_examples=60, deadline=None)
+def test_peaks_are_maxima_of_three_bins(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    votes, need = rng.integers(0, 9, (4, int(rng.integers(3, 60)))), float(rng.uniform(0.5, 20.0))
+    for k in (reference, kernel):
+        at, strength, ends = k.peaks(votes, need)
+        expected = []
+        for row in votes:
+            three = [0, *(int(row[i - 1 : i + 2].sum()) for i in range(1, len(row) - 1)), 0]
+            expected.append(
+                [i for i in range(1, len(row) - 1) if three[i] >= need and three[i - 1] < three[i] >= three[i + 1]]
+            )
+        assert ends == (0, *np.cumsum([len(e) for e in expected]).tolist())
+        where = [(g, i) for g, e in enumerate(expected) for i in e]
+        assert strength.tolist() == [int(votes[g, i - 1 : i + 2].sum()) for g, i in where]
+        moments = [(votes[g, i + 1] - votes[g, i - 1]) / votes[g, i - 1 : i + 2].sum() for g, i in where]
+        middles = [i + 0.5 - votes.shape[1] // 2 for _, i in where]
+        np.testing.assert_allclose(at, np.add(middles, moments), rtol=1e-12)
+
+
+@given(SEEDS, st.floats(0.0, 89.9), st.integers(1, 4))
+@settings(max_examples=60, deadline=None)
+def test_the_direction_of_most_gradients_is_found(seed: int, deg: float, stride: int) -> None:
+    rng = np.random.default_rng(seed)
+    phi = np.append(rng.uniform(0, 360, 300), deg + 90.0 * rng.integers(0, 4, 2000) + rng.normal(0, 0.7, 2000)) % 360
+    phi = rng.permutation(phi).astype(np.float32)
+    of_numpy, compiled = (k.direction(phi, 4.0, stride) for k in (reference, kernel))
+    assert abs(of_numpy - compiled) < 1e-9
+    assert abs((compiled - deg + 45.0) % 90.0 - 45.0) < 0.2
 
 
 @given(SEEDS)

@@ -19,12 +19,12 @@ from ceilvo.daemon.vision.kernel.arguments import Arm, Grids, Look, Step, Widths
 pytestmark = pytest.mark.skipif(not kernel.COMPILED, reason="ceilvo was installed without a compiler")
 LOOPS = (
     *("level_points", "follow", "split", "vote", "project", "assign", "settle", "spread", "extents", "crowd"),
-    "median_slope",
+    *("median_slope", "peaks", "direction"),
     *("align", "fit", "picture", "join", "arms"),
 )
 ANY_LENGTH = {
     *(("follow", 2), ("settle", 7), ("spread", 2), ("crowd", 0), ("align", 4), ("align", 8), ("picture", 6)),
-    *(("median_slope", 0), ("follow", 0), ("median_slope", 1)),
+    *(("median_slope", 0), ("follow", 0), ("median_slope", 1), ("direction", 0)),
     *(("arms", 2), ("arms", 4)),
 }
 """Loops and arguments: lines, edges and positions, of which there may be any number."""
@@ -49,8 +49,10 @@ def calls(height: int, width: int, points: int) -> dict[str, tuple[Any, ...]]:
         "follow": (framed, grids, lines, np.zeros(2), 100.0, Look(2.0, 2.0, 50.0, 0.5, False)),
         "split": (uv, np.abs(x) * 360, 0.0, 10.0, 1.0),
         "vote": (x, y, ends, (0.0, 1.5), 10.0, 10),
+        "peaks": (np.ones((4, points), np.int64), 9.0),
+        "direction": (np.abs(x) * 360, 4.0, 1),
         "project": (x, y, ends[2], 0.1, np.zeros(2)),
-        "assign": (x, y, x, y, ends, np.zeros(4), np.ones(4, np.int64), 0.1),
+        "assign": (x, y, x, y, ends, np.zeros(4), np.arange(4), 0.1),
         "settle": (x, y, line, ends[2], 0.1, np.zeros(2), 100.0, np.zeros(3)),
         "spread": (x, line, np.zeros(3), 100.0, 1),
         "extents": (x, line, 3),
@@ -117,15 +119,19 @@ def test_indices_beyond_their_array_are_refused() -> None:
         ("expected one at least, an odd number", kernel.align, (*good["align"][:9], np.ones(4))),
         ("99 of 40 points belong to axis 0", kernel.project, (x, y, 99, 0.0, np.zeros(2))),
         ("expected 1 at least", kernel.vote, (*good["vote"], 0)),
+        ("expected 3 at least, and more than 0", kernel.peaks, (good["peaks"][0], 0.0)),
+        ("expected points, and 1 at least", kernel.direction, (x[:0], 4.0, 1)),
+        ("expected points, and 1 at least", kernel.direction, (x, 4.0, 0)),
+        ("expected 32767 at most", kernel.assign, (*good["assign"][:5], np.zeros(40_000), np.zeros(40_000, int), 0.1)),
     ):
         with pytest.raises(ValueError, match=match):
             loop(*arguments)
     for ends in ((0, 2, 4, 6, 99), (0, 4, 2, 6, 8), (1, 2, 3, 4, 5)):
         with pytest.raises(ValueError, match="groups bounded by"):
             kernel.vote(x, y, ends, *good["vote"][3:])
-    for counts in ((1, 1, 1, 2), (-1, 1, 1, 1), (2**62, 2**62, 2**62, 2**62)):
-        with pytest.raises(ValueError, match="lines a group"):
-            kernel.assign(*good["assign"][:6], np.array(counts), 0.1)
+    for groups in ((1, 1, 1, 4), (-1, 1, 1, 1), (2**62, 0, 0, 0)):
+        with pytest.raises(ValueError, match="expected 0 to 3"):
+            kernel.assign(*good["assign"][:6], np.array(groups), 0.1)
 
 
 @contextmanager
