@@ -100,12 +100,12 @@ def test_the_wheel_holds_every_source_and_nothing_else(wheel: Path) -> None:
     assert expected <= names
     others = {n for n in names - expected if not n.endswith((".yaml", ".json", ".html", ".css", ".js", ".svg"))}
     compiled = {
-        "vision": ("following", "joins", "lines", "pixels", "points", "spreads"),
+        "vision": ("following", "joins", "lines", "pixels", "points", "spreads", "votes"),
         "odometry": ("followed_lines", "homographies", "views"),
         "relocalisation": ("evidence", "neighbours"),
     }
     loops = {f"ceilvo/daemon/{room}/kernel/{name}" for room, names in compiled.items() for name in names}
-    shared = {f"ceilvo/daemon/vision/kernel/{name}" for name in ("picture", "solve")}  # included by several
+    shared = {f"ceilvo/daemon/vision/kernel/{name}" for name in ("groups", "picture", "solve")}  # included by several
     assert {n.partition(".")[0] for n in others} == loops | shared  # their sources and, with a compiler, themselves
     assert {n.partition(".")[0] for n in others if n.endswith(".so")} == (loops if kernel.COMPILED else set())
 
