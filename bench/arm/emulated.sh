@@ -1,6 +1,6 @@
 #!/bin/bash
 # ceilvo on an emulated 64-bit ARM: does it install there, does the kernel compile, are the estimates the same?
-#   emulated.sh            Debian for arm64 in a folder, run through qemu-user (root; more than an hour)
+#   emulated.sh            Debian for arm64 in a folder, run through qemu-user (root; a quarter of an hour on two processors, an hour on busy ones)
 # Prints the versions of the packages, whether the kernel was compiled, and by how much poses differ from those of this
 # computer, from pixels on and in the golden drives; exit status 1 where that is above 1e-6. It takes the last commit.
 # Environment: CACHE (the root file system, kept), PYTHON (with ceilvo installed, on this computer). Speed under
