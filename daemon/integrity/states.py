@@ -264,7 +264,8 @@ class StateMachine:
         kept = self.state.current is State.DEAD_RECKONING
         if e.crossings >= self._cfg.degraded_inliers and not kept:  # seen, and not where the robot should be
             return State.DEAD_RECKONING, "blind", f"no motion from this frame: {why}"
-        if far or kept or out_s > self._cfg.dead_reckoning_s:
+        # DEGRADED cannot promise anything of a frame that shows nothing: a robot that is carried off moves 0.4 m in it.
+        if far or kept or out_s > self._cfg.dead_reckoning_s or e.crossings == 0:
             return State.DEAD_RECKONING, "" if kept else "blind", f"no vision for {out_s:.2f} s: {why}"
         return State.DEGRADED, "missed", f"no motion from this frame: {why}"
 

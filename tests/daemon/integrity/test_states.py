@@ -61,6 +61,11 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
     ),
     "a small doubt at the start": ([UNLIKELY_ELSEWHERE] * 30, ["INIT", "RELOCALISING"], "0.1 s without vision"),
     "one frame missed": ([GOOD] * 5 + [BLIND], ["INIT", "TRACKING", "DEGRADED"], "no motion from this frame: 2 crossi"),
+    "one frame shows nothing at all": (
+        [GOOD] * 5 + [replace(BLIND, crossings=0, failure="no lines found")],
+        ["INIT", "TRACKING", "DEAD_RECKONING"],
+        "no vision for 0.03 s: no lines found",
+    ),
     "one frame missed, back": ([GOOD] * 5 + [BLIND] + [GOOD] * 5, ["INIT", "TRACKING", "DEGRADED", "TRACKING"], "5 go"),
     "few from the start": ([FEW] * 10, ["INIT", "DEGRADED"], "4 inliers of 30 crossings, fewer than 6"),
     "few from the start, not often enough": ([FEW] * 9, ["INIT"], "starting"),
