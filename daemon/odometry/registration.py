@@ -76,13 +76,20 @@ class Registration:
 
 
 def register(
-    ref: Crossings, crossings: Crossings, guess: Array, radius_m: float, config: Odometry
+    ref: Crossings, crossings: Crossings, guess: Array, radius_m: float, config: Odometry, narrow: bool = False
 ) -> tuple[Registration | None, str]:
-    """ref_from_curr by matching near the guess (3,), whose rotation is the lines'; or None, and why."""
+    """ref_from_curr by matching near the guess (3,), whose rotation is the lines'; or None, and why.
+
+    Args:
+        narrow: the guess is right to within the radius, so that two crossings do where lines tell the rotation: tiles
+            of 1.25 m show three now and then, of which the next view has two.
+    """
     turn = float(guess[2])
     kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
     i, j = mutual_nearest(se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, radius_m)
     need = fewest(crossings, config)
+    if narrow and ref.directed and crossings.directed:
+        need = min(need, _FEWEST_POINTS)
     if len(i) < need:
         return None, f"{len(i)} of {len(crossings)} crossings matched, {need} needed"
     by_points = has_points(crossings)

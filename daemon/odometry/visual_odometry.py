@@ -220,11 +220,11 @@ class VisualOdometry:
         """The view on the reference: near the prediction where that suffices, else wherever it fits."""
         turn = expected_turn(ref, crossings, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
-        near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config)
         carried = _JUMPED if self.state.failed_frames else min(_CARRIED_PS * course.elapsed_s, _JUMPED)
         prior = Prior(course.guess, course.cov, carried, math.inf if self.state.failed_frames else course.elapsed_s)
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
+        near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config, narrow)
         if narrow and carried < _JUMPED and near is not None and near.is_usual(usual):
             found = judged(Found(near), True, course, self._config)
             return found if found.jump is None else self._by_points(ref, crossings, course) or found
@@ -233,7 +233,7 @@ class VisualOdometry:
             return alone
         known = None if near is None else near.fit.b_from_a
         candidates = find_candidates(ref, crossings, turn, prior, known)
-        found = self._chosen(ref, crossings, candidates, near, why, course)
+        found = self._chosen(ref, crossings, candidates, near, why, course, narrow)
         return judged(found, found.doubt < _FALSE_RATE, course, self._config)
 
     def _by_points(self, ref: Crossings, crossings: Crossings, course: Course) -> Found | None:
@@ -256,6 +256,7 @@ class VisualOdometry:
         near: Registration | None,
         why: str,
         course: Course,
+        narrow: bool,
     ) -> Found:
         """The likeliest of all displacements that fit, with the others that may be right."""
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
@@ -263,7 +264,7 @@ class VisualOdometry:
             why = why or (near is not None and contradicted(near, self._config, course)) or _NO_FIT
             return Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
         if place is None:
-            place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config)
+            place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config, narrow)
         if place is None:
             return Found(None, why)
         doubt = found.doubt()

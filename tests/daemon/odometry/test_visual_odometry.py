@@ -9,7 +9,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
-from ceilvo.types import Crossings, WheelMotion
+from ceilvo.types import Crossings, Displacement, WheelMotion
 
 DT_S = 1 / 30
 RNG = np.random.default_rng(7)
@@ -182,3 +182,35 @@ def test_a_motion_that_most_crossings_share_but_no_robot_makes_is_a_failure() ->
 def test_a_robot_that_is_already_moving_is_taken_as_it_is() -> None:
     vo, poses = VisualOdometry(Odometry()), circle(5, v_mps=1.5, w_radps=0.0)
     assert all([vo.step(seen_from(p), DT_S).ok for p in poses][1:])
+
+
+def only(crossings: Crossings, xy_map: np.ndarray, pose: np.ndarray) -> Crossings:
+    """Those that lie at places (N, 2) of the map."""
+    off = se2.transform(pose, crossings.xy_base_m)[:, None] - xy_map
+    return crossings.of(np.flatnonzero(np.min(np.hypot(*off.T).T, axis=1) < 1e-6))
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.25])
+def test_two_crossings_do_where_wheels_say_where_they_are(off_m: float) -> None:
+    """Large tiles: three are seen, then six of which two were among them. A robot that was moved is not there."""
+    places = np.array([(0.1 + 1.2 * i, 0.2 + 1.2 * j) for i in range(-1, 7) for j in range(-1, 7)])
+    before, after = np.array([2.0, 2.0, 0.0]), np.array([2.05, 2.0, 0.0])
+    wheels = WheelMotion(Displacement(after - before), np.diag([4e-6, 4e-6, 4e-6]))
+    vo = VisualOdometry(Odometry())
+    first = only(seen_from(before), places, before)
+    vo.step(first.of(np.arange(3)), 0.1, wheels)
+    there = np.array([2.05 + off_m, 2.0, 0.0])
+    later = only(seen_from(there), places, there)
+    known = np.min(
+        np.hypot(*(se2.transform(there, later.xy_base_m)[:, None] - se2.transform(before, first.xy_base_m[:3])).T).T,
+        axis=1,
+    )
+    two = np.flatnonzero(known < 1e-6)[:2]
+    later = later.of(np.append(two, np.flatnonzero(known > 1e-6)))
+    motion = vo.step(later, 0.1, wheels)
+    assert len(two) == 2
+    if off_m == 0.0:
+        assert motion.ok and motion.inliers == 2
+        assert np.abs(motion.prev_from_curr - [0.05, 0.0, 0.0]).max() < 1e-6
+    else:
+        assert not motion.ok or motion.doubt > 0.01
