@@ -53,6 +53,7 @@ test: export PYTHONDONTWRITEBYTECODE =
 test: check
 	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal
 
+check: export MYPY_NUM_WORKERS = 2
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
