@@ -45,9 +45,8 @@ class NoiseCurves:
 
     def at(self, r_m: Array) -> tuple[Array, Array]:
         """Sigma in x and in y, m, at distances (N,) within the measured range, as the curves have it."""
-        x, y = (
-            np.polyval(np.asarray(c)[::-1], r_m) for c in (self.sigma_x_m, self.sigma_y_m)
-        )  # lowest power first there
+        # the curves have the lowest power first
+        x, y = (np.polyval(np.asarray(c)[::-1], r_m) for c in (self.sigma_x_m, self.sigma_y_m))
         return x, y
 
 

@@ -58,16 +58,15 @@ cdef Py_ssize_t local_maxima(
 ) noexcept nogil:
     cdef Py_ssize_t g, k, n = 0, bins = votes.shape[1]
     cdef int64_t before, here, after
+    cdef double moment
     for g in range(votes.shape[0]):
-        before, here = 0, 0  # sums of three bins; those at either end have none
+        before, here = 0, votes[g, 0] + votes[g, 1] + votes[g, 2]  # sums of three bins; those at either end have none
         for k in range(1, bins - 1):
-            if k == 1:
-                here = votes[g, 0] + votes[g, 1] + votes[g, 2]
             after = votes[g, k] + votes[g, k + 1] + votes[g, k + 2] if k < bins - 2 else 0
             if here >= need and here > before and here >= after:
                 strength[n] = here
-                at[n] = <double>(votes[g, k + 1] - votes[g, k - 1]) / <double>here
-                at[n] = <double>(k - bins // 2) + 0.5 + at[n]
+                moment = <double>(votes[g, k + 1] - votes[g, k - 1]) / <double>here
+                at[n] = <double>(k - bins // 2) + 0.5 + moment
                 n += 1
             before, here = here, after
         ends[g + 1] = n
