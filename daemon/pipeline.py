@@ -97,8 +97,9 @@ class Pipeline:
         told = self.checks.told(wheels, elapsed_s, heard)
         expected = self.odometry.expected(elapsed_s, told.wheels, told.turn)
         twist = self.odometry.expected_twist(elapsed_s, told.wheels, told.turn) if rolls else None
-        several = self.odometry.heights.wants_whole_look
-        crossings = self.vision(frame, None if several else expected, on_stage_done, twist, several)
+        heights = self.odometry.heights
+        hint = None if heights.wants_whole_look else expected
+        crossings = self.vision(frame, hint, on_stage_done, twist, heights.several)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done, heard=heard)
 
     def step_crossings(

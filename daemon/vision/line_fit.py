@@ -169,8 +169,24 @@ class JointFit:
         return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not self.tilts_for_sure()
 
     def tilts_for_sure(self) -> bool:
-        """Whether a level robot is hardly possible, however little is known of the tilt."""
-        return float(self.tilt @ np.linalg.solve(self.covariance[1:, 1:], self.tilt)) > _TILT_CHI2
+        """Whether a level robot is hardly possible, however little is known of the tilt, by lines without their gaps.
+
+        Edges of two lamps that are taken for one long line tilt the robot by a degree, and are sure of it.
+        """
+        if not len(self.line) or not _is_tilt(self.tilt, self.covariance):
+            return False
+        pieces, count = self._pieces()
+        _, _, moved, cov = self._step(self.rho, self.tangent, pieces, self.ends[2], count, tilt=True)
+        return _is_tilt(self.tilt + moved[1:], _widened(cov))
+
+    def _pieces(self) -> tuple[NDArray[np.int32], int]:
+        """(P,) the piece of its line that each point is on, where lines end at gaps, and how many pieces there are."""
+        gap = np.radians(self._config.min_line_deg)
+        order = np.lexsort((self.tangent, self.line))
+        ends = (np.diff(self.line[order]) != 0) | (np.diff(self.tangent[order]) > gap)
+        pieces = np.zeros(len(order), np.int32)
+        pieces[order[1:]] = np.cumsum(ends)
+        return pieces, int(pieces.max()) + 1
 
     def start(self, line_of_point: NDArray[np.int32], expected_offset: Array) -> None:
         """Begin from given lines instead of gates: the line of every point, in the points' order."""
@@ -192,15 +208,20 @@ class JointFit:
 
     def _solve(self, rho: Array32, tangent: Array32, line: NDArray[np.int32], half: int, tilt: bool) -> None:
         """By some of the points, of which those before `half` belong to axis 0."""
-        held = not (tilt and self._config.estimate_tilt)
-        prior_rad = float(np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg))
-        step = Step(self.focal_px, self.correlated, _SIGMA_FLOOR_PX, _DIRECTION_INFO, prior_rad**-2, held)
-        self.support, self.noise_px, moved, self.covariance = kernel.fit(
-            rho, tangent, line, half, len(self.offset), self.psi, self.tilt, step
-        )
+        lines = len(self.offset)
+        self.support, self.noise_px, moved, self.covariance = self._step(rho, tangent, line, half, lines, tilt)
         self.psi += float(moved[0])
         self.tilt = self.tilt + moved[1:]
         self._settle()
+
+    def _step(
+        self, rho: Array32, tangent: Array32, line: NDArray[np.int32], half: int, lines: int, tilt: bool
+    ) -> tuple[Ints, float, Array, Array]:
+        """As kernel.fit, by any points of any lines."""
+        held = not (tilt and self._config.estimate_tilt)
+        prior_rad = float(np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg))
+        step = Step(self.focal_px, self.correlated, _SIGMA_FLOOR_PX, _DIRECTION_INFO, prior_rad**-2, held)
+        return kernel.fit(rho, tangent, line, half, lines, self.psi, self.tilt, step)
 
     def _unbend(self, tilt: bool = True) -> None:
         """Take out what is wrong with the twist by which a rolling shutter's rows were brought to one instant.
@@ -267,9 +288,7 @@ class JointFit:
         self.solve()
         if self._several and len(self.line):
             self._leave_out_double()
-        own = self.covariance[[1, 2], [1, 2]] / _WEAK_RAD**2
-        grow = np.array([1.0, 1.0 + own[0], 1.0 + own[1]])
-        self.covariance = self.covariance * grow * grow[:, None]
+        self.covariance = _widened(self.covariance)
         return TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
 
     def _leave_out_double(self) -> None:
@@ -294,3 +313,15 @@ class JointFit:
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""
         return np.asarray(self.noise_px * np.sqrt(self.correlated / np.maximum(self.support, 1)) + _SIGMA_FLOOR_PX)
+
+
+def _widened(covariance: Array) -> Array:
+    """(3, 3) of psi and tilt, with what few lines do not show of the tilt's error."""
+    own = covariance[[1, 2], [1, 2]] / _WEAK_RAD**2
+    grow = np.array([1.0, 1.0 + own[0], 1.0 + own[1]])
+    return np.asarray(covariance * grow * grow[:, None])
+
+
+def _is_tilt(tilt_rad: Array, covariance: Array) -> bool:
+    """Whether a level robot would hardly show that; covariance: (3, 3) of psi and tilt."""
+    return float(tilt_rad @ np.linalg.solve(covariance[1:, 1:], tilt_rad)) > _TILT_CHI2

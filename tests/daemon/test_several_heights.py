@@ -12,6 +12,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.heights.slope import HEIGHT_UNKNOWN
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.vision.tilt_prior import TiltTracker
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.rig import simulated_calibration
@@ -82,3 +83,17 @@ def test_a_slope_of_unknown_tiles_is_said() -> None:
     found = drive(SurroundingsSpec(), CeilingSpec(slope=(STEEP, 0.0)), 5.0, simulated_calibration(tile_m=None))
     assert HEIGHT_UNKNOWN in found.reasons
     assert found.worst_tracked_m < 0.020
+
+
+def test_a_line_that_looks_strange_for_a_frame_makes_no_ceiling_of_several_heights(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Under faint joints that happens every few seconds; the tilt seen before is not forgotten for it."""
+    world = World(WorldSpec(seed=SEED, lap=LAP))
+    pipeline = Pipeline(world.calibration, Config(), np.random.default_rng(SEED))
+    for k in range(20):
+        if k == 18:
+            monkeypatch.setattr(type(pipeline.odometry.heights), "wants_whole_look", True)
+        pipeline.step(Frame(k, round(k / FPS * 1e9), world.frame_at(k / FPS)))
+    assert pipeline.odometry.heights.wants_whole_look
+    assert TiltTracker(pipeline.vision.state.tilt).prior() is not None

@@ -71,7 +71,7 @@ class CrossingFinder:
         Args:
             expected: (3,) predicted motion since the last frame.
             twist: predicted while the frame is read, for a rolling shutter.
-            several: the ceiling seems to have several heights.
+            several: the ceiling has several heights.
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
         crossings = None if lines is None else self._lines.crossed(lines)

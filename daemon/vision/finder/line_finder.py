@@ -105,7 +105,7 @@ class LineFinder:
             prev_from_curr: (3,) predicted motion since the last frame; None when there is no good prediction.
             on_stage_done: called with "edges" and "lines" when these stages have ended.
             twist: predicted of the robot while the frame is read, for a rolling shutter; None when nothing is known.
-            several: the ceiling seems to have several heights; tilts seen before that was known are forgotten.
+            several: the ceiling has several heights; tilts seen before that was known are forgotten.
         """
         if several and not self.state.several:
             self.state.tilt, self.state.several = TiltState(), True
