@@ -173,8 +173,8 @@ class Motion:
             off. Those are left out that are less likely than the rate of error that odometry may have.
         log_ratio: (A,) logarithm of how much likelier the view is at each of them than at prev_from_curr; what the
             prediction thinks of them is not in it.
-        doubt: probability that the displacement is another, such as one too long for the views to be compared; 0 where
-            nothing gave reason to look.
+        doubt: probability that the displacement is another, such as one too long for the views to be compared, or that
+            somebody moved the robot; 0 where nothing gave reason to look.
     """
 
     prev_from_curr: Displacement

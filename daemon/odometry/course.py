@@ -21,6 +21,12 @@ _WHEELS_CHI2 = 21.1
 """Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
 
 
+JUMPED = 0.5
+"""Chance that somebody moved the robot, after a view that does not fit the reference as a robot moves: as likely as
+that it was damaged; chosen."""
+_TILE_M = 0.28
+"""Views repeat with tiles, and none smaller than 0.3 m are made (relocalisation/lattice.py)."""
+
 NOWHERE = np.empty((0, 3))
 """No displacements."""
 
@@ -84,6 +90,19 @@ def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:
         return Found(None, failure)
     failure = off_course(found.place.fit, sure, course, config)
     return Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
+
+
+def moved_by_hand(jump: Array | None, course: Course) -> float:
+    """Probability that somebody moved the robot, of a view that fits nothing, or a displacement (3,) no robot makes.
+
+    On the way to the next tile a robot may be seen anywhere in one; lines that were mistaken put a view a little off.
+    """
+    if jump is None:
+        return JUMPED
+    off = jump - course.guess
+    shift = math.pi * float(off[0] ** 2 + off[1] ** 2) / _TILE_M**2
+    turn = abs(se2.wrap(float(off[2]))) / (0.25 * math.pi)
+    return JUMPED * min(max(shift, turn), 1.0)
 
 
 def contradicted(found: Registration, config: Odometry, course: Course) -> str:

@@ -17,7 +17,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, twist_prior
-from ceilvo.daemon.odometry.course import NOWHERE, Course, Found, contradicted, judged
+from ceilvo.daemon.odometry.course import JUMPED, NOWHERE, Course, Found, contradicted, judged, moved_by_hand
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
     HeadingFusion,
@@ -51,8 +51,6 @@ _FALSE_RATE = 1e-4
 _CARRIED_PS = 1e-4
 """Chance per second that somebody moves the robot, or that wheels say something else altogether; chosen: thrice in an
 eight-hour shift. Alternatives beyond all prediction are weighed with it."""
-_JUMPED = 0.5
-"""The same after views that did not fit the reference as a robot moves: as likely as that they were damaged; chosen."""
 _AS_LIKELY = 0.5
 """Doubt from which a displacement is as likely wrong as right."""
 _USUAL_FRAMES = 45.0
@@ -73,6 +71,7 @@ class VisualOdometryState:
         ref_from_prev: (3,) [m, m, rad] predicted motion from it to the previous frame; 0 when that is the reference.
         since_ref_s: time from it to the previous frame.
         failed_frames: in a row that had crossings, but none that fit the reference.
+        by_hand: probability that somebody moved the robot, by what the likeliest of these showed.
         twist: (3,) [m/s, m/s, rad/s] in base, of the last good step.
         twist_known: whether there was one since odometry last began anew.
         heading: difference between the rotations of lines and points.
@@ -91,6 +90,7 @@ class VisualOdometryState:
     ref_from_prev: Array = field(default_factory=lambda: np.zeros(3))
     since_ref_s: float = 0.0
     failed_frames: int = 0
+    by_hand: float = 0.0
     twist: Array = field(default_factory=lambda: np.zeros(3))
     twist_known: bool = False
     heading: HeadingState = field(default_factory=HeadingState)
@@ -176,7 +176,8 @@ class VisualOdometry:
             found, crossings = (found, crossings) if again.place is None else (again, pointwise)
         if found.place is None:
             self.state.refused = found.jump
-            return self._after_failure(crossings, self._coast(predicted, dt_s, found.failure), found.out_of_view)
+            coasted = self._coast(predicted, dt_s, found.failure)
+            return self._after_failure(crossings, coasted, found.out_of_view, moved_by_hand(found.jump, course))
         return self._accept(self.state.reference, crossings, course, found, predicted)
 
     def directed(self, crossings: Crossings) -> Crossings:
@@ -220,12 +221,12 @@ class VisualOdometry:
         """The view on the reference: near the prediction where that suffices, else wherever it fits."""
         turn = expected_turn(ref, crossings, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
-        carried = _JUMPED if self.state.failed_frames else min(_CARRIED_PS * course.elapsed_s, _JUMPED)
+        carried = max(self.state.by_hand, min(_CARRIED_PS * course.elapsed_s, JUMPED))
         prior = Prior(course.guess, course.cov, carried, math.inf if self.state.failed_frames else course.elapsed_s)
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config, narrow)
-        if narrow and carried < _JUMPED and near is not None and near.is_usual(usual):
+        if narrow and not self.state.failed_frames and carried < JUMPED and near is not None and near.is_usual(usual):
             found = judged(Found(near), True, course, self._config)
             return found if found.jump is None else self._by_points(ref, crossings, course) or found
         alone = self._by_points(ref, crossings, course)
@@ -302,13 +303,13 @@ class VisualOdometry:
             failure=None,
             alternatives=alternatives,
             log_ratio=found.log_ratio,
-            doubt=max(found.doubt, _JUMPED * found.unpredicted),
+            doubt=max(found.doubt, JUMPED * found.unpredicted),
         )
 
     def _set_reference(self, crossings: Crossings) -> None:
         s = self.state
         s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
-        s.since_ref_s, s.failed_frames, s.by_wheels, s.refused = 0.0, 0, True, None
+        s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused = 0.0, 0, 0.0, True, None
 
     # -- without a motion
 
@@ -324,15 +325,15 @@ class VisualOdometry:
             s.twist, s.twist_span_s, s.since_twist_s = predicted.prev_from_curr / dt_s, dt_s, 0.0
         return replace(predicted, failure=why)
 
-    def _after_failure(self, crossings: Crossings, motion: Motion, out_of_view: bool) -> Motion:
+    def _after_failure(self, crossings: Crossings, motion: Motion, out_of_view: bool, by_hand: float) -> Motion:
         """Where the reference is out of view, or several frames did not fit it, go on from here.
 
         Frames that the prediction would have fit, but did not, show another place: somebody moved the robot.
         """
         s = self.state
-        s.failed_frames += 1
+        s.failed_frames, s.by_hand = s.failed_frames + 1, max(s.by_hand, by_hand)
         if s.reference is None or not (out_of_view or s.failed_frames >= _MAX_FAILED_FRAMES):
-            return motion
+            return replace(motion, doubt=by_hand)
         cov = motion.cov
         if not out_of_view:
             away = view_size_m(s.reference)

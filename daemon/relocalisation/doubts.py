@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.relocalisation.lattice import SMALLEST_TILE_M, offset, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAST
 from ceilvo.daemon.slam.pose_filter import TINY
@@ -18,8 +19,6 @@ LIFTED, CARRY_S = 0.02, 2.0
 fewer places are near enough, as its square."""
 UNNOTICED = 1e-3
 """Part of those lifts that neither wheels nor gyro notice; chosen: nobody carries a robot without turning it."""
-JUMPED = 0.5
-"""The same where it did see, but no motion of a robot explains what: chosen, it is as likely as a fault of vision."""
 CARRY_MPS = 4.0
 """How fast a hand moves it at most, as standing.py has it: at 2.0, a walk, a robot that was swung further than it was
 listed had e^-8 of the chance of its twins under a raster of lamps, and never caught up (tuning seed 700 number 2)."""
@@ -177,20 +176,20 @@ def shows_a_jump(crossings: int, usual: float) -> bool:
     return crossings >= min(FEWEST_JUMPED, max(0.5 * usual, FEWEST_EVER))
 
 
-def of_gap(blind_cov: Array, blind_s: float, jumped: bool, other: float, watched: bool = False) -> Doubt:
+def of_gap(blind_cov: Array, blind_s: float, jumped: float, other: float, watched: bool = False) -> Doubt:
     """After a stretch without motions from vision.
 
     Args:
         blind_cov: (3, 3) of what prediction alone knew of it.
         blind_s: how long it was.
-        jumped: pictures there were, but they did not fit.
+        jumped: probability that somebody moved the robot, where pictures did not fit; else 0.
         other: probability that the motion which ended it is another one that fits as well.
         watched: a gyro bears out that the robot stood on its wheels.
     """
     lifted = LIFTED * min(1.0, (blind_s / CARRY_S) ** 2) if blind_s > LIFT_S else 0.0
     lifted *= UNNOTICED if watched else 1.0
-    elsewhere = max(JUMPED if jumped else lifted, min(other, JUMPED))
-    why = "the picture jumped" if jumped else f"{blind_s:.1f} s without vision"
+    elsewhere = max(jumped, lifted, min(other, JUMPED))
+    why = "the picture jumped" if jumped > lifted else f"{blind_s:.1f} s without vision"
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.relocalisation.doubts import Doubt
 from ceilvo.daemon.relocalisation.floors import Floors, Transition
 from ceilvo.types import Array
@@ -65,7 +65,7 @@ class FloorTracker:
         leads = floors.leads(at, pose)
         if not len(leads):
             return None
-        return Doubt(f"{at.kind} {at.name}", elsewhere=doubts.JUMPED, reach_m=np.inf, leads=leads)
+        return Doubt(f"{at.kind} {at.name}", elsewhere=JUMPED, reach_m=np.inf, leads=leads)
 
 
 def _near(floors: Floors, at: Transition, pose: Array) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Config
+from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
@@ -118,7 +119,7 @@ class Relocaliser:
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
         self._on_map.end()
-        s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, False, None
+        s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, 0.0, None
         s.leads = np.zeros((0, 3))
         s.survey.measured_m = s.doubted_m = np.inf
         if known is None:
@@ -145,14 +146,14 @@ class Relocaliser:
         s.survey.measured_m += track.moved_m
         s.doubted_m += track.moved_m
         if track.gap is not None:
-            s.gapped, s.jumped = True, s.jumped or doubts.shows_a_jump(crossings, s.usual)
+            jumped = track.gap.doubt if doubts.shows_a_jump(crossings, s.usual) else 0.0
+            s.gapped, s.jumped = True, max(s.jumped, jumped)
         else:
             s.usual += USUAL_WEIGHT * (crossings - s.usual)
         if track.final is None:
             return
         self.filter.predict(track.final)
-        gapped, jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped
-        s.gapped = s.jumped = False
+        gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
         if self.sure and not gapped and self._rate <= track.final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
         if gapped or track.final.doubt > 0.0:
@@ -250,7 +251,7 @@ class Relocaliser:
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings, evidence: ViewEvidence) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
         s = self.state
-        if doubt.elsewhere >= doubts.JUMPED:
+        if doubt.elsewhere >= JUMPED:
             s.belief.renew()
         s.looked, s.spots, s.leads = Coverage(), 0, doubt.leads if len(doubt.leads) else s.leads
         expected = pose = self.filter.estimate()[0]

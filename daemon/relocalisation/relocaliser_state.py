@@ -25,7 +25,8 @@ class RelocaliserState:
         reason: why the place is in doubt, "" while it is not; began: chance of being elsewhere when that began.
         views: weighed since the last doubt.
         surprised: the last of them speaks against the tracked place.
-        gapped: frames gave no motion of late; jumped: one of them had crossings, and no motion explained them.
+        gapped: frames gave no motion of late; jumped: probability that somebody moved the robot, by those of them that
+            had crossings which no motion explained.
         usual: crossings of a view of late.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
@@ -46,7 +47,7 @@ class RelocaliserState:
     views: int = 0
     surprised: bool = False
     gapped: bool = False
-    jumped: bool = False
+    jumped: float = 0.0
     usual: float = 0.0
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.relocalisation import doubts
 
 
@@ -73,6 +74,6 @@ def test_a_robot_that_nobody_touched_is_at_no_other_tile_however_bare_the_ceilin
 
 
 def test_a_lost_frame_is_a_small_doubt_and_a_jump_a_large_one() -> None:
-    lost = doubts.of_gap(1e-6 * np.eye(3), 0.1, False, 1e-3)
-    jumped = doubts.of_gap(1e-6 * np.eye(3), 0.1, True, 1e-3)
+    lost = doubts.of_gap(1e-6 * np.eye(3), 0.1, 0.0, 1e-3)
+    jumped = doubts.of_gap(1e-6 * np.eye(3), 0.1, JUMPED, 1e-3)
     assert lost.elsewhere < doubts.UNLIKELY < jumped.elsewhere

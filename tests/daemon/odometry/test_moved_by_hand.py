@@ -1,0 +1,44 @@
+"""A view that no motion explains: lines that were mistaken, or a robot that somebody moves."""
+
+import numpy as np
+import pytest
+
+from ceilvo.daemon.odometry.course import JUMPED, Course, moved_by_hand
+
+SEED, TIMES = 5, 500
+LEAST = 0.005
+"""Below it a doubt is over with the first view that bears the place out (doubts.UNLIKELY)."""
+GUESS = np.array([0.02, -0.01, 0.03])
+
+
+def course() -> Course:
+    return Course(GUESS, np.eye(3) * 1e-6, 1 / 30, 1 / 30, np.zeros(3), 1 / 30, by_wheels=False, refused=None)
+
+
+def chance(x_m: float, y_m: float, turned_rad: float = 0.0) -> float:
+    return moved_by_hand(GUESS + [x_m, y_m, turned_rad], course())
+
+
+def test_lines_that_were_mistaken_by_a_centimetre_say_little_and_half_a_tile_says_all() -> None:
+    print(f"15 mm: {chance(0.015, 0.0):.4f}, 4 cm: {chance(0.0, 0.04):.3f}")
+    assert chance(0.015, 0.0) < LEAST < chance(0.0, 0.04) < 0.1
+    assert chance(0.3, 0.0) == JUMPED
+    assert moved_by_hand(None, course()) == JUMPED
+
+
+def test_a_robot_that_is_turned_on_the_spot_is_not_overlooked() -> None:
+    assert chance(0.0, 0.0, 0.5) > 0.25
+    assert chance(0.0, 0.0, -0.5) == pytest.approx(chance(0.0, 0.0, 0.5))
+
+
+@pytest.mark.parametrize(("tile_m", "duration_s", "fps"), [(0.3, 0.1, 30.0), (0.6, 0.1, 30.0), (0.6, 0.1, 15.0)])
+def test_a_hand_that_moves_a_robot_by_a_tile_is_seen_on_its_way(tile_m: float, duration_s: float, fps: float) -> None:
+    """Whenever it begins between two frames; the views on the way show it modulo a tile."""
+    missed = 0
+    for begin_s in np.random.default_rng(SEED).uniform(0.0, 1.0 / fps, TIMES):
+        part = np.clip((np.arange(1.0, 10.0) / fps - begin_s) / duration_s, 0.0, 1.0)
+        way_m = tile_m * (3.0 * part**2 - 2.0 * part**3)
+        off_m = way_m - tile_m * np.round(way_m / tile_m)
+        missed += max(chance(float(off), 0.0) for off in off_m) < LEAST
+    print(f"seed {SEED}: {missed} of {TIMES} unseen")
+    assert missed == 0
