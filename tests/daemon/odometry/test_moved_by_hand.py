@@ -16,7 +16,7 @@ def course() -> Course:
 
 
 def chance(x_m: float, y_m: float, turned_rad: float = 0.0) -> float:
-    return moved_by_hand(GUESS + [x_m, y_m, turned_rad], course())
+    return moved_by_hand(GUESS + np.array([x_m, y_m, turned_rad]), course())
 
 
 def test_lines_that_were_mistaken_by_a_centimetre_say_little_and_half_a_tile_says_all() -> None:
