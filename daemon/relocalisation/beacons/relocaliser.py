@@ -13,6 +13,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoningState, Track
 from ceilvo.daemon.relocalisation.beacons.anchors import AnchorTable
 from ceilvo.daemon.relocalisation.beacons.bridge import Bridge
@@ -20,7 +21,7 @@ from ceilvo.daemon.relocalisation.beacons.mark_poses import MarkPose, mark_pose
 from ceilvo.daemon.relocalisation.beacons.range_window import Fix, find, lever
 from ceilvo.daemon.relocalisation.beacons.state import BeaconState, FollowLamps, no_lamps
 from ceilvo.daemon.relocalisation.beacons.trust import Trust
-from ceilvo.daemon.relocalisation.doubts import JUMPED, UNLIKELY, Doubt
+from ceilvo.daemon.relocalisation.doubts import UNLIKELY, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import ViewEvidence
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_poses
