@@ -25,6 +25,8 @@ _SIDE_POINTS = 33
 """Along each side of the picture, to find how far it sees; chosen: a lens bends a side smoothly."""
 _CIRCLE_CORNERS = 32
 """Of the polygon in place of a circle; chosen: it lacks 0.6 % of the area."""
+_SHARP_STEPS = 200
+"""In which the end of what is shown sharply is looked for, along each corner's direction; chosen: 1 % of the height."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,39 @@ def visible_polygon(calibration: Calibration, margin_px: float, max_view_deg: fl
         inward *= np.sign(inward @ (middle - side[0]))
         polygon = _clipped(polygon, inward, float(np.max(side @ inward)))
     return polygon if np.all(np.isfinite(middle)) else np.empty((0, 2))
+
+
+def sharp_part(calibration: Calibration, polygon: Array, max_view_deg: float, share: float) -> Array:
+    """(V, 2) of a convex polygon in base, the part that is shown nearly as large as right above the camera.
+
+    Args:
+        share: of the pixels a metre right above it, at the least.
+    """
+    angle = 2.0 * np.pi * np.arange(_CIRCLE_CORNERS) / _CIRCLE_CORNERS
+    reach_m = calibration.ceiling_height_m * np.tan(np.radians(max_view_deg))
+    away_m = np.linspace(0.0, reach_m, _SHARP_STEPS)
+    for along in np.column_stack([np.cos(angle), np.sin(angle)]):
+        scale = _pixels_per_metre(calibration, calibration.mount_xy_m + away_m[:, None] * along)
+        blurred = np.flatnonzero(scale < share * scale[0])
+        if len(blurred) and len(polygon):
+            end_m = float(away_m[blurred[0] - 1])
+            polygon = _clipped(polygon, -along, -float(along @ calibration.mount_xy_m) - end_m)
+    return polygon
+
+
+def _pixels_per_metre(calibration: Calibration, at: Array) -> Array:
+    """(N,) of the raw picture, along the direction in which it shows least, at (N, 2) in base; 0 where it is blind."""
+    step = 1e-3 * calibration.ceiling_height_m
+
+    def shown(xy: Array) -> Array:
+        rays = np.column_stack([xy - calibration.mount_xy_m, np.full(len(xy), calibration.ceiling_height_m)])
+        return calibration.camera.pixels(rays @ calibration.camera_from_base.T)
+
+    here = shown(at)
+    jacobian = np.stack([shown(at + step * np.eye(2)[k]) - here for k in (0, 1)], axis=-1) / step
+    blind = ~np.all(np.isfinite(jacobian), axis=(1, 2))
+    least = np.linalg.svd(np.where(blind[:, None, None], 0.0, jacobian), compute_uv=False)[:, -1]
+    return np.asarray(np.where(blind, 0.0, least))
 
 
 def _clipped(polygon: Array, normal: Array, least: float) -> Array:

@@ -26,8 +26,9 @@ from ceilvo.bench.place.ceiling.worlds import LAMPS, World, WorldSpec, landmarks
 from ceilvo.bench.results.bars import Bar, as_json, table
 from ceilvo.bench.results.store import one_thread
 from ceilvo.bench.speed.filter_step import medians
-from ceilvo.calibration import Calibration, visible_polygon
+from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
 from ceilvo.daemon.relocalisation.place_index.found import cost
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.slam.association import associate
@@ -41,7 +42,6 @@ from ceilvo.types import Array, Landmarks, Observations
 TILE_M = 0.8
 """With it a hall of 150 m x 100 m has the 30,000 landmarks that the bars are about."""
 WALL_M = 1.0  # poses are so far from the walls at least; chosen: a robot's radius and some
-MARGIN_PX = 50.0  # as the relocaliser's, of what counts as visible
 NEAR_M = 0.2  # a candidate so near is the true place; chosen: a third of the least tile and the grid's reach
 SIZES = (1_000, 10_000, 100_000)  # landmarks at random, axis; chosen, from a room to several halls
 PER_M2 = 2.0  # landmarks at random; as on those halls
@@ -85,7 +85,7 @@ class Hall:
         self._calibration: Calibration = simulated_calibration(tile_m=spec.tile_m)
         self._eye = SyntheticEye(self.world.features, self._calibration, self._rng)
         self.landmarks: Landmarks = landmarks_of(self.world.features, self._eye.missed, self._rng)
-        self._visible_m = visible_polygon(self._calibration, MARGIN_PX, Config().features.max_view_deg)
+        self._visible_m = SharpView(self._calibration, Config().features.max_view_deg).visible_m
 
     def view(self) -> tuple[Array, Observations | None]:
         """A pose (3,) anywhere and what is seen from it, its heading named by any quarter turn."""

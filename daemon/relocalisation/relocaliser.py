@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ceilvo.calibration import Calibration, visible_polygon
+from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.odometry.dead_reckoning import Track
@@ -12,6 +12,7 @@ from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, offset, rival_from_tracked, rival_poses
@@ -35,8 +36,6 @@ NOT_THIS_MAP = "not this map"
 """Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
-MARGIN_PX = 50.0
-"""A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
 YOUNG_M2 = 12.0
 """A map that knows less ground, a view and a half, is all around the robot: after a gap it goes on with it; chosen."""
 ALIKE = 0.05
@@ -63,7 +62,8 @@ class Relocaliser:
         self._calibration = calibration
         self._settings = config.filter
         self._rate = config.states.false_place_rate
-        self._visible_m = visible_polygon(calibration, MARGIN_PX, config.features.max_view_deg)
+        self._sharp = SharpView(calibration, config.features.max_view_deg)
+        self._visible_m = self._sharp.visible_m
         self._schedule = UpdateSchedule(config.filter)
         self.floor_tracker = FloorTracker()
         self._on_map = NotThisMap()
@@ -184,7 +184,7 @@ class Relocaliser:
         if not self._schedule.due(stamp_ns, self._view_period_s):
             return None
         view = self.observed(crossings)
-        if self._weigh(view):
+        if self._weigh(self._sharp.of(view)):
             view = self.observed(crossings)
         admitted = self._admitted(view)
         if admitted is not None:

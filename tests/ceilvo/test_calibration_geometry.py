@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix, visible_polygon
+from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix, sharp_part, visible_polygon
 from ceilvo.camera import CameraModel
 from ceilvo.errors import CalibrationError
 
@@ -135,6 +135,33 @@ def test_the_visible_polygon_wastes_little_of_the_picture(lens: CameraModel, sha
     kept = np.count_nonzero(inside(visible_polygon(c, 12.0, 65.0), xy)) / np.count_nonzero(there)
     print(f"{lens.kind}: {kept:.3f} of what is seen")
     assert kept > share
+
+
+@given(mountings, st.sampled_from([0.5, 0.7, 0.9]))
+def test_what_is_in_the_sharp_part_is_shown_as_large_as_asked(m: tuple, share: float) -> None:
+    c = calibration(*m)
+    lens, yaw, roll, pitch, x, y, height = m
+    whole = visible_polygon(c, 12.0, 60.0)
+    sharp = sharp_part(c, whole, 60.0, share)
+    around = np.random.default_rng(5).uniform(-2.0 * height, 2.0 * height, (2000, 2))
+    xy = around + np.array([x, y])
+    xy = np.vstack([[x, y], xy[inside(sharp, xy)]]) if len(sharp) else np.array([[x, y]])
+
+    def shown(at: np.ndarray) -> np.ndarray:
+        rays = np.column_stack([at - [x, y], np.full(len(at), height)])
+        return lens.pixels(rays @ mount_rotation(yaw, roll, pitch).T)
+
+    step = 1e-4 * height
+    jacobian = np.stack([(shown(xy + step * e) - shown(xy - step * e)) / (2 * step) for e in np.eye(2)], axis=-1)
+    least = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
+    assert np.all(least >= (share - 0.02) * least[0])
+    assert np.all(inside(whole, sharp + 1e-6 * (np.mean(whole, axis=0) - sharp))), "a part of the whole"
+
+
+def test_an_upright_camera_without_distortion_is_sharp_everywhere() -> None:
+    c = calibration(CameraModel("pinhole", 640, 480, 400.0, 400.0, 320.0, 240.0, ()), 0.3, 0.0, 0.0, 0.1, -0.05, 2.2)
+    polygon = visible_polygon(c, 12.0, 60.0)
+    np.testing.assert_array_equal(sharp_part(c, polygon, 60.0, 0.99), polygon)
 
 
 def test_a_picture_that_is_all_margin_shows_nothing() -> None:
