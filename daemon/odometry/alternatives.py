@@ -59,6 +59,8 @@ _QUARTER_SIGMAS = 4.0
 _QUARTER_RAD = 0.5 * np.pi
 _CARRIED_MPS, _CARRIED_RADPS, _CARRIED_NEAR_M = 10.0, 10.0, 1.3
 """Nobody moves a robot faster, but for a snatch by two tiles; chosen: half of it is a throw."""
+_SNATCH_S, _HURLED = 0.1, 0.1
+"""Such a snatch takes so long, but for this part of them; chosen: frames are lost without a trace, too."""
 _STAMP_LIES = 1e-3
 """Of all that happens to a robot, so much is not that but pictures whose stamps are wrong: then it may be anywhere;
 chosen."""
@@ -229,9 +231,12 @@ def _prior_share(at: Array, prior: Prior, far_m: float) -> tuple[Array, Array]:
     log_turn = -0.5 * wrap_array(quarters) ** 2 / (float(prior.cov[2, 2]) + _SAME_RAD**2)
     of_turn = np.exp(log_turn[:, 0] - np.logaddexp.reduce(log_turn, axis=1))
     own = np.minimum(_TILE_M2 * density, 1.0) * of_turn
-    near = np.hypot(off[:, 0], off[:, 1]) <= _CARRIED_NEAR_M + _CARRIED_MPS * prior.carried_s
+    off_m, reach_m = np.hypot(off[:, 0], off[:, 1]), _CARRIED_MPS * prior.carried_s
+    near = off_m <= _CARRIED_NEAR_M + reach_m
     near &= np.abs(wrap_array(at[:, 2] - prior.mean[2])) <= _SAME_RAD + _CARRIED_RADPS * prior.carried_s
-    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0 * np.where(near, 1.0, _STAMP_LIES)
+    hurled = off_m > _CARRIED_NEAR_M * min(prior.carried_s / _SNATCH_S, 1.0) + reach_m
+    so_far = np.where(near, np.where(hurled, _HURLED, 1.0), _STAMP_LIES)
+    anywhere = prior.carried * min(_TILE_M2 / (np.pi * far_m**2), 1.0) / 4.0 * so_far
     share = np.asarray((1.0 - prior.carried) * own + anywhere + _TINY)
     return share, anywhere / share
 
