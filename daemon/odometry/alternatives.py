@@ -188,10 +188,18 @@ def _log_ratio(at: Array, counts: Array) -> Array:
     right = np.stack([(1.0 - missed) * (1.0 - other), (1.0 - missed) * other, missed, missed], axis=1)
     gain = np.log(right / chance)
     gain[:, :, 1:] = np.minimum(gain[:, :, 1:], 0.0)  # what is missing or mistaken proves no place
-    score = np.einsum("kct,kqct->kq", counts, gain) + np.log(_MISSED_CHANCE)
-    top = np.max(score, axis=1)
-    ratio = top + np.log(np.sum(np.exp(score - top[:, None]), axis=1))
+    each = np.einsum("kct,kqct->kqt", counts, gain)
+    common = int(np.argmax(np.sum(counts, axis=(0, 1))))
+    joints = each[:, :, common]
+    ratio = _over_fractions(joints) + _over_fractions(np.sum(each, axis=2) - joints)
     return np.asarray(np.where(_agreeing(counts) < MIN_AGREEING, -np.inf, ratio))
+
+
+def _over_fractions(score: Array) -> Array:
+    """(K,) logarithm of the mean over fractions that are missing, of likelihoods (K, Q) given as logarithms."""
+    score = score + np.log(_MISSED_CHANCE)
+    top = np.max(score, axis=1)
+    return np.asarray(top + np.log(np.sum(np.exp(score - top[:, None]), axis=1)))
 
 
 def _agreeing(counts: Array) -> Array:
