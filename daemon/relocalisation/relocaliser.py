@@ -40,8 +40,6 @@ YOUNG_M2 = 12.0
 """A map that knows less ground, a view and a half, is all around the robot: after a gap it goes on with it; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
-USUAL_WEIGHT = 0.05
-"""Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
@@ -149,7 +147,7 @@ class Relocaliser:
             jumped = track.gap.doubt if doubts.shows_a_jump(crossings, s.usual) else 0.0
             s.gapped, s.jumped = True, max(s.jumped, jumped)
         else:
-            s.usual += USUAL_WEIGHT * (crossings - s.usual)
+            s.shown(crossings)
         if track.final is None:
             return
         self.filter.predict(track.final)
@@ -213,7 +211,9 @@ class Relocaliser:
         before = self.filter.estimate()[0]
         reach_m = WATCH_M if s.pending is None else s.pending.search_m
         around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0, s.submap_from)
-        evidence = ViewEvidence(view, around, np.ones(len(view)))
+        evidence = ViewEvidence(view, around, np.ones(len(view)), s.unmapped.scale)
+        if self.sure and not s.belief.spot_views:
+            s.unmapped.learn(*evidence.lacking(before))
         if s.pending is not None:
             self._instantiate(s.pending, view, around, evidence)
         pose = self.filter.estimate()[0]

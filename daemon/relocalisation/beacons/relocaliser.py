@@ -40,8 +40,6 @@ REACH_LEAST_M, REACH_MOST_M = 2.0, 6.0
 """Places are listed so far around a fix, and it must bound them so well; chosen: more take too long."""
 CONTRADICTED = 12.0
 """By how much less likely than the fix the tracked place must be to begin there, as a logarithm; chosen."""
-FIX_PERIOD_NS = 500_000_000
-"""Between two searches for a fix, for time."""
 FIX_WRONG = 0.02
 """Chance that the robot is elsewhere than where ranges say; chosen: all paths but two may be obstructed."""
 TURN_SIGMA_RAD = 2.0
@@ -51,8 +49,8 @@ MARK_PICTURES = 2
 MARK_WRONG = 3e-5
 """Chance that a mark which two pictures show hangs elsewhere; chosen, below states.false_place_rate, so that it ends a
 search; a lamp that contradicts it outweighs it."""
-MARK_AGAIN_NS = 500_000_000
-"""Pictures of a mark that lie further apart are not in a row."""
+FIX_PERIOD_NS = MARK_AGAIN_NS = 500_000_000
+"""Between two searches for a fix, for time; and pictures of a mark that lie further apart are not in a row."""
 BEYOND_M, BEYOND_CELL_M = 8.0, 1.0
 """Unknown ground is looked for so far around, in such steps."""
 HELD_M = 0.15

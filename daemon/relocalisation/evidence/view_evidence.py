@@ -40,6 +40,8 @@ UNMAPPED_FIRST, UNMAPPED_VIEWS = 6.0, 3.0
 UNMAPPED_HIDDEN = 0.3
 """The same of any type under a ceiling of several heights: what is lower hides what is higher, something else from
 every spot; chosen: 0.3 of the features in coffers were of no landmark yet."""
+UNMAPPED_MOST = 0.5
+"""The same at most where the map is found to lack more than usual; chosen: what is seen says something."""
 _VIEWS_PER_STEP = 8
 """Views are told apart in steps of so many."""
 CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
@@ -106,9 +108,10 @@ class ViewEvidence:
     Args:
         worth: (K,) of each feature in those of a view from new ground: what was looked at before says less. Not so
             against a wrong place that is alike, which shows another part of what differs at every spot.
+        scale: how many times as often as usual the map lacks something, see Unmapped.
     """
 
-    def __init__(self, view: Observations, around: Surroundings, worth: Array) -> None:
+    def __init__(self, view: Observations, around: Surroundings, worth: Array, scale: float = 1.0) -> None:
         rare = around.chance.rare
         self._which = telling(around.chance.same[0, view.crossing_type], rare[view.crossing_type])
         self._view, self._around = view.of(self._which), around
@@ -118,7 +121,7 @@ class ViewEvidence:
         self._lamp = of_lamp(self._view.xy_base_m, rare[self._view.crossing_type])
         self._expected_lamp = of_lamp(self._expected.xy_map_m, np.ones(len(self._expected), bool))
         self._expected_lines = self._lines_of(self._expected.xy_map_m, self._expected.crossing_type)
-        self._ratios = _ratios(around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0)
+        self._ratios = _ratios(around.chance, UNMAPPED_HIDDEN if np.isfinite(view.reach_m) else 0.0, scale)
         self._rare = np.uint16(np.sum(1 << np.flatnonzero(rare)))
         self._types = _TURNED[:, self._view.crossing_type]
         self._raster = TypeRaster.of(view.xy_base_m, view.crossing_type, rare, corners_m=view.visible_m)
@@ -163,6 +166,14 @@ class ViewEvidence:
         """(M,) of what is weighed, how many poses (M, 3) see where a landmark of their type is."""
         bits = self._around.raster.at(_moved(poses, self._view.xy_base_m))
         return np.asarray(np.count_nonzero(is_in(bits, self._types[self._turns(poses)]), axis=1))
+
+    def lacking(self, pose: Array) -> tuple[float, float]:
+        """Rare features without any landmark on known ground, seen from a pose (3,), and how many are usual."""
+        at, types = _moved(pose[None], self._view.xy_base_m)[0], self._types[self._turns(pose)]
+        bits, views = self._around.raster.at(at), self._around.coverage.views(at)
+        known = (views >= VIEWS) & (self._rare >> types.astype(np.uint16) & 1 > 0)
+        nothing = known & ~is_in(bits, types) & (bits & RARE == 0)
+        return float(np.count_nonzero(nothing)), float(np.sum(_unmapped(views[known])))
 
     def _speaks_for(self, pose: Array, grid: TypeGrid) -> Array:
         """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
@@ -287,19 +298,22 @@ def _mixed(score: Array) -> Array:
     return np.asarray(np.logaddexp.reduce(kinds, axis=2))
 
 
-def _ratios(chance: Chance, least_unmapped: float) -> Ratios:
+def _ratios(chance: Chance, least_unmapped: float, scale: float) -> Ratios:
     """Against any wrong place and against one like it, for every fraction of change."""
-    return _ratios_of(chance.same.tobytes(), chance.rare_one.tobytes(), least_unmapped)
+    return _ratios_of(chance.same.tobytes(), chance.rare_one.tobytes(), least_unmapped, scale)
+
+
+def _unmapped(views: Array | Ints) -> Array:
+    """Chance that a feature of a rare type is not in the map, on ground that was seen so often."""
+    return np.asarray(1.0 / (UNMAPPED_FIRST + views / UNMAPPED_VIEWS))
 
 
 @lru_cache(maxsize=4)
-def _ratios_of(same: bytes, rare_one: bytes, least_unmapped: float) -> Ratios:
+def _ratios_of(same: bytes, rare_one: bytes, least_unmapped: float, scale: float) -> Ratios:
     """The same of a chance's numbers: it is measured now and then, and asked in every view."""
     chance = Chance(*(np.frombuffer(v).reshape(2, -1) for v in (same, rare_one)))
     views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
-    unmapped = np.where(chance.rare, 1.0 / (UNMAPPED_FIRST + views[:, None] / UNMAPPED_VIEWS), UNMAPPED_COMMON)[
-        ..., None
-    ]
+    unmapped = np.where(chance.rare, _unmapped(views[:, None]), UNMAPPED_COMMON)[..., None]
     unmapped = unmapped + (1.0 - unmapped) * CHANGED
     mistaken = TYPE_MISTAKEN[:, None]
     known = np.log(1.0 - unmapped)
@@ -310,7 +324,8 @@ def _ratios_of(same: bytes, rare_one: bytes, least_unmapped: float) -> Ratios:
         none = np.log(1.0 - (wrong[0] + wrong[1])[:, None] * held)
         out[0].append(known + np.log(1.0 - mistaken) - same)
         out[1].append(known + np.log(mistaken) - other)
-        out[2].append(np.minimum(np.log(np.maximum(unmapped, least_unmapped)) - none, 0.0))
+        lacked = np.maximum(unmapped, np.minimum(scale * unmapped, UNMAPPED_MOST))
+        out[2].append(np.minimum(np.log(np.maximum(lacked, least_unmapped)) - none, 0.0))
     rare = chance.rare[:, None]
     ratios = [np.concatenate(kinds, axis=2) for kinds in out]
     gain, mistaken = np.where(rare, ratios[0], np.minimum(ratios[0], 0.0)), np.where(rare, ratios[1], ratios[2])

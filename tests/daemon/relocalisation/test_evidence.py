@@ -182,3 +182,22 @@ def test_what_was_looked_at_before_is_worth_less() -> None:
     any_wrong, alike = ((f[0] - f[1]) / (s[0] - s[1]) for f, s in zip(fresh.T, stale.T, strict=True))
     assert any_wrong > 5.0
     assert 1.5 < alike < any_wrong  # what tells this place from one like it is not all in one view
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_new_features_at_the_right_place_are_counted_and_then_say_less(seed: int) -> None:
+    """Every third of the map's odd features is missing there; whole tiles off all of them are."""
+    view = view_from(ceiling(seed), HERE)
+    landmarks = ceiling(seed)
+    odd = np.flatnonzero(landmarks.crossing_type != 4)
+    known = landmarks.of(~np.isin(np.arange(len(landmarks)), odd[::3]))
+    surroundings, worth = around(known), np.ones(len(view))
+    lacked, expected = ViewEvidence(view, surroundings, worth).lacking(HERE)
+    whole, _ = ViewEvidence(view, around(landmarks), worth).lacking(HERE)
+    poses = np.array([HERE, HERE + np.array([0.6, 0.0, 0.0])])
+    usual, wild = (combined(ViewEvidence(view, surroundings, worth, scale).log_ratio(poses)) for scale in (1.0, 4.0))
+    print(f"seed {seed}: {lacked:.0f} lacked, {expected:.2f} usual; right and wrong place {usual}, {wild}")
+    assert whole == 0.0 < expected
+    assert lacked >= 1.0
+    assert wild[0] > usual[0]
+    assert wild[0] - wild[1] > 3.0, "places are still told apart"
