@@ -27,7 +27,7 @@ from ceilvo.calibration_file import read_calibration, write_calibration
 from ceilvo.types import Array
 
 STAGES = ("edges", "lines", "crossings", "odometry", "filter", "rest")
-_AS_THE_SERVICE = {
+AS_THE_SERVICE = {
     "OPENBLAS_NUM_THREADS": "1",
     "MALLOC_MMAP_THRESHOLD_": "33554432",
     "MALLOC_TRIM_THRESHOLD_": "268435456",
@@ -91,7 +91,7 @@ def _save(folder: Path, pictures: Any, stamps: Any) -> None:
 def by_turns(folder: Path, count: int, sites: dict[str, Path | None], overrides: tuple[str, ...]) -> dict[str, Any]:
     """What every version said of each frame, by its name."""
     command = [sys.executable, str(Path(frame_worker.__file__)), str(folder), *overrides]
-    environment = os.environ | _AS_THE_SERVICE
+    environment = os.environ | AS_THE_SERVICE
     workers = {
         name: subprocess.Popen(
             command,

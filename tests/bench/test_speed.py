@@ -83,3 +83,11 @@ def test_two_versions_say_the_same_of_every_frame_by_turns(tmp_path: Path) -> No
     for before, now in zip(said["before"], said["now"], strict=True):
         assert before["pose"] == now["pose"] and before["state"] == now["state"]
         assert now["s"]["canny"] > 0.0 and now["s"]["lines"] > 0.0 and now["s"].keys() <= {"canny", *frame_cost.STAGES}
+
+
+def test_frames_are_timed_with_the_settings_of_the_service() -> None:
+    """The bench also runs where there is no unit, so it has its own list."""
+    unit = Path(__file__).parents[2] / "systemd" / "ceilvod.service"
+    lines = [x.removeprefix("Environment=") for x in unit.read_text().splitlines() if x.startswith("Environment=")]
+    service = dict(setting.split("=", 1) for line in lines for setting in line.split())
+    assert frame_cost.AS_THE_SERVICE.items() <= service.items()
