@@ -57,6 +57,8 @@ chosen: a wrong quarter turn would have to fit even better to matter."""
 _QUARTER_SIGMAS = 4.0
 """By which the prediction must be off to be in another quarter: once in 16,000."""
 _QUARTER_RAD = 0.5 * np.pi
+_FLICKERS = 0.3
+"""Such a fraction from which it is the ceiling; chosen: 0.38 at the edge of a step, 0.2 before any was seen."""
 _CARRIED_MPS, _CARRIED_RADPS, _CARRIED_NEAR_M = 10.0, 10.0, 1.3
 """Nobody moves a robot faster, but for a snatch by two tiles; chosen: half of it is a throw."""
 _SNATCH_S, _HURLED = 0.1, 0.1
@@ -75,12 +77,14 @@ class Prior:
         cov: (3, 3).
         carried: chance that neither holds, because somebody moved the robot.
         carried_s: time in which that was, without a picture that told.
+        flickers: usual fraction of the odd features, those that are no joints, which one of two views misses.
     """
 
     mean: Array
     cov: Array
     carried: float
     carried_s: float = math.inf
+    flickers: float = 0.0
 
     @property
     def knows_quarter(self) -> bool:
@@ -165,7 +169,7 @@ def _weighed(found: list[Matched], far_m: float, prior: Prior) -> Candidates:
     if not found:
         return Candidates(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0), *beyond)
     at = np.concatenate([m.at for m in found])
-    ratio = _log_ratio(at, np.concatenate([m.counts for m in found]))
+    ratio = _log_ratio(at, np.concatenate([m.counts for m in found]), prior.flickers > _FLICKERS)
     share, unpredicted = _prior_share(at, prior, far_m)
     weight = ratio + np.log(share)
     order = np.argsort(-weight, kind="stable")
@@ -180,8 +184,12 @@ def _apart(at: Array, order: Ints) -> Ints:
     return np.asarray(order[~np.any(np.tril(near, -1), axis=1)])
 
 
-def _log_ratio(at: Array, counts: Array) -> Array:
-    """(K,) of Matched, against a wrong place; the other candidates show what chance explains there."""
+def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:
+    """(K,) of Matched, against a wrong place; the other candidates show what chance explains there.
+
+    Args:
+        flickers: what is missing of the commonest type, joints, and of the others is judged apart.
+    """
     chance = _chance(at, counts)[:, None]  # (K, 1, 4, 9)
     missed = np.repeat(_MISSED[:, None], CROSSING_TYPES, axis=1)
     other = np.minimum(TYPE_MISTAKEN + _MISTAKEN * missed, 0.5)
@@ -189,9 +197,9 @@ def _log_ratio(at: Array, counts: Array) -> Array:
     gain = np.log(right / chance)
     gain[:, :, 1:] = np.minimum(gain[:, :, 1:], 0.0)  # what is missing or mistaken proves no place
     each = np.einsum("kct,kqct->kqt", counts, gain)
-    common = int(np.argmax(np.sum(counts, axis=(0, 1))))
-    joints = each[:, :, common]
-    ratio = _over_fractions(joints) + _over_fractions(np.sum(each, axis=2) - joints)
+    joints = each[:, :, int(np.argmax(np.sum(counts, axis=(0, 1))))]
+    others = np.sum(each, axis=2) - joints
+    ratio = _over_fractions(joints) + _over_fractions(others) if flickers else _over_fractions(joints + others)
     return np.asarray(np.where(_agreeing(counts) < MIN_AGREEING, -np.inf, ratio))
 
 

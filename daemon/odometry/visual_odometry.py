@@ -222,8 +222,9 @@ class VisualOdometry:
         turn = expected_turn(ref, crossings, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
         carried = max(self.state.by_hand, min(_CARRIED_PS * course.elapsed_s, JUMPED))
-        prior = Prior(course.guess, course.cov, carried, math.inf if self.state.failed_frames else course.elapsed_s)
         usual = (self.state.disagreeing, self.state.special_disagreeing)
+        carried_s = math.inf if self.state.failed_frames else course.elapsed_s
+        prior = Prior(course.guess, course.cov, carried, carried_s, usual[1])
         narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config, narrow)
         if narrow and not self.state.failed_frames and carried < JUMPED and near is not None and near.is_usual(usual):
