@@ -200,13 +200,14 @@ def sharp_part(calibration: Calibration, polygon: Array, max_view_deg: float, sh
     """
     angle = 2.0 * np.pi * np.arange(_CIRCLE_CORNERS) / _CIRCLE_CORNERS
     reach_m = calibration.ceiling_height_m * np.tan(np.radians(max_view_deg))
-    away_m = np.linspace(0.0, reach_m, _SHARP_STEPS)
-    for along in np.column_stack([np.cos(angle), np.sin(angle)]):
-        scale = _pixels_per_metre(calibration, calibration.mount_xy_m + away_m[:, None] * along)
-        blurred = np.flatnonzero(scale < share * scale[0])
-        if len(blurred) and len(polygon):
-            end_m = float(away_m[blurred[0] - 1])
-            polygon = _clipped(polygon, -along, -float(along @ calibration.mount_xy_m) - end_m)
+    away_m, along = np.linspace(0.0, reach_m, _SHARP_STEPS), np.column_stack([np.cos(angle), np.sin(angle)])
+    at = calibration.mount_xy_m + away_m[:, None] * along[:, None]
+    scale = _pixels_per_metre(calibration, at.reshape(-1, 2)).reshape(len(along), -1)
+    blurred = scale < share * scale[0, 0]
+    for k in np.flatnonzero(np.any(blurred, axis=1)):
+        if len(polygon):
+            end_m = float(away_m[np.argmax(blurred[k]) - 1])
+            polygon = _clipped(polygon, -along[k], -float(along[k] @ calibration.mount_xy_m) - end_m)
     return polygon
 
 
@@ -220,9 +221,10 @@ def _pixels_per_metre(calibration: Calibration, at: Array) -> Array:
 
     here = shown(at)
     jacobian = np.stack([shown(at + step * np.eye(2)[k]) - here for k in (0, 1)], axis=-1) / step
-    blind = ~np.all(np.isfinite(jacobian), axis=(1, 2))
-    least = np.linalg.svd(np.where(blind[:, None, None], 0.0, jacobian), compute_uv=False)[:, -1]
-    return np.asarray(np.where(blind, 0.0, least))
+    (a, b), (c, d) = jacobian.transpose(1, 2, 0)
+    half_squares, det = 0.5 * (a**2 + b**2 + c**2 + d**2), a * d - b * c
+    least = np.sqrt(np.maximum(half_squares - np.sqrt(np.maximum(half_squares**2 - det**2, 0.0)), 0.0))
+    return np.asarray(np.nan_to_num(least))  # the lesser singular value
 
 
 def _clipped(polygon: Array, normal: Array, least: float) -> Array:

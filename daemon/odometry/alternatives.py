@@ -15,7 +15,7 @@ import numpy as np
 
 from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, quarter_turns
 from ceilvo.daemon.odometry.registration import MIN_AGREEING, view_size_m
-from ceilvo.daemon.odometry.sight import BIN_M, CELL_M, Matched, Sight, shifts_by_votes
+from ceilvo.daemon.odometry.sight import BIN_M, CELL_M, SMALLEST_TILE_M, Matched, Sight, shifts_by_votes
 from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Crossings, Ints
 
@@ -27,8 +27,6 @@ _MISSED_CHANCE = np.array([0.4, 0.3, 0.17, 0.1, 0.03])
 """How likely each is; chosen: laps had 0.03 in most conditions, 0.15 at worst (make bench-vision)."""
 _ALIKE = 0.5
 """A candidate that explains this fraction of the crossings shows what tiles explain by chance, ..."""
-_SMALLEST_TILE_M = 0.28
-"""Displacements that differ by less are no two places: the smallest tiles made are 0.3 m, but slats of a vent ..."""
 _ALIKE_MET = 0.25
 """... if it explains this fraction of as many as any other: a few crossings meet anywhere; both chosen."""
 _LEAST_CHANCE = 0.02
@@ -233,7 +231,7 @@ def _chance(at: Array, counts: Array) -> Array:
 
 def _at_others(at: Array, others: Array, counts: Array) -> Array:
     """(K, 4, 9) sums of the counts of the other candidates (J, 3), for each of (K, 3)."""
-    here = np.all(np.abs(at[:, None] - others[None]) <= _SMALLEST_TILE_M, axis=2)
+    here = np.all(np.abs(at[:, None] - others[None]) <= SMALLEST_TILE_M, axis=2)
     return np.asarray(np.tensordot((~here).astype(np.float64), counts, axes=1))
 
 

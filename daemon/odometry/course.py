@@ -11,6 +11,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.registration import MIN_AGREEING, Registration
 from ceilvo.daemon.odometry.rigid import RigidFit
+from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
 from ceilvo.types import Array
 
 _COURSE_SIGMAS = 5.0
@@ -24,8 +25,6 @@ _WHEELS_CHI2 = 21.1
 JUMPED = 0.5
 """Chance that somebody moved the robot, after a view that does not fit the reference as a robot moves: as likely as
 that it was damaged; chosen."""
-_TILE_M = 0.28
-"""Views repeat with tiles, and none smaller than 0.3 m are made (relocalisation/lattice.py)."""
 
 NOWHERE = np.empty((0, 3))
 """No displacements."""
@@ -100,7 +99,7 @@ def moved_by_hand(jump: Array | None, course: Course) -> float:
     if jump is None:
         return JUMPED
     off = jump - course.guess
-    shift = math.pi * float(off[0] ** 2 + off[1] ** 2) / _TILE_M**2
+    shift = math.pi * float(off[0] ** 2 + off[1] ** 2) / SMALLEST_TILE_M**2
     turn = abs(se2.wrap(float(off[2]))) / (0.25 * math.pi)
     return JUMPED * min(max(shift, turn), 1.0)
 

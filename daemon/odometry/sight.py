@@ -14,6 +14,8 @@ from ceilvo.types import Array, Crossings, Ints
 
 CELL_M = 0.02
 """Side of a cell of the pictures that crossings are looked up in; chosen: residuals are 1 mm, at worst 10 mm."""
+SMALLEST_TILE_M = 0.28
+"""The smallest tiles made are 0.3 m; what differs by less is the two edges of a joint, or the slats of a vent."""
 _REACH_CELLS = 2
 """Crossings of one type that lie so many cells apart are one: 0.04 to 0.05 m. With half of it a fisheye's views a fifth
 of a second apart shared 55 % of their crossings, so 69 %; more changes little; chosen."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ceilvo.daemon.odometry.course import JUMPED
-from ceilvo.daemon.relocalisation.lattice import SMALLEST_TILE_M, offset, rival_poses
+from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
+from ceilvo.daemon.relocalisation.lattice import offset, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAST
 from ceilvo.daemon.slam.pose_filter import TINY
 from ceilvo.types import Array

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ceilvo.crossing_types import turned_type
+from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
 from ceilvo.se2 import compose, rotation, wrap, wrap_array
 from ceilvo.types import Array, Landmarks, Observations
 
-SMALLEST_TILE_M = 0.28
-"""The smallest tiles made are 0.3 m; nearer landmarks of one type are the two edges of a joint."""
 LARGEST_TILE_M = 3.0
 """Landmarks further apart say nothing of a period: beyond it few would be in one view."""
 ALIGNED_M = 0.04

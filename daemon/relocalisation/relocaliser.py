@@ -61,7 +61,6 @@ class Relocaliser:
         self._settings = config.filter
         self._rate = config.states.false_place_rate
         self._sharp = SharpView(calibration, config.features.max_view_deg)
-        self._visible_m = self._sharp.visible_m
         self._schedule = UpdateSchedule(config.filter)
         self.floor_tracker = FloorTracker()
         self._on_map = NotThisMap()
@@ -187,7 +186,7 @@ class Relocaliser:
         admitted = self._admitted(view)
         if admitted is not None:
             self.filter.update(admitted)
-            if self.sure and not self.state.surprised and len(self._visible_m):
+            if self.sure and not self.state.surprised and len(self._sharp.visible_m):
                 s.survey.learnt(self.filter, view.visible_m)
         return view
 
@@ -197,7 +196,7 @@ class Relocaliser:
         axis = float(wrap(crossings.psi_rad + float(pose[2]))) if s.map_axis_rad is None else s.map_axis_rad
         s.map_axis_rad = axis if crossings.directed else s.map_axis_rad
         noise, mount_xy_m, near = self._calibration.noise, self._calibration.mount_xy_m, self.filter.landmarks_near
-        visible = self._visible_m if crossings.complete else None
+        visible = self._sharp.visible_m if crossings.complete else None
         return associate(crossings, noise, mount_xy_m, pose, near, self._settings, axis, visible, cov)
 
     def _weigh(self, view: Observations) -> bool:
@@ -239,7 +238,7 @@ class Relocaliser:
         if not s.belief.at_another_spot:
             return
         s.belief.leave_spot()
-        s.looked.show(transform(Pose(self.filter.estimate()[0]), self._visible_m))
+        s.looked.show(transform(Pose(self.filter.estimate()[0]), self._sharp.visible_m))
         s.spots += 1
         if self.sure and s.spots > FRESH_SPOTS:
             s.looked, s.spots = Coverage(), 0

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from ceilvo.daemon.odometry.course import JUMPED, Course, moved_by_hand
+from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 
 SEED, TIMES = 5, 500
-LEAST = 0.005
-"""Below it a doubt is over with the first view that bears the place out (doubts.UNLIKELY)."""
 GUESS = np.array([0.02, -0.01, 0.03])
 
 
@@ -21,7 +20,7 @@ def chance(x_m: float, y_m: float, turned_rad: float = 0.0) -> float:
 
 def test_lines_that_were_mistaken_by_a_centimetre_say_little_and_half_a_tile_says_all() -> None:
     print(f"15 mm: {chance(0.015, 0.0):.4f}, 4 cm: {chance(0.0, 0.04):.3f}")
-    assert chance(0.015, 0.0) < LEAST < chance(0.0, 0.04) < 0.1
+    assert chance(0.015, 0.0) < UNLIKELY < chance(0.0, 0.04) < 0.1
     assert chance(0.3, 0.0) == JUMPED
     assert moved_by_hand(None, course()) == JUMPED
 
@@ -39,6 +38,6 @@ def test_a_hand_that_moves_a_robot_by_a_tile_is_seen_on_its_way(tile_m: float, d
         part = np.clip((np.arange(1.0, 10.0) / fps - begin_s) / duration_s, 0.0, 1.0)
         way_m = tile_m * (3.0 * part**2 - 2.0 * part**3)
         off_m = way_m - tile_m * np.round(way_m / tile_m)
-        missed += max(chance(float(off), 0.0) for off in off_m) < LEAST
+        missed += max(chance(float(off), 0.0) for off in off_m) < UNLIKELY
     print(f"seed {SEED}: {missed} of {TIMES} unseen")
     assert missed == 0

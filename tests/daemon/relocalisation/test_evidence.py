@@ -186,9 +186,9 @@ def test_what_was_looked_at_before_is_worth_less() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_new_features_at_the_right_place_are_counted_and_then_say_less(seed: int) -> None:
-    """Every third of the map's odd features is missing there; whole tiles off all of them are."""
-    view = view_from(ceiling(seed), HERE)
+    """The map lacks every third of the odd features that are there."""
     landmarks = ceiling(seed)
+    view = view_from(landmarks, HERE)
     odd = np.flatnonzero(landmarks.crossing_type != 4)
     known = landmarks.of(~np.isin(np.arange(len(landmarks)), odd[::3]))
     surroundings, worth = around(known), np.ones(len(view))
