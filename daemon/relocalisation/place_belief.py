@@ -228,13 +228,28 @@ class PlaceBelief:
                     self.places[i] = g
                     self.log_weight[i], self.seen[i] = settled[i] - combined(likeliest), likeliest
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
-        self.places = np.concatenate([self.places, places[fresh]])
-        self.log_weight = np.concatenate([self.log_weight, weight[fresh] - combined(likeliest)])
-        self.seen = np.concatenate([self.seen, np.repeat(likeliest[None], len(fresh), axis=0)])
-        self.spot = np.concatenate([self.spot, np.full((len(fresh), 2), np.nan)])
-        self.told = np.concatenate([self.told, np.full(len(fresh), self.told[0])])
+        self._append(places[fresh], weight[fresh])
         if len(self) > MOST_PLACES:
             self._leave_out(_best(self.settled, MOST_PLACES))
+
+    def watch(self, places: Array) -> None:
+        """Places (N, 3), all different, where the robot may have got to without a trace: weak evidence adds up.
+
+        One that is there keeps what it has: a way on which nothing tells places apart must not add up to a doubt.
+        """
+        cell, own = _cells(places)[:, None], _cells(self.places)
+        same = (np.abs(cell - own)[..., :2].max(axis=2) <= _CELLS) & (cell[..., 2] == own[:, 2])
+        fresh = places[~np.any(same, axis=1)]
+        self._append(fresh, np.full(len(fresh), LEAST + self.settled[0]))
+
+    def _append(self, places: Array, weight: Array) -> None:
+        """Places (N, 3) that are not there yet, with log-weights (N,) and the past of the likeliest."""
+        likeliest, count = self.seen[np.argmax(self.settled)], len(places)
+        self.places = np.concatenate([self.places, places])
+        self.log_weight = np.concatenate([self.log_weight, weight - combined(likeliest)])
+        self.seen = np.concatenate([self.seen, np.repeat(likeliest[None], count, axis=0)])
+        self.spot = np.concatenate([self.spot, np.full((count, 2), np.nan)])
+        self.told = np.concatenate([self.told, np.full(count, self.told[0])])
 
     def again(self, log_odds: float) -> None:
         """The tracked place was found anew, a few centimetres off; log-odds as of add()."""
@@ -290,9 +305,17 @@ def _best(weight: Array, most: int) -> Ints:
     return np.sort(np.append(0, 1 + np.argsort(-weight[1:], kind="stable")[: most - 1]))
 
 
+def _cells(places: Array) -> Ints:
+    """(N, 3) cells of transforms (N, 3), as _key() has them."""
+    cells = np.round(places / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64)
+    cells[:, 2] %= 4
+    return cells
+
+
 def _key(g: Array) -> tuple[int, int, int]:
     """Cell of a transform; they turn by whole quarters, so that translations of one turn can be compared."""
-    return round(float(g[0]) / _CELL_M), round(float(g[1]) / _CELL_M), round(float(g[2]) / (0.5 * np.pi)) % 4
+    x, y, turn = (int(v) for v in _cells(g[None])[0])
+    return x, y, turn
 
 
 def _keys(g: Array) -> list[tuple[int, int, int]]:

@@ -11,7 +11,7 @@ from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
-from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
@@ -208,7 +208,7 @@ class Relocaliser:
         if again or (s.pending is None and s.belief.spot_views >= SPOT_VIEWS):
             return False
         before = self.filter.estimate()[0]
-        reach_m = WATCH_M if s.pending is None else s.pending.search_m
+        reach_m = s.survey.watched_m if s.pending is None else s.pending.search_m
         around = s.survey.around(self.filter, view, before, reach_m, s.map_axis_rad or 0.0, s.submap_from)
         evidence = ViewEvidence(view, around, np.ones(len(view)), s.unmapped.scale)
         if self.sure and not s.belief.spot_views:
@@ -219,6 +219,8 @@ class Relocaliser:
         s.surprised = bool(combined(evidence.log_ratio(pose[None]))[0] < SURPRISE)
         if len(s.belief) == 1 and s.surprised:
             self._instantiate(Doubt(CONTRADICTION, reach_m=WATCH_M), view, around, evidence)
+        elif self.sure and not s.belief.spot_views:
+            s.belief.watch(s.survey.watched(around, pose, view))
         if not self.sure and not s.belief.spot_views:
             before_search, pose = pose, self._search(view, pose, evidence)
             if pose is not before_search:
@@ -228,7 +230,8 @@ class Relocaliser:
                 self._on_map.take(view, pose, s.belief.places, not s.belief.cut, s.survey.weigher(around), likeliest)
         evidence.take(self._worth(view))
         poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
-        s.belief.weigh(self._log_ratio(evidence, poses, pose), lambda best: evidence.unmapped(poses, poses[best], grid))
+        ratio = s.survey.log_ratio(evidence, poses, pose)
+        s.belief.weigh(ratio, lambda best: evidence.unmapped(poses, poses[best], grid))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 
@@ -244,8 +247,10 @@ class Relocaliser:
             s.looked, s.spots = Coverage(), 0
 
     def _worth(self, view: Observations) -> Array:
-        at = transform(Pose(self.filter.estimate()[0]), view.xy_base_m)
-        return np.asarray(1.0 / (1.0 + self.state.looked.views(at)))
+        """(K,) of features; on new ground of a sure place they say nothing: rivals on old ground would gain."""
+        at, s = transform(Pose(self.filter.estimate()[0]), view.xy_base_m), self.state
+        known = np.minimum(s.survey.coverage.views(at) / VIEWS, 1.0) if self.sure else 1.0
+        return np.asarray(known / (1.0 + s.looked.views(at)))
 
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings, evidence: ViewEvidence) -> None:
         """List the places where the robot may be after what happened, and how likely each is."""
@@ -304,15 +309,6 @@ class Relocaliser:
         self.filter.jump(Pose(there), np.diag(JUMP_SIGMA**2))
         return np.asarray(self.filter.estimate()[0])
 
-    def _log_ratio(self, evidence: ViewEvidence, poses: Array, pose: Array) -> Array:
-        """(P, 2) of all places' poses (P, 3); those far off are looked up in the index."""
-        far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
-        out = np.empty((len(poses), 2))
-        out[~far] = evidence.log_ratio(poses[~far])
-        if np.any(far):
-            out[far] = evidence.log_ratio_in(self.state.survey.index.grid, poses[far])
-        return out
-
     def _decided(self, pose: Array) -> bool:
         s = self.state
         said = self._on_map.said  # then no place of the map is likely enough, whatever the belief has of this one
@@ -322,6 +318,7 @@ class Relocaliser:
             self._put(s.belief.jump(winner, pose))
         if s.belief.doubt() >= self._rate or said:
             s.reason = s.reason or CONTRADICTION
+            s.submap_from = first_id_after(self.filter.landmarks()) if s.submap_from is None else s.submap_from
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.grave, s.submap_from, s.leads = "", 0.0, False, None, np.zeros((0, 3))
             s.belief.forget()

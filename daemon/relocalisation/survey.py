@@ -9,7 +9,7 @@ import numpy as np
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
-from ceilvo.daemon.relocalisation.lattice import Lattice
+from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice
 from ceilvo.daemon.relocalisation.not_this_map import Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
@@ -37,12 +37,14 @@ class MapSurvey:
         index: of the whole map.
         chance: how often a wrong place explains a feature, None before it was measured.
         measured_m: way since it was.
+        watched_m: how far off rivals of a sure place are at most.
     """
 
     coverage: Coverage = field(default_factory=Coverage)
     index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Chance | None = None
     measured_m: float = np.inf
+    watched_m: float = WATCH_M
 
     @staticmethod
     def of(landmarks: Landmarks, axis_rad: float) -> MapSurvey:
@@ -60,9 +62,10 @@ class MapSurvey:
         axis_rad: float,
         submap_from: int | None = None,
     ) -> Surroundings:
-        """The part of the map that a view is weighed on at poses within reach of a pose (3,), without a submap."""
+        """The part of the map that a view is weighed on at poses within reach of a pose (3,) at least, no submap."""
         seen_m = float(np.max(np.hypot(*view.xy_base_m.T), initial=0.0)) + 1.0
-        near = filter_.landmarks_near(pose[None, :2], max(MEASURED_M, reach_m + seen_m))[1]
+        radius_m = max(MEASURED_M, reach_m + seen_m)
+        near, reach_m = filter_.landmarks_near(pose[None, :2], radius_m)[1], radius_m - seen_m
         near = rest_of(near, submap_from)
         chance = Chance.unmeasured(near) if self.chance is None else self.chance
         named = self.index.named(near.ids)
@@ -87,6 +90,23 @@ class MapSurvey:
         lattice = Lattice.of(out.landmarks, axis_rad)
         shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
         return Chance.measured(named, out.raster, self.coverage, shifts)
+
+    def watched(self, around: Surroundings, pose: Array, view: Observations) -> Array:
+        """(M, 3) rival_from_tracked of where a robot at a sure pose (3,) may have got to without a trace."""
+        lattice = Lattice.of(around.landmarks, around.axis_rad)
+        if lattice is None:
+            return np.zeros((0, 3))
+        self.watched_m = lattice.watched_m + float(np.max(lattice.tile_m))  # turned ones are put onto the lattice
+        return lattice.rivals(pose, view, lattice.watched_m, turned=True)
+
+    def log_ratio(self, evidence: ViewEvidence, poses: Array, pose: Array) -> Array:
+        """(P, 2) log-likelihood ratios of poses (P, 3); far off the tracked one (3,) by the index."""
+        far = np.hypot(*(poses - pose)[:, :2].T) > evidence.reach_m
+        out = np.empty((len(poses), 2))
+        out[~far] = evidence.log_ratio(poses[~far])
+        if np.any(far):
+            out[far] = evidence.log_ratio_in(self.index.grid, poses[far])
+        return out
 
     def weigher(self, around: Surroundings) -> Weigh:
         """Weighs views at places anywhere on the map."""

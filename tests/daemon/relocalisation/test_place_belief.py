@@ -284,3 +284,29 @@ def test_a_tracked_place_that_is_found_anew_beside_itself_gets_the_past_of_the_l
 def test_a_place_a_few_centimetres_off_is_the_tracked_one_and_a_small_tile_is_not() -> None:
     off = np.array([[0.08, 0.03, 0.0], [0.0, -0.1, 0.0], [0.3, 0.0, 0.0], [0.0, 0.0, 0.5 * np.pi]])
     assert of_tracked(off).tolist() == [True, True, False, False]
+
+
+def test_watched_places_keep_what_they_have_and_weak_evidence_adds_up() -> None:
+    belief = PlaceBelief()
+    for _ in range(50):
+        belief.moved(STEP_M, 0.0)
+        belief.leave_spot()
+        belief.watch(RIVALS)
+        belief.weigh(alike(np.zeros(len(belief))))
+    assert belief.doubt() < 10 * len(RIVALS) * np.exp(LEAST)
+    for _ in range(5):
+        belief.moved(STEP_M, 0.0)
+        belief.leave_spot()
+        belief.watch(RIVALS + 0.04)
+        ratio = np.full(len(belief), -6.0)
+        ratio[:2] = -2.0, 1.0
+        belief.weigh(alike(ratio))
+    assert belief.doubt() == pytest.approx(np.exp(LEAST + 15.0), rel=0.5)
+    assert len(belief) == 1 + len(RIVALS)
+
+
+def test_a_watched_place_that_is_a_quarter_turn_off_is_another() -> None:
+    belief = PlaceBelief()
+    belief.watch(RIVALS[:1])
+    belief.watch(RIVALS[:1] + np.array([0.0, 0.0, 0.5 * np.pi]))
+    assert len(belief) == 3
