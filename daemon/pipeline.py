@@ -22,7 +22,7 @@ from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningSt
 from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.slope import SlopeState
 from ceilvo.daemon.odometry.heights.stage import HeightsState
-from ceilvo.daemon.odometry.visual_odometry import VisualOdometryState
+from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.beacons.lamps.stage import Lamps
 from ceilvo.daemon.relocalisation.beacons.relocaliser import BeaconRelocaliser
@@ -159,9 +159,13 @@ class Pipeline:
         landmarks = self.filter.size()
         pose, cov = self.checks.corrected(*self.relocaliser.carry(track, Pose(pose), cov))
         path = self.dead_reckoning.state
-        degraded = suspicions.gravest(Severity.DEGRADED)
+        degraded, jump = (suspicions.gravest(severity) for severity in (Severity.DEGRADED, Severity.IN_DOUBT))
         floor, pose, cov = self.relocaliser.floor_tracker.floors.on_floor(pose, cov)
         in_doubt = self.relocaliser.doubt
+        if jump is not None and not in_doubt:  # a map that has only begun tells no place from another
+            in_doubt, elsewhere = jump.reason, 1.0
+        else:
+            elsewhere = self.elsewhere if in_doubt and not self.relocaliser.state.grave else 1.0
         evidence = Evidence(
             stamp_ns=stamp_ns,
             motion_ok=motion.ok,
@@ -175,7 +179,7 @@ class Pipeline:
             ess_ratio=health.ess / max(health.particles, 1),
             landmarks_matched=0 if view is None else int(np.count_nonzero(view.label >= 0)),
             in_doubt=in_doubt,
-            elsewhere=self.elsewhere if in_doubt and not self.relocaliser.state.grave else 1.0,
+            elsewhere=elsewhere,
             suspected=odd_ceiling if degraded is None else degraded.reason,
             rocking=rocking,
         )

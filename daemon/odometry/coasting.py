@@ -79,6 +79,12 @@ def coast(config: Odometry, last: LastTwist, dt_s: float, turn: KnownTurn | None
     return Displacement(moved), cov
 
 
+def goes_on_turning(config: Odometry, last: LastTwist, dt_s: float) -> KnownTurn:
+    """The turn of the next dt_s as it was in the last frame, whose lines told it though no motion was measured."""
+    moved, cov = coast(config, last, dt_s)
+    return KnownTurn(float(moved[2]), float(cov[2, 2]))
+
+
 def twist_prior(
     last: Array, change: Array, dt_s: float, wheels: WheelMotion | None, turn: KnownTurn | None
 ) -> TwistPrior:

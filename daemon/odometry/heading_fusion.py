@@ -10,15 +10,19 @@ import math
 from dataclasses import dataclass, replace
 
 from ceilvo.daemon.odometry.course import DIRECTION_SIGMAS, Course
-from ceilvo.daemon.odometry.registration import Registration, has_points
+from ceilvo.daemon.odometry.registration import Registration, direction_change, has_points
 from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
 from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap
-from ceilvo.types import NO_DIRECTION_RAD, Crossings
+from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Displacement, Motion
 
 NEW_ERROR = 0.6
 """Part of a direction's or tilt's error that is new in a frame; the rest is the same lines' in the next and cancels.
 Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
+_VAGUE_RAD = math.radians(0.3)
+"""Lines whose direction is known worse hold no heading; chosen: outlines of stains tell theirs to a degree."""
+_QUARTER_SIGMAS = 4.0
+"""A prediction that many standard deviations from an eighth of a turn tells which way lines point; 1 in 16,000."""
 _AGREE_SIGMAS = 3.0
 """Lines and points agree within this, in standard deviations of their difference: 99.7 %."""
 
@@ -105,6 +109,33 @@ def as_expected(crossings: Crossings, ref: Crossings, course: Course, gate_rad: 
     off = abs(fold_direction(crossings.psi_rad - predicted)[0])
     few = has_points(crossings) and ref.directed and off > gate_rad + DIRECTION_SIGMAS * vague
     return with_direction(crossings, predicted) if few else oriented(crossings, predicted)
+
+
+def held(
+    predicted: Motion,
+    ref: Crossings,
+    crossings: Crossings,
+    course: Course,
+    before: Array,
+    before_cov: Array,
+    gate_rad: float,
+) -> Motion:
+    """A prediction with the rotation that lines show, where they are too few for a motion: one lamp holds the heading.
+
+    Args:
+        before: (3,) predicted from the reference to the previous frame, with covariance (3, 3).
+        gate_rad: lines that are off the prediction by more, beside its error, are others.
+    """
+    sigma, vague = math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad), math.sqrt(float(course.cov[2, 2]))
+    if sigma > _VAGUE_RAD or _QUARTER_SIGMAS * vague > 0.25 * math.pi:
+        return predicted
+    turn = direction_change(ref.psi_rad, crossings.psi_rad, float(course.guess[2]))
+    if abs(turn - float(course.guess[2])) > gate_rad + DIRECTION_SIGMAS * vague:
+        return predicted
+    moved, cov = predicted.prev_from_curr.copy(), predicted.cov.copy()
+    moved[2], cov[2, :2], cov[:2, 2] = wrap(turn - float(before[2])), 0.0, 0.0
+    cov[2, 2] = max(sigma**2 - float(before_cov[2, 2]), (NEW_ERROR * sigma) ** 2)  # together they err as the lines do
+    return replace(predicted, prev_from_curr=Displacement(moved), cov=cov)
 
 
 def with_carried(crossings: Crossings, ref: Crossings, fit: RigidFit) -> Crossings:

@@ -1,7 +1,11 @@
-"""Correspondences of point features between two frames: near the prediction, of the same kind, mutually nearest."""
+"""Correspondences of point features between two frames: near the prediction, of the same kind, mutually nearest.
+
+Outliers are rejected by the homography between the frames: least squares of eqs. 1-4, after RANSAC where needed.
+"""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,10 +13,15 @@ from ceilvo.daemon.odometry import kernel
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 _SLACK = 1e-12
 """Of the largest number, for rounding."""
 MOST_PAIRS = 20_000
 """So many distances are all looked at; of more points only those near in x. Chosen: there both take about as long."""
+_MIN_POINTS = 5
+"""Fewest correspondences that can contradict a homography: four determine it."""
+_MANY_POINTS = 20
+"""Fewest correspondences that tell without RANSAC that none is wrong; chosen: eight unknowns bend to one of few."""
 
 
 def mutual_nearest(a: Array, kind_a: Ints, b: Array, kind_b: Ints, radius: float) -> tuple[Ints, Ints]:
@@ -67,3 +76,24 @@ def _near_pairs(a: Array, kind_a: Ints, b: Array, kind_b: Ints, radius: float) -
         found.append((i, order[np.arange(len(i)) - np.repeat(np.cumsum(count) - count - start, count)]))
     i, j = (np.concatenate(part) for part in zip(*found, strict=True))
     return i, j
+
+
+def consistent(xy: Array, uv: Array, threshold_px: float) -> Bools:
+    """(N,) which correspondences (N, 2) one homography explains; all of them when there are too few to tell."""
+    everything = np.ones(len(xy), bool)
+    if len(xy) < _MIN_POINTS:
+        return everything
+    if len(xy) >= _MANY_POINTS and np.all(_explained(xy, uv, everything, threshold_px)):
+        return everything  # RANSAC would not reject any, and takes several times as long
+    h, mask = cv2.findHomography(xy, uv, cv2.USAC_FAST, threshold_px)
+    if h is None or np.count_nonzero(mask) < _MIN_POINTS:
+        return everything
+    return _explained(xy, uv, mask.reshape(-1) > 0, threshold_px)
+
+
+def _explained(xy: Array, uv: Array, kept: Bools, threshold_px: float) -> Bools:
+    """(N,) which ones the homography of those that are kept explains; these where they do not determine it."""
+    try:
+        return np.asarray(kernel.homography_residuals(xy, uv, kept) < threshold_px)
+    except np.linalg.LinAlgError:
+        return kept

@@ -11,8 +11,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
 from ceilvo.daemon.odometry import kernel
-from ceilvo.daemon.odometry.homography import consistent
-from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.matching import consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion
 from ceilvo.robust import median

@@ -9,25 +9,26 @@ or a view fits worse than usual, all displacements that fit are weighed (alterna
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
-from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, twist_prior
+from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, goes_on_turning, twist_prior
 from ceilvo.daemon.odometry.course import JUMPED, NOWHERE, Course, Found, contradicted, judged, moved_by_hand
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
     HeadingFusion,
     HeadingState,
     as_expected,
+    held,
     with_carried,
     with_direction,
 )
+from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.odometry.points.constellation import LEANS, laid
-from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.registration import (
     Registration,
     expected_turn,
@@ -60,49 +61,6 @@ _MOST_USUAL = 0.4
 _MOVED_RAD = np.pi / math.sqrt(3.0)
 """Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
 _NO_FIT = "nothing fits the last good view"
-
-
-@dataclass(slots=True)
-class VisualOdometryState:
-    """What the next frame is registered to.
-
-    Attributes:
-        reference: crossings of the last good frame, None before the first.
-        ref_from_prev: (3,) [m, m, rad] predicted motion from it to the previous frame; 0 when that is the reference.
-        since_ref_s: time from it to the previous frame.
-        failed_frames: in a row that had crossings, but none that fit the reference.
-        by_hand: probability that somebody moved the robot, by what the likeliest of these showed.
-        twist: (3,) [m/s, m/s, rad/s] in base, of the last good step.
-        twist_known: whether there was one since odometry last began anew.
-        heading: difference between the rotations of lines and points.
-        ref_cov: (3, 3) of ref_from_prev.
-        twist_span_s: time over which the twist was measured.
-        since_twist_s: time from its end to the previous frame.
-        by_wheels: wheels have covered all since the reference.
-        refused: (3,) ref_from_prev of the previous frame, when that was a motion that no robot makes; else None.
-        disagreeing: usual fraction of the crossings that both frames must show but do not agree.
-        special_disagreeing: the same of those of all types but the commonest.
-        twist_change: (3,) [m/s, m/s, rad/s] of the twist from the step before to the last.
-        lean: how far a robot that rocks may be off, where only points tell its motion.
-    """
-
-    reference: Crossings | None = None
-    ref_from_prev: Array = field(default_factory=lambda: np.zeros(3))
-    since_ref_s: float = 0.0
-    failed_frames: int = 0
-    by_hand: float = 0.0
-    twist: Array = field(default_factory=lambda: np.zeros(3))
-    twist_known: bool = False
-    heading: HeadingState = field(default_factory=HeadingState)
-    ref_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    twist_span_s: float = 0.0
-    since_twist_s: float = 0.0
-    by_wheels: bool = True
-    refused: Array | None = None
-    disagreeing: float = 0.1
-    special_disagreeing: float = 0.2
-    twist_change: Array = field(default_factory=lambda: np.zeros(3))
-    lean: LeanState = field(default_factory=LeanState)
 
 
 class VisualOdometry:
@@ -162,6 +120,7 @@ class VisualOdometry:
         predicted = self._predicted(dt_s, wheels, turn)
         if crossings is None or len(crossings) < fewest(crossings, self._config):
             self.state.refused = None
+            predicted = self._held(predicted, crossings, dt_s)
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
         if self.state.reference is None:
             self._set_reference(crossings)
@@ -176,7 +135,7 @@ class VisualOdometry:
             found, crossings = (found, crossings) if again.place is None else (again, pointwise)
         if found.place is None:
             self.state.refused = found.jump
-            coasted = self._coast(predicted, dt_s, found.failure)
+            coasted = self._coast(self._held(predicted, crossings, dt_s), dt_s, found.failure)
             return self._after_failure(crossings, coasted, found.out_of_view, moved_by_hand(found.jump, course))
         return self._accept(self.state.reference, crossings, course, found, predicted)
 
@@ -194,6 +153,8 @@ class VisualOdometry:
             told, cov = wheels.prev_from_curr, wheels.cov
             return Motion(told, cov, 0, 0.0, "", prior_cov=cov, by_wheels=True, watched=wheels.watched)
         last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
+        if turn is None and s.held_s > 0.0:
+            turn = goes_on_turning(self._config, LastTwist(s.twist, s.held_s, 0.0), dt_s)
         moved, cov = coast(self._config, last, dt_s, turn)
         cov = cov + self._noise_floor
         return Motion(moved, cov, 0, 0.0, "", prior_cov=cov)
@@ -310,9 +271,22 @@ class VisualOdometry:
     def _set_reference(self, crossings: Crossings) -> None:
         s = self.state
         s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
-        s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused = 0.0, 0, 0.0, True, None
+        s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused, s.held_s = 0.0, 0, 0.0, True, None, 0.0
 
     # -- without a motion
+
+    def _held(self, predicted: Motion, crossings: Crossings | None, dt_s: float) -> Motion:
+        """The prediction with the rotation that lines tell, where they do."""
+        s, gate_rad = self.state, self._config.heading_gate_rad
+        s.held_s = 0.0
+        if crossings is None or s.reference is None:
+            return predicted
+        course = self._course(predicted, dt_s)
+        motion = held(predicted, s.reference, crossings, course, s.ref_from_prev, s.ref_cov, gate_rad)
+        s.held_s = dt_s if motion is not predicted else 0.0
+        if s.held_s > 0.0:
+            s.twist = np.array([*s.twist[:2], motion.prev_from_curr[2] / dt_s])
+        return motion
 
     def _coast(self, predicted: Motion, dt_s: float, why: str) -> Motion:
         """The prediction in place of a motion."""

@@ -307,7 +307,7 @@ def _best(weight: Array, most: int) -> Ints:
 
 def _cells(places: Array) -> Ints:
     """(N, 3) cells of transforms (N, 3), as _key() has them."""
-    cells = np.round(places / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64)
+    cells: Ints = np.round(places / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64)
     cells[:, 2] %= 4
     return cells
 

@@ -36,8 +36,9 @@ NOT_THIS_MAP = "not this map"
 """Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
-YOUNG_M2 = 12.0
-"""A map that knows less ground, a view and a half, is all around the robot: after a gap it goes on with it; chosen."""
+YOUNG_VIEWS, YOUNG_M2 = 1.5, 12.0
+"""A map that knows less ground than so many views show, or than this, is all around the robot: after a gap it goes on
+with it; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
 FEWEST_VIEWS = 3
@@ -61,6 +62,7 @@ class Relocaliser:
         self._settings = config.filter
         self._rate = config.states.false_place_rate
         self._sharp = SharpView(calibration, config.features.max_view_deg)
+        self._young_m2 = min(YOUNG_VIEWS * self._sharp.area_m2, YOUNG_M2)
         self._schedule = UpdateSchedule(config.filter)
         self.floor_tracker = FloorTracker()
         self._on_map = NotThisMap()
@@ -167,7 +169,7 @@ class Relocaliser:
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        if s.survey.coverage.area_m2 > YOUNG_M2 and not doubts.negligible(doubt, self._rate):
+        if s.survey.coverage.area_m2 > self._young_m2 and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
     # -- a view
@@ -187,7 +189,7 @@ class Relocaliser:
         if admitted is not None:
             self.filter.update(admitted)
             if self.sure and not self.state.surprised and len(self._sharp.visible_m):
-                s.survey.learnt(self.filter, view.visible_m)
+                s.survey.learnt(self.filter, self._sharp.shown(crossings, view))
         return view
 
     def observed(self, crossings: Crossings) -> Observations:

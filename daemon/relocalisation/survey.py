@@ -24,8 +24,9 @@ MEASURE_AGAIN_M = 1.0
 FEWEST_MEASURED, FURTHEST_M = 60, 48.0
 """Landmarks but for the commonest type that it takes; where there are fewer, the map twice, four and eight times as far
 around is asked, as a robot that drives on over new ground leaves it; chosen: the corners of fifteen lamps."""
-INDEXED_M = 2.5
-"""What a view may change of the map lies so near the robot; most cameras see less."""
+INDEXED_M, EDGE_M = 2.5, 0.1
+"""What a view may change of the map lies so near the robot, or as far as the camera sees; most see less. At the
+edge of that a landmark may have come in since the index took it up."""
 
 
 @dataclass(slots=True)
@@ -122,9 +123,10 @@ class MapSurvey:
         pose = Pose(filter_.estimate()[0])
         if len(visible_m):
             self.coverage.show(transform(pose, visible_m))
-        near = filter_.landmarks_near(pose[None, :2], INDEXED_M)[1]
+        reach_m = max(INDEXED_M, float(np.max(np.hypot(*visible_m.T), initial=0.0)))
+        near = filter_.landmarks_near(pose[None, :2], reach_m)[1]
         self.index.sync(near)
-        there = self.index.within(pose[:2] - 0.5 * INDEXED_M, pose[:2] + 0.5 * INDEXED_M)
+        there = self.index.within(pose[:2] - reach_m + EDGE_M, pose[:2] + reach_m - EDGE_M)
         self.index.remove(np.setdiff1d(there, near.ids))
 
 

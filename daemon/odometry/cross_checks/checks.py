@@ -15,7 +15,7 @@ from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.coasting import KnownTurn
 from ceilvo.daemon.odometry.cross_checks.delay import NO_DELAY_S, Delay, DelayState, Rewound, RewoundState
-from ceilvo.daemon.odometry.cross_checks.noticed import OF_SENSES, suspicions_of
+from ceilvo.daemon.odometry.cross_checks.noticed import EVENTS, suspicions_of
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
 from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
 from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
@@ -280,7 +280,7 @@ class CrossChecks:
 
     def _count(self, found: list[Suspicion]) -> Suspicions:
         now = sorted({f.kind.value for f in found})
-        self.begun = tuple(f for f in found if f.kind in OF_SENSES and f.kind.value not in self._active)
+        self.begun = tuple(f for f in found if f.kind in EVENTS and f.kind.value not in self._active)
         for kind in now:
             self._counters[kind] = self._counters.get(kind, 0) + (kind not in self._active)
         self._active = now

@@ -10,7 +10,7 @@ from ceilvo.daemon.odometry.senses.motion_senses import Noticed
 from ceilvo.daemon.odometry.senses.slip import AXES, Slip
 
 _SLIPS = dict(zip(AXES, (Kind.SLIP_AHEAD, Kind.SLIP_SIDEWAYS, Kind.SLIP_TURNING), strict=True))
-OF_SENSES = (*_SLIPS.values(), Kind.CARRIED, Kind.DELAY_JUMPED)
+EVENTS = (*_SLIPS.values(), Kind.CARRIED, Kind.DELAY_JUMPED, Kind.MOVES)
 """Each is an event of its own when it begins."""
 _CARRY_S = 1.0
 """Of being carried, that a frame in the dark may be part of."""

@@ -5,11 +5,12 @@ Further out a lamp's edge and the joint beside it are seen as one, and what is f
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration, sharp_part, visible_polygon
 from ceilvo.daemon.slam.upkeep import inside
-from ceilvo.types import Observations
+from ceilvo.types import Array, Crossings, Observations
 
 MARGIN_PX = 50.0
 """A crossing nearer to the side of the picture may lack the edge points of one of its lines; chosen."""
@@ -32,6 +33,21 @@ class SharpView:
         reach_m = calibration.ceiling_height_m * np.tan(np.radians(max_view_deg))
         square = calibration.mount_xy_m + reach_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         self._sharp_m = sharp_part(calibration, square, max_view_deg, _SHOWN)
+
+    @property
+    def area_m2(self) -> float:
+        """Of the part in which whatever is there would be seen."""
+        return abs(float(cv2.contourArea(self.visible_m.astype(np.float32)))) if len(self.visible_m) else 0.0
+
+    def shown(self, crossings: Crossings, view: Observations) -> Array:
+        """(V, 2) corners in base of the ground that a view showed whole, (0, 2) for none.
+
+        Of a ceiling that slopes it is what lies between its features: how high it is elsewhere is another question.
+        """
+        if crossings.complete or crossings.several or not len(view) or not len(self.visible_m):
+            return view.visible_m
+        found = view.xy_base_m[inside(self.visible_m, view.xy_base_m)].astype(np.float32)
+        return np.asarray(cv2.convexHull(found).reshape(-1, 2), np.float64) if len(found) else view.visible_m
 
     def of(self, view: Observations) -> Observations:
         """The features that are seen sharply."""

@@ -5,9 +5,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ceilvo.daemon.odometry.homography import consistent
 from ceilvo.daemon.odometry.kernel import homography_residuals
 from ceilvo.daemon.odometry.kernel.reference import homography
+from ceilvo.daemon.odometry.matching import consistent
 
 
 @given(st.integers(0, 10_000))

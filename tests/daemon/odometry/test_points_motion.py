@@ -1,11 +1,14 @@
 """Motion from points without lines: two suffice, and the direction of the lines is carried on."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import JOINTS, LAMP
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
+from ceilvo.se2 import wrap
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
 
 STEP_S = 1.0 / 15.0
@@ -98,3 +101,32 @@ def test_a_direction_of_other_lines_is_not_believed() -> None:
         turned += float(motion.prev_from_curr[2])
         pose = se2.compose(pose, np.array([0.01, 0.0, 0.005]))
     assert abs(turned - 39 * 0.005) < 2e-3
+
+
+def test_lines_hold_the_heading_where_nothing_crosses() -> None:
+    """Slats, or one lamp in view: no motion can be measured, but how the robot turns can."""
+    rng, odometry, pose, turned = np.random.default_rng(5), VisualOdometry(Odometry()), np.zeros(3), 0.0
+    sigma2 = 0.0
+    for k in range(100):
+        lines_only = k >= 30
+        at = TILES[:0] if lines_only else TILES
+        view = replace(seen(pose, at, JOINTS, rng, float(wrap(-pose[2] + rng.normal(0.0, 1e-3)))), psi_sigma_rad=1e-3)
+        motion = odometry.step(view, STEP_S)
+        assert motion.ok == (0 < k < 30) or k == 0
+        if k:
+            turned += float(motion.prev_from_curr[2])
+        if lines_only:
+            sigma2 += float(motion.cov[2, 2])
+            assert abs(turned - pose[2]) < 4.0 * np.hypot(1e-3, 1e-3)
+            assert sigma2 < 0.02**2
+        pose = se2.compose(pose, np.array([0.02, 0.0, 0.02 if lines_only else 0.0]))
+    assert pose[2] > 1.3
+
+
+def test_lines_of_something_else_do_not() -> None:
+    rng, odometry = np.random.default_rng(6), VisualOdometry(Odometry())
+    for _ in range(5):
+        odometry.step(replace(seen(np.zeros(3), TILES, JOINTS, rng, 0.0), psi_sigma_rad=1e-3), STEP_S)
+    for psi, sigma in ((0.3, 1e-3), (0.01, 0.02)):
+        other = replace(seen(np.zeros(3), TILES[:0], JOINTS, rng, psi), psi_sigma_rad=sigma)
+        assert abs(odometry.step(other, STEP_S).prev_from_curr[2]) < 1e-3

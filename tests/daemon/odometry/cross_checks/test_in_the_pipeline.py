@@ -90,6 +90,23 @@ def test_a_picture_that_stands_while_wheels_turn_says_nothing_of_the_place(lap: 
     assert beliefs[0].unknown == beliefs[1].unknown
 
 
+def test_a_picture_that_stands_is_no_better_while_the_map_has_only_begun(lap: Drive, truth: np.ndarray) -> None:
+    """Doubts of the place are not kept then: what looked worse was TRACKING again."""
+    since = 12
+
+    def picture(k: int) -> Crossings:
+        at = lap.crossings[min(k, since)]
+        noise_m = np.random.default_rng([4, k]).normal(0.0, 5e-5, at.xy_base_m.shape)
+        return replace(at, xy_base_m=at.xy_base_m + noise_m) if k > since else at
+
+    pipeline, estimates = run(replace(lap, crossings=lap.crossings[: since + 90]), picture, lambda k: lap.wheels[k])
+    assert pipeline.relocaliser.state.pending is None
+    assert np.hypot(*(truth[since + 89] - truth[since])[:2]) > 0.5
+    assert wrong(estimates, truth[: since + 90]) == []
+    assert estimates[-1].state is State.RELOCALISING
+    assert "while the picture stood" in estimates[-1].reason
+
+
 def test_reversed_wheels_are_left_out_and_vision_goes_on(lap: Drive, truth: np.ndarray) -> None:
     def wheels(k: int) -> WheelMotion:
         return WheelMotion(Displacement(lap.wheels[k].prev_from_curr * [-1.0, -1.0, 1.0]), lap.wheels[k].cov)

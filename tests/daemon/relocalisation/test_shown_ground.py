@@ -1,0 +1,69 @@
+"""What ground views showed, and that the index of places follows the map as far as the camera sees."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from golden_drives import RATE_HZ, Drive, load
+
+from ceilvo.config import Config
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.filters import make_filter
+from ceilvo.daemon.relocalisation.survey import MapSurvey
+from ceilvo.se2 import transform
+from ceilvo.types import Landmarks, Pose
+
+FRAMES = 100
+FAR_M = 6.0
+"""Seen by a camera 6 m below the ceiling."""
+
+
+@pytest.fixture(scope="module")
+def lap() -> Drive:
+    return load("lap", "joint")
+
+
+def mapped(lap: Drive, **changed: bool) -> Pipeline:
+    """After FRAMES of the lap, with other flags of its views."""
+    pipeline = Pipeline(lap.calibration, lap.config, np.random.default_rng(1))
+    for k in range(FRAMES):
+        pipeline.step_crossings(10**9 + round(k * 1e9 / RATE_HZ), replace(lap.crossings[k], **changed), lap.wheels[k])
+    return pipeline
+
+
+def test_ground_is_known_under_a_slope_too(lap: Drive) -> None:
+    """What is missing cannot be told there, so that views are not complete; doubts of the place were dropped then."""
+    level, sloping = mapped(lap), mapped(lap, complete=False)
+    known = sloping.relocaliser.state.survey.coverage
+    landmarks = sloping.landmarks()
+    often = landmarks.xy_map_m[landmarks.sightings > 30]
+    assert len(often) > 20
+    assert np.mean(known.knows(often)) > 0.9
+    assert known.area_m2 < level.relocaliser.state.survey.coverage.area_m2
+    sloping.relocaliser.suspect("somebody carried it", 1.0)
+    assert not sloping.relocaliser.sure
+
+
+def test_a_view_of_which_only_some_heights_are_known_shows_no_ground(lap: Drive) -> None:
+    """What it left out would seem to be new there later."""
+    assert mapped(lap, complete=False, several=True).relocaliser.state.survey.coverage.area_m2 == 0.0
+
+
+def test_the_index_follows_the_map_as_far_as_the_camera_sees() -> None:
+    filter_, pose, survey = (
+        make_filter(Config().filter, np.random.default_rng(1)),
+        np.array([3.0, -2.0, 0.4]),
+        MapSurvey(),
+    )
+    at = transform(Pose(pose), np.random.default_rng(2).uniform(-0.9 * FAR_M, 0.9 * FAR_M, (80, 2)))
+    n = len(at)
+    ones = np.full(n, 20)
+    landmarks = Landmarks(np.arange(n), at, np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.full(n, 4), ones)
+    square = FAR_M * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    for kept in (np.arange(n), np.arange(0, n, 2)):
+        filter_.reset(pose, 1e-6 * np.eye(3), landmarks.of(kept))
+        survey.learnt(filter_, square)
+        found = survey.index.within(pose[:2] - 2.0 * FAR_M, pose[:2] + 2.0 * FAR_M)
+        assert sorted(found.tolist()) == sorted(landmarks.ids[kept].tolist())
