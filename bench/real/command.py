@@ -4,8 +4,9 @@ python -m ceilvo.bench.real DATA_DIR
 
 DATA_DIR holds `ceiling_lamps` (100 frames of an upward fisheye camera on a car, lamps only, with another tracker's
 output; github.com/a1k0n/cycloid) and `ceiling_still` (a photo of a tiled ceiling with its lens calibration;
-github.com/UbiquityRobotics/fiducials), with `industrial` one of the pictures whose lines are marked in marked/. What is
-absent is left out, and a line says so.
+github.com/UbiquityRobotics/fiducials), with `industrial` one of the pictures whose lines are marked in marked/, and
+`office_rendered`, a drive path-traced by another renderer, with its truth. What is absent is left out, and a line says
+so.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from ceilvo import se2
 from ceilvo.bench.real.lamp_grid import Judged, judge, seen
 from ceilvo.bench.real.marked import standing
 from ceilvo.bench.real.marked.photographs import photographs, word
+from ceilvo.bench.real.office import office
 from ceilvo.bench.vision.run import save_picture
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import write_calibration
@@ -69,7 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = p.parse_args(arguments)
     if args.stand < 1:
         p.error(f"--stand: found {args.stand}, expected 1 or more")
-    parts: dict[str, Callable[[Path, Path], dict[str, float]]] = {"ceiling_lamps": lamps, "ceiling_still": still}
+    parts: dict[str, Callable[[Path, Path], dict[str, float]]] = {
+        "ceiling_lamps": lamps,
+        "ceiling_still": still,
+        "office_rendered": lambda folder, out: office(folder),
+    }
     figures: dict[str, dict[str, float]] = {}
     try:
         for name, part in parts.items():

@@ -14,6 +14,7 @@ from ceilvo import se2
 from ceilvo.bench.real import command as real
 from ceilvo.bench.real.marked.reading import HERE, read
 from ceilvo.bench.real.marked.standing import SEED, stand
+from ceilvo.bench.real.office import BARS, drive
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.drivers.camera.selection import source_camera
@@ -143,3 +144,12 @@ def test_absent_data_is_left_out_with_a_line(tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr().out
     assert "ceiling_lamps: left out" in said
     assert "ceiling_still: left out" in said
+
+
+def test_a_drive_that_another_renderer_path_traced_is_followed_to_millimetres() -> None:
+    figures = drive(_folder("office_rendered"))
+    print(figures)
+    assert figures["path_m"] > 7.0 and figures["frames_ok"] == figures["frames"]
+    assert figures["worst_mm"] < 10.0
+    assert figures["tracking_pct"] > 90.0, "a ceiling of twice as many odd features as usual is no other place"
+    assert figures["heading_worst_deg"] < BARS["heading_worst_deg"]
