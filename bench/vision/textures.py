@@ -24,6 +24,8 @@ GRILLES = CeilingSpec(grilles=14, vents=24)
 STRIPS = CeilingSpec(strip_lamps=True, tile_m=0.6, tile_y_m=1.2, lamp_every=(1, 2), fibre=0.5)
 STRIPS_ONLY = CeilingSpec(strip_lamps=True, joints=False, lamp_every=(1, 3), vents=0, stains=0, tile_spread=0.0)
 WOOD = CeilingSpec(pattern="slats", slat_m=0.12, groove_m=0.02, lip_m=0.0, wood=True, texture=0.0, tile_spread=0.0)
+OPEN_CELLS = CeilingSpec(tile_m=0.1, groove_m=0.012, lip_m=0.0, lamp_every=(18, 12), vents=0, stains=0)
+"""Cells a sixth as wide as tiles: a thousand crossings in view, and a period of a few frames' way."""
 TWO_LAMPS = CeilingSpec(joints=False, vents=0, spots=0, stains=0, tile_spread=0.0, texture=0.0, lamp_every=(4, 3))
 _LIGHTS_EVERY_M, _LIGHTS_BELOW_M, _ROOM_M = 1.7, 1.4, 6.94
 """Lights that a glossy ceiling shows: how far apart, how far below it, and up to where; chosen, as desk lamps stand."""
@@ -54,6 +56,7 @@ def found_ceilings() -> tuple[Found, ...]:
         Found("strips", "rows of strip lamps under tiles of 0.6 x 1.2 m", STRIPS),
         Found("strips-only", "rows of strip lamps and sprinklers on plaster", STRIPS_ONLY),
         Found("wood-slats", "slats of wood, each its own", WOOD),
+        Found("open-cells", "open cells of 0.1 m, a thousand crossings in view", OPEN_CELLS),
         Found("two-lamps", "plaster, about two lamps in view", TWO_LAMPS),
         Found("pools", "pools of glow that slide with the robot", render=_reflecting(_POOL_M, _POOL)),
         Found("glints", "glints that pass for lamps and slide", render=_reflecting(_GLINT_M, _GLINT)),

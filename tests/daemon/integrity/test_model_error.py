@@ -72,8 +72,9 @@ def test_a_good_pose_is_tracking_whatever_the_curves_leave_out(curves: float) ->
     assert mean < 2.0
 
 
-def test_without_the_floor_the_same_drive_is_degraded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_floor_and_with_all_features_the_same_drive_is_degraded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(joint_rule, "MODEL_SIGMA_MAX_M", 0.0)
+    monkeypatch.setattr(joint_rule, "MOST_OTHERS", 0.0)
     pipeline = fresh(1.0 / 6.0)
     pipeline.filter.state.rule.model_var_m2 = 0.0
     estimates = driven(pipeline)
@@ -106,6 +107,15 @@ def test_a_wrong_height_is_noticed_on_a_map_of_the_right_one() -> None:
     print(f"TRACKING by height: {shares}")
     assert shares[1.0] > 0.8
     assert shares[1.05] < 0.1
+
+
+def test_features_of_other_landmarks_are_left_out_only_where_most_fit_well() -> None:
+    rng = np.random.default_rng(3)
+    good, far = 0.05 * rng.chisquare(2.0, 70), np.full(30, 40.0)
+    assert joint_rule.bulk_nis(np.concatenate([good, far])) < 0.1
+    assert joint_rule.bulk_nis(np.concatenate([good[:50], far])) > 5.0, "more than a third"
+    assert joint_rule.bulk_nis(np.concatenate([20.0 * good, far])) > 5.0, "the rest is no better than expected"
+    assert joint_rule.bulk_nis(rng.chisquare(2.0, 4000)) == pytest.approx(1.0, abs=0.05)
 
 
 def model_sigma(error_m: float, sigma_m: float = 0.002, updates: int = 600, off_m: float = 0.0) -> float:
