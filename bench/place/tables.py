@@ -101,7 +101,7 @@ def fault_bars(results: Sequence[Result]) -> list[Bar]:
 
 def carried_bars(results: Sequence[Result]) -> list[Bar]:
     """Of robots that were carried or snatched 1 to 5 tiles."""
-    f = [r["fault"] for r in results if r["kind"] in CARRIED_KINDS]
+    f = [r["fault"] for r in results if r["settled"] and r["kind"] in CARRIED_KINDS]
     if not f:
         return []
     said = [not x["wrong_now"] and x["say_s"] <= SAY_BAR_S for x in f]

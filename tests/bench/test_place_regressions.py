@@ -37,5 +37,5 @@ def test_it_is_not_wrong_any_more(case: Case) -> None:
 def test_a_snatch_that_no_view_tells_is_told_by_several() -> None:
     """While the map is made views speak against the place by e^-2.1, -2.6, -.5, and it learns on."""
     figures = run_case(Case("snatched", 46000, 5, ("5", "20", "60", "150")))["fault"]
-    assert sum(figures["wrong_s"].values()) < 3.0, figures["wrong_s"]
+    assert sum(figures["wrong_s"].values()) < 6.0, figures["wrong_s"]
     assert figures["recovered_s"] < 10.0
