@@ -53,6 +53,11 @@ class Readout:
     mount: Array
     twist_info: Array
 
+    def skew_px(self, reach_px: float) -> float:
+        """By how much a pixel within reach of the principal point is moved at most."""
+        turned, shift = np.abs(self.rows[:, 1]), np.hypot(self.rows[:, 2], self.rows[:, 3])
+        return float(np.max(turned * reach_px + shift))
+
     def moved_by(self, x: Array32, y: Array32) -> tuple[Array, Array]:
         """(P, 3) each: by how much rays (P,), (P,) move in x and y per unit of twist."""
         table = self.delay_s

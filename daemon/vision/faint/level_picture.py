@@ -16,7 +16,7 @@ from ceilvo.types import Array
 Bools = NDArray[np.bool_]
 Gray = NDArray[np.uint8]
 
-_STEEPEST_DEG = 55.0
+STEEPEST_DEG = 55.0
 """Off the vertical; chosen: a groove of 8 mm is a third as wide there as overhead, and the picture stays small."""
 _INVERTIBLE_PX = 0.5
 """A lens is invertible where a level pixel comes back to within this; chosen: folds are off by far more."""
@@ -56,13 +56,13 @@ class LevelPicture:
     def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
         self._view = view = calibration.level_view
         self.focal_px = view.focal_px
-        seen = view.lookup(min(max_view_deg, _STEEPEST_DEG), LOOKUP_STEP_PX)
+        seen = view.lookup(min(max_view_deg, STEEPEST_DEG), LOOKUP_STEP_PX)
         low, high = (np.rint(f(seen, axis=(0, 1))).astype(np.int64) for f in (np.nanmin, np.nanmax))
         self._low, self._high = low.astype(np.float64), high.astype(np.float64)
         x, y = (np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True))
         height, width = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
         (across, down), near = _reduced_px(view, x, y), _invertible(view, x, y)
-        reach_px = self.focal_px * np.tan(np.radians(min(max_view_deg, _STEEPEST_DEG)))
+        reach_px = self.focal_px * np.tan(np.radians(min(max_view_deg, STEEPEST_DEG)))
         shape = len(y), len(x)
         self._known = np.zeros(shape, np.uint8)
         self._maps = np.empty((*shape, 2), np.int16), np.empty(shape, np.uint16)

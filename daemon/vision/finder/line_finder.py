@@ -13,6 +13,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import VAGUE_RAD, Crosser
 from ceilvo.daemon.vision.edge_tracking import EdgeTracker, predicted
 from ceilvo.daemon.vision.edges import EdgeDetector
+from ceilvo.daemon.vision.faint.level_picture import STEEPEST_DEG
 from ceilvo.daemon.vision.faint.stage import FaintLines, FaintState
 from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.line_detection import LastFit, detect
@@ -32,6 +33,9 @@ _LEANS_RAD = np.radians([[0.0, 5.0], [5.0, 0.0], [0.0, -5.0], [-5.0, 0.0]])
 """Tilts that are tried then; chosen: lines are found from 2 deg off."""
 _VAGUE_TILT_RAD = np.radians(0.1)
 """A tilt known worse is none; chosen, as in line_fit.py."""
+_SKEWED_PX = 1.0
+"""Rows that are read one after the other move faint lines, which nothing moves back, by so much at most: half the width
+of a joint; chosen. A robot of 0.5 m/s moves 5 mm in half of a readout of 20 ms."""
 _CLEARLY = 0.5
 """Ratio of the errors of two directions, from which it is plain which one is right; chosen: noise alone, from frame to
 frame, makes that of two optima of the same lines 0.7 to 1.4."""
@@ -81,6 +85,8 @@ class LineFinder:
         self._detector = EdgeDetector(calibration, config)
         self._shutter = RollingShutter(calibration, config.max_view_deg)
         self.crossed = Crosser(calibration, config)
+        steepest_deg = min(config.max_view_deg, STEEPEST_DEG)
+        self._reach_px = calibration.level_view.focal_px * float(np.tan(np.radians(steepest_deg)))
         self._faint = FaintLines(calibration, config, self.crossed) if config.faint_lines else None
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
@@ -149,7 +155,7 @@ class LineFinder:
         on_stage_done: Callable[[str], None],
         carried_rad: float | None,
     ) -> Lines | None:
-        """Lines of the whole frame; faint ones are not looked for while rows are read one after the other.
+        """Lines of the whole frame; faint ones are not looked for while rows that are read one after the other skew it.
 
         Args:
             carried_rad: direction of the last frame's lines as this one should show it; None where it is not known.
@@ -181,7 +187,7 @@ class LineFinder:
             lines = along(carried_rad)
             if lines is None or (free is not None and _stays(free, lines)):
                 lines, s.edges = free, edges_of_it
-        if self._faint is None or readout is not None:
+        if self._faint is None or (readout is not None and readout.skew_px(self._reach_px) > _SKEWED_PX):
             return lines
         return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior)
 

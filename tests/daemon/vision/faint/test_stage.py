@@ -10,7 +10,9 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.faint.merging import folded, merged, named_alike, seen_at
 from ceilvo.daemon.vision.finder.line_finder import LineFinder
+from ceilvo.daemon.vision.rolling_shutter import TwistPrior
 from ceilvo.sim.ceiling.spec import CeilingSpec
+from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Array, LineKind, Lines
 
@@ -21,8 +23,9 @@ FAINT = CeilingSpec(groove_darker=0.035, tile_spread=0.0)
 """Three grey levels deep."""
 
 
-def world(ceiling: CeilingSpec) -> World:
-    out = World(WorldSpec(seed=SEED, ceiling=ceiling))
+def world(ceiling: CeilingSpec, readout_s: float = 0.0) -> World:
+    calibration = simulated_calibration(simulated_camera(readout_s=readout_s))
+    out = World(WorldSpec(seed=SEED, ceiling=ceiling), calibration)
     out.start(0)
     return out
 
@@ -30,7 +33,7 @@ def world(ceiling: CeilingSpec) -> World:
 def joints_found(world: World, finder: LineFinder, t_s: float) -> tuple[int, int]:
     """Crossings of joints well inside a frame, and how many of them are reported within 3 px."""
     calibration = world.calibration
-    lines = finder(world.frame_at(t_s), STEP)
+    lines = finder(world.frame_at(t_s), STEP, twist=TwistPrior(30.0 * STEP, np.full(3, 0.01)))
     xy, crossing_type = world.ceiling.true_crossings()
     base = se2.transform(se2.inverse(world.truth_at(t_s)), xy[crossing_type == 0])
     uv = np.column_stack([base, np.ones(len(base))]) @ calibration.level_from_ceiling.T
@@ -54,6 +57,18 @@ def test_joints_of_three_grey_levels_are_found() -> None:
     print(f"seed {SEED}: recall {with_them:.3f} with faint lines, {without:.3f} by edge points alone")
     assert with_them > 0.85
     assert without < with_them - 0.2
+
+
+def test_they_are_found_by_a_rolling_shutter_of_a_robot_that_drives_slowly() -> None:
+    """35 cm/s move a row by 0.7 px in half of a readout of 20 ms; at four times that faint lines are left out."""
+    room = world(FAINT, readout_s=0.020)
+    found = recall(room, Features())
+    print(f"seed {SEED}: recall {found:.3f}")
+    assert found > 0.85
+    finder = LineFinder(room.calibration, Features())
+    for k in range(4):
+        finder(room.frame_at(1.0 + k / 30.0), STEP, twist=TwistPrior(120.0 * STEP, np.full(3, 0.01)))
+    assert not finder.state.faint.helps
 
 
 def test_where_edge_points_do_faint_lines_change_nothing() -> None:
