@@ -22,7 +22,7 @@ from ceilvo.daemon.replay.drawing.overlay import draw_overlay, previous_pixels
 from ceilvo.errors import FileFormatError
 from ceilvo.types import Array, Frame
 
-FRONT_END = ("edges", "lines", "crossings", "odometry")
+STAGES = ("edges", "lines", "crossings", "odometry", "filter")
 _BLACKOUT_S = 1.0  # docs/bench.md (blackout)
 _PICTURE_AT = 0.42  # share of the run; chosen: after the blackouts
 
@@ -136,9 +136,9 @@ def _frame(condition: Condition, gray: NDArray[np.uint8], fraction: float, secon
 def _time_figures(times: StageTimes) -> dict[str, float]:
     """Ratios to the median of bare Canny on the same frames; the first frames warm caches and do not count."""
     canny = float(np.median(times.total(("canny",))))
-    total = times.total(FRONT_END)[5:] / canny
+    total = times.total(STAGES)[5:] / canny
     out = {"canny_ms": 1e3 * canny, "time_median": float(np.median(total)), "time_p99": float(np.quantile(total, 0.99))}
-    for stage in (*FRONT_END, "filter"):
+    for stage in STAGES:
         out[f"time_{stage}"] = float(np.median(times.total((stage,)))) / canny
     return out
 
