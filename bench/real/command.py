@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from ceilvo.bench.real.lamp_grid import Judged, judge, seen
 from ceilvo.bench.real.marked import standing
 from ceilvo.bench.real.marked.photographs import photographs, word
 from ceilvo.bench.real.office import office
+from ceilvo.bench.real.recordings import recorded, starting_at
 from ceilvo.bench.vision.run import save_picture
 from ceilvo.calibration import Calibration, NoiseCurves, mount_rotation, projection_matrix
 from ceilvo.calibration_file import write_calibration
@@ -46,10 +47,9 @@ from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.lens import for_lens
 from ceilvo.daemon.vision.line_detection import find_lines
-from ceilvo.drivers.camera.selection import source_camera
 from ceilvo.errors import CeilvoError, FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import Array, Crossings, Frame, Lines
+from ceilvo.types import Array, Crossings, Lines
 
 CEILING_M = 2.515
 """8.25 ft: the unit of the reference's u and v."""
@@ -118,7 +118,7 @@ def lamps(folder: Path, out: Path) -> dict[str, float]:
         "step_median_m": error.step_median_m,
     }
     print(_lamps_table(figures))
-    lamps_seen = seen((f.gray for f in _recorded(folder)), lamps_calibration())
+    lamps_seen = seen((f.gray for f in recorded(folder)), lamps_calibration())
     pitch = np.array(LAMP_PITCH_M)
     for who, poses in (("ceilvo", est.poses), ("other", ref.poses)):
         judged = judge(lamps_seen, poses, pitch)
@@ -134,7 +134,7 @@ def prepare_lamps(folder: Path, work: Path) -> None:
     reference = reference_poses(folder / "reference.txt")
     write_calibration(work / "calibration.yaml", lamps_calibration(), force=True)
     write_atomic(work / "config.yaml", render_config(lamps_config(reference[0])))
-    stamps = [frame.stamp_ns for frame in _recorded(folder)]
+    stamps = [frame.stamp_ns for frame in recorded(folder)]
     if len(stamps) != len(reference):
         raise FileFormatError(
             f"{folder}: {len(stamps)} frames and {len(reference)} lines in reference.txt, expected as many of each"
@@ -152,11 +152,8 @@ def lamps_calibration() -> Calibration:
 
 def lamps_config(start: Array) -> Config:
     """The default settings, from where the other tracker starts; a recording has no base and no Zenoh."""
-    base = Config()
-    x, y, theta = (float(v) for v in start)
-    pose = replace(base.filter, initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta)))
-    off = replace(base.base, enabled=False), replace(base.zenoh, enabled=False)
-    return replace(base, filter=pose, base=off[0], zenoh=off[1])
+    config = starting_at(start)
+    return replace(config, base=replace(config.base, enabled=False), zenoh=replace(config.zenoh, enabled=False))
 
 
 def reference_poses(file: Path) -> Array:
@@ -168,16 +165,6 @@ def reference_poses(file: Path) -> Array:
     if table.shape[1] != 3:
         raise FileFormatError(f"{file}: {table.shape[1]} columns, expected 'u v theta'")
     return np.column_stack([-CEILING_M * table[:, :2], se2.wrap_array(-table[:, 2])])
-
-
-def _recorded(folder: Path) -> Iterator[Frame]:
-    camera = source_camera(folder, 640, 480)
-    camera.open()
-    try:
-        while (frame := camera.read()) is not None:
-            yield frame
-    finally:
-        camera.close()
 
 
 def _judged_line(who: str, j: Judged) -> str:

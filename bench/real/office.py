@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ceilvo import se2
+from ceilvo.bench.real.recordings import recorded, starting_at
 from ceilvo.calibration_file import read_calibration
-from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.trajectory import match_stamps, read_tum
-from ceilvo.drivers.camera.selection import source_camera
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Frame, State
+from ceilvo.types import State
 
 _MATCH_NS = 1_000
 """Stamps of the truth are those of the frames, rounded to a nanosecond."""
@@ -41,12 +38,12 @@ def office(folder: Path) -> dict[str, float]:
 def drive(folder: Path) -> dict[str, float]:
     """Every frame through the pipeline, from the true pose on."""
     calibration, truth = read_calibration(folder / "calibration.yaml"), read_tum(folder / "truth.tum")
-    frames = list(_frames(folder))
+    frames = list(recorded(folder))
     i, j = match_stamps(np.array([f.stamp_ns for f in frames]), truth.stamp_ns, _MATCH_NS)
     if len(i) != len(frames):
         raise FileFormatError(f"{folder}/truth.tum: has stamps of {len(i)} of {len(frames)} frames, expected all")
     true = truth.poses[j]
-    pipeline = Pipeline(calibration, _starting_at(true[0]), np.random.default_rng(1))
+    pipeline = Pipeline(calibration, starting_at(true[0]), np.random.default_rng(1))
     estimates = [pipeline.step(frame) for frame in frames]
     off = np.array([se2.between(t, e.pose) for t, e in zip(true, estimates, strict=True)])
     off_mm, off_deg = 1e3 * np.hypot(off[:, 0], off[:, 1]), np.degrees(np.abs(off[:, 2]))
@@ -63,22 +60,3 @@ def drive(folder: Path) -> dict[str, float]:
         "heading_worst_deg": float(np.max(off_deg)),
         "nees_mean": float(np.mean(nees)),
     }
-
-
-def _starting_at(pose: Array) -> Config:
-    x, y, theta = (float(v) for v in pose)
-    base = Config()
-    start = replace(
-        base.filter, initial_pose_x_m=x, initial_pose_y_m=y, initial_pose_theta_deg=float(np.degrees(theta))
-    )
-    return replace(base, filter=start)
-
-
-def _frames(folder: Path) -> Iterator[Frame]:
-    camera = source_camera(folder, 640, 480)
-    camera.open()
-    try:
-        while (frame := camera.read()) is not None:
-            yield frame
-    finally:
-        camera.close()

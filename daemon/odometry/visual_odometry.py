@@ -118,15 +118,15 @@ class VisualOdometry:
             good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
         predicted = self._predicted(dt_s, wheels, turn)
+        course = self._course(predicted, dt_s)
         if crossings is None or len(crossings) < fewest(crossings, self._config):
             self.state.refused = None
-            predicted = self._held(predicted, crossings, dt_s)
+            predicted = self._held(predicted, crossings, course)
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
         if self.state.reference is None:
             self._set_reference(crossings)
             still = Displacement(np.zeros(3))
             return Motion(still, self._noise_floor.copy(), len(crossings), 0.0, "first frame", restarted=True)
-        course = self._course(predicted, dt_s)
         crossings = as_expected(crossings, self.state.reference, course, self._config.heading_gate_rad)
         found = self._find(self.state.reference, crossings, course)
         if found.place is None and has_points(crossings) and crossings.directed:  # few lines have a wrong one at times
@@ -135,7 +135,7 @@ class VisualOdometry:
             found, crossings = (found, crossings) if again.place is None else (again, pointwise)
         if found.place is None:
             self.state.refused = found.jump
-            coasted = self._coast(self._held(predicted, crossings, dt_s), dt_s, found.failure)
+            coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
             return self._after_failure(crossings, coasted, found.out_of_view, moved_by_hand(found.jump, course))
         return self._accept(self.state.reference, crossings, course, found, predicted)
 
@@ -275,17 +275,14 @@ class VisualOdometry:
 
     # -- without a motion
 
-    def _held(self, predicted: Motion, crossings: Crossings | None, dt_s: float) -> Motion:
+    def _held(self, predicted: Motion, crossings: Crossings | None, course: Course) -> Motion:
         """The prediction with the rotation that lines tell, where they do."""
-        s, gate_rad = self.state, self._config.heading_gate_rad
-        s.held_s = 0.0
-        if crossings is None or s.reference is None:
-            return predicted
-        course = self._course(predicted, dt_s)
-        motion = held(predicted, s.reference, crossings, course, s.ref_from_prev, s.ref_cov, gate_rad)
-        s.held_s = dt_s if motion is not predicted else 0.0
+        s, gate_rad, motion = self.state, self._config.heading_gate_rad, predicted
+        if crossings is not None and s.reference is not None:
+            motion = held(predicted, s.reference, crossings, course, s.ref_from_prev, s.ref_cov, gate_rad)
+        s.held_s = 0.0 if motion is predicted else course.step_s
         if s.held_s > 0.0:
-            s.twist = np.array([*s.twist[:2], motion.prev_from_curr[2] / dt_s])
+            s.twist = np.array([*s.twist[:2], motion.prev_from_curr[2] / s.held_s])
         return motion
 
     def _coast(self, predicted: Motion, dt_s: float, why: str) -> Motion:

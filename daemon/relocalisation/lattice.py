@@ -9,7 +9,7 @@ import numpy as np
 from ceilvo.crossing_types import turned_type
 from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
 from ceilvo.se2 import compose, rotation, wrap, wrap_array
-from ceilvo.types import Array, Landmarks, Observations
+from ceilvo.types import Array, Ints, Landmarks, Observations
 
 LARGEST_TILE_M = 3.0
 """Landmarks further apart say nothing of a period: beyond it few would be in one view."""
@@ -114,6 +114,13 @@ def rival_poses(rivals: Array, tracked: Array) -> Array:
     """(M, 3) poses of rivals (M, 3) for a tracked pose (3,)."""
     out = np.asarray(compose(rivals, np.broadcast_to(tracked, rivals.shape)))
     out[:, 2] = wrap_array(out[:, 2])
+    return out
+
+
+def cells(places: Array, cell_m: float) -> Ints:
+    """(N, 3) cells of transforms (N, 3) that turn by whole quarters: translations of one turn can be compared."""
+    out: Ints = np.round(places / np.array([cell_m, cell_m, _QUARTER])).astype(np.int64)
+    out[:, 2] %= 4
     return out
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE, combined
-from ceilvo.daemon.relocalisation.lattice import Lattice, offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.lattice import Lattice, cells, offset, rival_from_tracked, rival_poses
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Observations, Pose
 
@@ -261,8 +261,5 @@ class NotThisMap:
 
 def _same(places: Array, known: Array) -> NDArray[np.bool_]:
     """(N,) whether places (N, 3) are among known ones (M, 3)."""
-    keys = [np.round(p / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64) for p in (places, known)]
-    for key in keys:
-        key[:, 2] %= 4
-    rows = {tuple(row) for row in keys[1].tolist()}
-    return np.array([tuple(row) in rows for row in keys[0].tolist()], np.bool_)
+    rows = {tuple(row) for row in cells(known, _CELL_M).tolist()}
+    return np.array([tuple(row) in rows for row in cells(places, _CELL_M).tolist()], np.bool_)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.evidence.view_evidence import combined
-from ceilvo.daemon.relocalisation.lattice import rival_poses
+from ceilvo.daemon.relocalisation.lattice import cells, rival_poses
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array, Ints
 
@@ -130,7 +130,7 @@ class PlaceBelief:
         rest = unknown + float(np.sum(share)) - float(share[best])
         if best == 0 or rest >= rate or self.cut or self.led_m < LEAD_M:
             return None
-        return best if _same(self.leader, self.places[best]) else None
+        return best if _same(self.leader[None], self.places[best, None])[0, 0] else None
 
     def alike(self, least: float) -> int:
         """How many places have at least this share of the belief."""
@@ -177,7 +177,7 @@ class PlaceBelief:
     def leave_spot(self) -> None:
         """What this spot says is settled; the next view is from another. Places that have lost are dropped."""
         best = int(np.argmax(self.weights()[0]))
-        same = best > 0 and _same(self.leader, self.places[best])
+        same = best > 0 and bool(_same(self.leader[None], self.places[best, None])[0, 0])
         self.leader, self.led_m = self.places[best].copy(), self.led_m + self.spot_m if same else 0.0
         self.forget()
         self._settle()
@@ -213,15 +213,16 @@ class PlaceBelief:
         What this spot has shown before is taken to speak for them as the next view will. What was seen before it made
         unknown ground as likely as it is, beside the likeliest place: so beside them, were they the likeliest.
         """
-        at = {key: i for i in range(len(self) - 1, -1, -1) for key in _keys(self.places[i])}
+        own = cells(self.places, _CELL_M).tolist()
+        at = {key: i for i in range(len(self) - 1, -1, -1) for key in _near(own[i])}
         fresh: list[int] = []
         settled = self.settled
         weight = log_odds + settled[0]
         likeliest = self.seen[np.argmax(settled)]
-        for n, g in enumerate(places):
-            i = at.get(_key(g))
+        for n, (g, cell) in enumerate(zip(places, cells(places, _CELL_M).tolist(), strict=True)):
+            i = at.get(tuple(cell))
             if i is None:
-                at.update(dict.fromkeys(_keys(g), len(self) + len(fresh)))
+                at.update(dict.fromkeys(_near(cell), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
                 if weight[n] > settled[i]:  # most of its weight is new, and has the same past
@@ -237,9 +238,7 @@ class PlaceBelief:
 
         One that is there keeps what it has: a way on which nothing tells places apart must not add up to a doubt.
         """
-        cell, own = _cells(places)[:, None], _cells(self.places)
-        same = (np.abs(cell - own)[..., :2].max(axis=2) <= _CELLS) & (cell[..., 2] == own[:, 2])
-        fresh = places[~np.any(same, axis=1)]
+        fresh = places[~np.any(_same(places, self.places), axis=1)]
         self._append(fresh, np.full(len(fresh), LEAST + self.settled[0]))
 
     def _append(self, places: Array, weight: Array) -> None:
@@ -305,30 +304,18 @@ def _best(weight: Array, most: int) -> Ints:
     return np.sort(np.append(0, 1 + np.argsort(-weight[1:], kind="stable")[: most - 1]))
 
 
-def _cells(places: Array) -> Ints:
-    """(N, 3) cells of transforms (N, 3), as _key() has them."""
-    cells: Ints = np.round(places / np.array([_CELL_M, _CELL_M, 0.5 * np.pi])).astype(np.int64)
-    cells[:, 2] %= 4
-    return cells
-
-
-def _key(g: Array) -> tuple[int, int, int]:
-    """Cell of a transform; they turn by whole quarters, so that translations of one turn can be compared."""
-    x, y, turn = (int(v) for v in _cells(g[None])[0])
-    return x, y, turn
-
-
-def _keys(g: Array) -> list[tuple[int, int, int]]:
-    """Cells of all transforms that are the same as this one."""
-    x, y, turn = _key(g)
+def _near(cell: list[int]) -> list[tuple[int, ...]]:
+    """Cells of all transforms that are the same as one in this cell."""
+    x, y, turn = cell
     return [(x + i, y + j, turn) for i in range(-_CELLS, _CELLS + 1) for j in range(-_CELLS, _CELLS + 1)]
 
 
 def of_tracked(places: Array) -> NDArray[np.bool_]:
     """(N,) whether places (N, 3) are the tracked one, but for a few centimetres."""
-    return np.array([_same(g, np.zeros(3)) for g in places], np.bool_)
+    return np.asarray(_same(places, _tracked())[:, 0])
 
 
-def _same(a: Array, b: Array) -> bool:
-    """Whether two transforms (3,) are one."""
-    return _key(a) in _keys(b)
+def _same(a: Array, b: Array) -> NDArray[np.bool_]:
+    """(N, M) whether transforms (N, 3) and (M, 3) are one."""
+    apart = np.abs(cells(a, _CELL_M)[:, None] - cells(b, _CELL_M))
+    return np.asarray(np.all(apart <= [_CELLS, _CELLS, 0], axis=2))

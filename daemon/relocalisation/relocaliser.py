@@ -37,8 +37,7 @@ NOT_THIS_MAP = "not this map"
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 YOUNG_VIEWS, YOUNG_M2 = 1.5, 12.0
-"""A map that knows less ground than so many views show, or than this, is all around the robot: after a gap it goes on
-with it; chosen."""
+"""A map that knows less ground than so many views, or this, is all around the robot: gaps do not doubt it; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
 FEWEST_VIEWS = 3
@@ -283,8 +282,7 @@ class Relocaliser:
         s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0 if doubt.elsewhere >= doubts.UNLIKELY else FEWEST_VIEWS - 1
-            if s.submap_from is None:
-                s.submap_from = first_id_after(self.filter.landmarks())
+            self._open_submap()
 
     def _search(self, view: Observations, pose: Array, evidence: ViewEvidence) -> Array:
         """List the places of the whole map that this view can be from, each with its part of what is not listed; the
@@ -320,12 +318,16 @@ class Relocaliser:
             self._put(s.belief.jump(winner, pose))
         if s.belief.doubt() >= self._rate or said:
             s.reason = s.reason or CONTRADICTION
-            s.submap_from = first_id_after(self.filter.landmarks()) if s.submap_from is None else s.submap_from
+            self._open_submap()
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.grave, s.submap_from, s.leads = "", 0.0, False, None, np.zeros((0, 3))
             s.belief.forget()
             self._on_map.end()
         return winner is not None
+
+    def _open_submap(self) -> None:
+        if self.state.submap_from is None:
+            self.state.submap_from = first_id_after(self.filter.landmarks())
 
     def _put(self, found: Array) -> None:
         """The robot is at a pose (3,); what was learnt in doubt comes along."""

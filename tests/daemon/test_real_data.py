@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -16,9 +17,9 @@ from ceilvo.bench.real import command as real
 from ceilvo.bench.real.marked.reading import HERE, read
 from ceilvo.bench.real.marked.standing import SEED, stand
 from ceilvo.bench.real.office import BARS, drive
+from ceilvo.bench.real.recordings import recorded
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
-from ceilvo.drivers.camera.selection import source_camera
 from ceilvo.types import Frame, State
 
 DATA = Path(os.environ.get("CEILVO_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -33,13 +34,7 @@ def _folder(name: str) -> Path:
 
 
 def _frames(folder: Path, count: int) -> list[Frame]:
-    camera = source_camera(folder, 640, 480)
-    camera.open()
-    frames = []
-    while len(frames) < count and (frame := camera.read()) is not None:
-        frames.append(frame)
-    camera.close()
-    return frames
+    return list(islice(recorded(folder), count))
 
 
 @pytest.mark.parametrize(
