@@ -113,6 +113,11 @@ class View:
 
 _POSE_JSON = mcap_file.Channel("/pose/figures", "ceilvo.pose.1", varied=True)
 """State, quality and the rest, to plot."""
+CHANNELS = (
+    *(mcap_file.POSE, _POSE_JSON, mcap_file.TRANSFORMS, mcap_file.EVENT, mcap_file.HEALTH, mcap_file.PICTURES),
+    *(mcap_file.SCENE, mcap_file.CAMERA),
+)
+"""All that a View writes to."""
 
 
 def calibration_of(f: dict[str, Any]) -> tuple[float, Array, Callable[[int], bytes]]:
@@ -157,25 +162,26 @@ def serve(
     except ImportError as e:
         raise ConfigError("view: found no foxglove-sdk, expected it; pip install 'ceilvo[foxglove]'") from e
     context = sdk.Context()
+    # All before the first client: the server forgets some of what clients ask of channels that come later.
+    channels = {channel: _opened(sdk, channel, context) for channel in CHANNELS}
     try:
         server = sdk.start_server(name=f"ceilvo {robot}", host=host, port=port, context=context)
     except Exception as e:  # foxglove-sdk's own
         raise BusError(f"view: {host}:{port} cannot be listened on: {one_line(str(e))}; choose another --port") from e
-    channels: dict[mcap_file.Channel, Any] = {}
 
     def log_to(channel: mcap_file.Channel, data: bytes, unix_ns: int) -> None:
-        if channel not in channels:
-            kind = "protobuf" if channel.encoding == "protobuf" else "jsonschema"
-            schema = sdk.Schema(name=channel.schema_name, encoding=kind, data=channel.schema or b'{"type":"object"}')
-            channels[channel] = sdk.Channel(
-                channel.topic, schema=schema, message_encoding=channel.encoding, context=context
-            )
         channels[channel].log(data, log_time=unix_ns)
 
     try:
         follow(config, robot, log_to, stop, lambda: on_ready(server.port))
     finally:
         server.stop()
+
+
+def _opened(sdk: Any, channel: mcap_file.Channel, context: Any) -> Any:
+    encoding = "protobuf" if channel.encoding == "protobuf" else "jsonschema"
+    schema = sdk.Schema(name=channel.schema_name, encoding=encoding, data=channel.schema or b'{"type":"object"}')
+    return sdk.Channel(channel.topic, schema=schema, message_encoding=channel.encoding, context=context)
 
 
 def follow(

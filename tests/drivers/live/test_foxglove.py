@@ -20,7 +20,7 @@ from zenoh_world import Robot, free_port
 from ceilvo import config, se2
 from ceilvo.drivers.bus import messages
 from ceilvo.drivers.bus.zenoh_bus import ZenohBus
-from ceilvo.drivers.live.foxglove_server import View, serve
+from ceilvo.drivers.live.foxglove_server import CHANNELS, View, serve
 from ceilvo.drivers.ports import Stamp, Topic
 from ceilvo.drivers.recording.mcap_file import Channel
 from ceilvo.errors import BusError
@@ -55,8 +55,9 @@ def test_every_message_becomes_foxgloves() -> None:
     for topic, payload in spoken():
         view.take(topic.value, payload)
     chain = {t.child_frame_id: t for t in decoded(*got["/tf"]).transforms}
+    view.take(Topic.HEALTH.value, json.dumps({"schema": "ceilvo.health.1", "stamp_unix_ns": UNIX_NS}).encode())
     view.scene()
-    assert {"/pose", "/tf", "/scene", "/camera/jpeg", "/event", "/camera/calibration"} <= set(got)
+    assert {channel for channel, _ in got.values()} == set(CHANNELS)
     odom, base = (
         np.array([t.translation.x, t.translation.y, 2 * np.arctan2(t.rotation.z, t.rotation.w)])
         for t in (chain["odom"], chain["base_link"])
@@ -99,14 +100,14 @@ def test_a_websocket_client_gets_the_running_robot() -> None:
     try:
         assert ready.wait(PATIENCE_S)
         until(lambda: bus.wanted(Topic.POSE) and bus.wanted(Topic.LANDMARKS), "it listens")
-        advertised: dict[str, int] = {}
         with connect(f"ws://127.0.0.1:{served[0]}", subprotocols=["foxglove.sdk.v1"]) as ws:  # type: ignore[list-item]
+            advertised = heard(ws)
+            assert set(advertised) == {channel.topic for channel in CHANNELS}, "before the robot has said a word"
 
             def speak() -> None:
                 for topic, payload in spoken():
                     bus.put(topic, payload)
 
-            until(lambda: speak() or heard(ws, advertised), "channels are advertised")
             ids = {name: i + 1 for i, name in enumerate(("/tf", "/scene"))}
             wanted = [{"id": ids[name], "channelId": advertised[name]} for name in ids]
             ws.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
@@ -127,10 +128,9 @@ def test_a_websocket_client_gets_the_running_robot() -> None:
         bus.close()
 
 
-def heard(ws: Any, advertised: dict[str, int]) -> bool:
-    said = ws.recv(PATIENCE_S)
-    if isinstance(said, str):
-        message = json.loads(said)
-        for channel in message.get("channels", []):
-            advertised[channel["topic"]] = channel["id"]
-    return {"/tf", "/scene"} <= set(advertised)
+def heard(ws: Any) -> dict[str, int]:
+    """Topics and ids of the channels that a server advertises first."""
+    while True:
+        said = ws.recv(PATIENCE_S)
+        if isinstance(said, str) and "channels" in (message := json.loads(said)):
+            return {channel["topic"]: channel["id"] for channel in message["channels"]}
