@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of normal noise over its median absolute deviation: 1 / Phi^-1(3/4)."""
+LOWER_QUARTILE_TO_SIGMA = 3.1383
+"""The same over the lower quartile of absolute deviations: 1 / Phi^-1(5/8)."""
 
 
 def median(values: NDArray[Any]) -> float:

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ceilvo import se2
 from ceilvo.calibration import USUAL_FOCAL_PX, Calibration
@@ -240,7 +241,7 @@ def _nearest(a: Array, b: Array) -> Array:
     """(len(a),) distance to the nearest of b; infinite without any."""
     if len(a) == 0 or len(b) == 0:
         return np.full(len(a), np.inf)
-    return np.asarray(np.sqrt(np.min(np.sum((a[:, None] - b[None]) ** 2, axis=2), axis=1)))
+    return np.asarray(cKDTree(b).query(a)[0])
 
 
 def _percent(good: int, bad: int) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, quarter_turns
 from ceilvo.daemon.odometry.registration import MIN_AGREEING, view_size_m
-from ceilvo.daemon.odometry.sight import BIN_M, CELL_M, SMALLEST_TILE_M, Matched, Sight, shifts_by_votes
+from ceilvo.daemon.odometry.sight import BIN_M, SMALLEST_TILE_M, Matched, Sight, shifts_by_votes
 from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Crossings, Ints
 
@@ -35,6 +35,9 @@ _MISTAKEN = 0.5
 """Where so many crossings are missing, this times as many more are seen as of another type; chosen."""
 _UNSEEN, _UNSEEN_WEIGHT = np.array([0.25, 0.25, 0.5, 0.5]), 2.0
 """The same before anything was seen of a type, and for how many crossings that counts; chosen."""
+_VOTED_M = BIN_M / math.sqrt(12.0)
+"""Standard deviation of where votes put a candidate: of an even distribution over a bin. With a bin itself, 20 mm, one
+of the cells of 0.1 m that some ceilings are made of was within reach of any prediction."""
 _TILE_M2 = 0.36
 """Area that one candidate stands for; chosen: an office tile of 0.6 m. It enters by its logarithm only."""
 _FAR = 0.7
@@ -237,7 +240,7 @@ def _at_others(at: Array, others: Array, counts: Array) -> Array:
 
 def _prior_share(at: Array, prior: Prior, far_m: float) -> tuple[Array, Array]:
     """(K,) of the prior's probability that each candidate (K, 3) stands for; (K,) part of it that no prediction has."""
-    cov = prior.cov[:2, :2] + CELL_M**2 * np.eye(2)
+    cov = prior.cov[:2, :2] + _VOTED_M**2 * np.eye(2)
     off = at[:, :2] - prior.mean[:2]
     distance2 = np.einsum("ki,ij,kj->k", off, np.linalg.inv(cov), off)
     density = np.exp(-0.5 * distance2) / (2.0 * np.pi * np.sqrt(np.linalg.det(cov)))

@@ -12,7 +12,6 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
-from ceilvo.daemon.vision.thinning import thinned
 from ceilvo.types import Array, Crossings, Frame, Ints, Lines
 
 _SAMPLES_A_SIDE = 32
@@ -75,10 +74,9 @@ class CrossingFinder:
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
         crossings = None if lines is None else self._lines.crossed(lines)
-        if crossings is not None:
-            crossings = thinned(crossings, self._calibration.level_view.focal_px)
         if self._points is not None:
-            crossings = self._points(frame.gray, crossings, self._lines.tilt_prior())
+            whole = self.state.since_detection == 0
+            crossings = self._points(frame.gray, crossings, self._lines.tilt_prior(), whole)
         if crossings is not None:
             crossings = replace(crossings, sample_gray=frame.gray.take(self._raster))
         on_stage_done("crossings")

@@ -25,6 +25,6 @@ level_points, follow = _pixels.level_points, _following.follow
 split, project, assign = _points.split, _points.project, _points.assign
 settle, extents = _points.settle, _points.extents
 direction, vote, peaks = _votes.direction, _votes.vote, _votes.peaks
-spread, crowd, median_slope = _spreads.spread, _spreads.crowd, _spreads.median_slope
+spread, crowd, slope_quartiles = _spreads.spread, _spreads.crowd, _spreads.slope_quartiles
 align, fit = _lines.align, _lines.fit
 picture, join, arms = _joins.picture, _joins.join, _joins.arms

@@ -24,11 +24,11 @@ __all__ = [
     "follow",
     "join",
     "level_points",
-    "median_slope",
     "peaks",
     "picture",
     "project",
     "settle",
+    "slope_quartiles",
     "split",
     "spread",
     "vote",
@@ -159,13 +159,16 @@ def spread(rho: Array32, line: Int32s, offset_px: Array, focal_px: float, stride
     return median(np.abs(rho[::stride] * focal_px - offset_px[line[::stride]]))
 
 
-def median_slope(framed: NDArray[np.uint8], samples: Int64s) -> float:
-    """Upper median of |d/dx| (Sobel) of a picture's pixels `samples`, counted row after row; 0 without any.
+def slope_quartiles(framed: NDArray[np.uint8], samples: Int64s) -> tuple[float, float]:
+    """Lower quartile and upper median of |d/dx| (Sobel) of a picture's pixels `samples`, counted row after row; 0
+    without any.
 
     Args:
         framed: as for follow().
     """
-    return median(np.abs(slopes(framed)[0].reshape(-1)[samples]))
+    size = np.sort(np.abs(slopes(framed)[0].reshape(-1)[samples]))
+    n = len(size)
+    return (float(size[n // 4]), float(size[n // 2])) if n else (0.0, 0.0)
 
 
 def crowd(xy: Array32, within: float) -> Int64s:

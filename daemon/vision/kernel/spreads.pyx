@@ -66,23 +66,29 @@ def crowd(const float[:, ::1] xy not None, double within):
     cdef Py_ssize_t n = xy.shape[0], i, j
     cdef float most = <float>(within * within), x, y
     check_length("a point", xy.shape[1], 2)
-    out = np.zeros(n, np.int64)
-    cdef int64_t[::1] near = out
+    order = np.argsort(xy[:, 0])  # from left to right: only a strip to the left of each can be near
+    cdef const float[:, ::1] at = np.asarray(xy)[order]
+    sorted_near = np.zeros(n, np.int64)
+    cdef int64_t[::1] near = sorted_near
     with nogil:
         for i in range(n):
-            for j in range(i):
-                x, y = xy[i, 0] - xy[j, 0], xy[i, 1] - xy[j, 1]
+            for j in range(i - 1, -1, -1):
+                x, y = at[i, 0] - at[j, 0], at[i, 1] - at[j, 1]
+                if x * x >= most:
+                    break
                 if x * x + y * y < most:
                     near[i] += 1
                     near[j] += 1
+    out = np.empty(n, np.int64)
+    out[order] = sorted_near
     return out
 
 
-def median_slope(const uint8_t[:, ::1] framed not None, const int64_t[::1] samples not None):
+def slope_quartiles(const uint8_t[:, ::1] framed not None, const int64_t[::1] samples not None):
     cdef Py_ssize_t n = samples.shape[0], i = 0, width = framed.shape[1] - 2, height = framed.shape[0] - 2, x, y
-    cdef double middle = 0
+    cdef double lower = 0, middle = 0
     if n == 0:
-        return 0.0
+        return 0.0, 0.0
     cdef double[::1] size = np.empty(n)
     with nogil:
         while i < n and width > 0 and height > 0 and 0 <= samples[i] < width * height:
@@ -93,7 +99,7 @@ def median_slope(const uint8_t[:, ::1] framed not None, const int64_t[::1] sampl
             )
             i += 1
         if i == n:
-            middle = chosen(&size[0], n, n // 2)
+            middle, lower = chosen(&size[0], n, n // 2), chosen(&size[0], n, n // 4)
     if i < n:
         raise ValueError(f"sample {i}: pixel {samples[i]} of {max(width, 0) * max(height, 0)}")
-    return middle
+    return lower, middle

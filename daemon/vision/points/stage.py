@@ -15,6 +15,7 @@ from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
 from ceilvo.daemon.vision.points.lamps import find_lamps
 from ceilvo.daemon.vision.points.places import Found, Gray, Places, joined
 from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
+from ceilvo.daemon.vision.thinning import ALL_CELLS, thinned
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
 
@@ -35,19 +36,26 @@ class PointFinder:
         self._calibration, self._max_view_deg = calibration, max_view_deg
         self._places: Places | None = None
 
-    def __call__(self, gray: Gray, crossings: Crossings | None, prior: TiltPrior | None) -> Crossings | None:
+    def __call__(
+        self, gray: Gray, crossings: Crossings | None, prior: TiltPrior | None, now_and_then: bool = True
+    ) -> Crossings | None:
         """The crossings of a frame (H, W) with the points that it needs besides; None where there is neither.
 
         Args:
             prior: of the tilt, for frames without lines.
+            now_and_then: this is one of the frames in which lamps are looked for on a ceiling that is all cells.
         """
+        if crossings is not None and len(crossings) >= ALL_CELLS and not now_and_then:
+            return crossings
         view = self._calibration.level_view
-        have = 0 if crossings is None else squares_with(crossings, view.focal_px)
+        few = None if crossings is None else thinned(crossings, view.focal_px)
+        have = 0 if few is None else squares_with(few, view.focal_px)
         if have >= ENOUGH:
             return crossings
         if self._places is None:
             self._places = Places(self._calibration, self._max_view_deg)
-        found = self._look(view.reduced(gray), self._places, ENOUGH - have)
+        cells = crossings is not None and few is not None and len(few) < len(crossings)
+        found = self._look(view.reduced(gray), self._places, 0 if cells else ENOUGH - have)
         if not len(found):
             return crossings
         if crossings is None or not len(crossings):  # lines of one direction tell half of the tilt, and that badly

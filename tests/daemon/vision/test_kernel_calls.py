@@ -19,12 +19,12 @@ from ceilvo.daemon.vision.kernel.arguments import Arm, Grids, Look, Step, Widths
 pytestmark = pytest.mark.skipif(not kernel.COMPILED, reason="ceilvo was installed without a compiler")
 LOOPS = (
     *("level_points", "follow", "split", "vote", "project", "assign", "settle", "spread", "extents", "crowd"),
-    *("median_slope", "peaks", "direction"),
+    *("slope_quartiles", "peaks", "direction"),
     *("align", "fit", "picture", "join", "arms"),
 )
 ANY_LENGTH = {
     *(("follow", 2), ("settle", 7), ("spread", 2), ("crowd", 0), ("align", 4), ("align", 8), ("picture", 6)),
-    *(("median_slope", 0), ("follow", 0), ("median_slope", 1), ("direction", 0)),
+    *(("slope_quartiles", 0), ("follow", 0), ("slope_quartiles", 1), ("direction", 0)),
     *(("arms", 2), ("arms", 4)),
 }
 """Loops and arguments: lines, edges and positions, of which there may be any number."""
@@ -56,7 +56,7 @@ def calls(height: int, width: int, points: int) -> dict[str, tuple[Any, ...]]:
         "settle": (x, y, line, ends[2], 0.1, np.zeros(2), 100.0, np.zeros(3)),
         "spread": (x, line, np.zeros(3), 100.0, 1),
         "extents": (x, line, 3),
-        "median_slope": (framed, np.zeros(points, np.int64)),
+        "slope_quartiles": (framed, np.zeros(points, np.int64)),
         "crowd": (uv[:3000], 0.1),
         "align": (x, y, line, ends[2], np.zeros(3), 0.1, 100.0, np.ones(5), np.full(3, 9.0), np.ones(25)),
         "fit": (x, y, line, ends[2], 3, 0.1, np.zeros(2), Step(100.0, 9.0, 0.1, 1e-3, 1.0, False)),
@@ -114,7 +114,7 @@ def test_indices_beyond_their_array_are_refused() -> None:
         ("line 3 of 3", kernel.align, (x, y, line + 3, *good["align"][3:])),
         ("line 3 of 3", kernel.picture, (x, y, line + 3, *good["picture"][3:])),
         ("line 5 of 3", kernel.arms, (points, lines + 5, *rest)),
-        ("pixel 80 of 80", kernel.median_slope, (good["median_slope"][0], np.array([80]))),
+        ("pixel 80 of 80", kernel.slope_quartiles, (good["slope_quartiles"][0], np.array([80]))),
         ("expected 1 at least", kernel.spread, (*good["spread"][:4], 0)),
         ("expected one at least, an odd number", kernel.align, (*good["align"][:9], np.ones(4))),
         ("99 of 40 points belong to axis 0", kernel.project, (x, y, 99, 0.0, np.zeros(2))),

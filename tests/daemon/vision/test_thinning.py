@@ -1,9 +1,11 @@
-"""What of a view counts where a grille is in it."""
+"""What of a view tells places where a grille is in it, or where it is all cells."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from ceilvo.crossing_types import LAMP
 from ceilvo.daemon.vision.thinning import thinned
 from ceilvo.types import Crossings
 
@@ -39,6 +41,19 @@ def test_corners_of_a_lamp_with_frame_and_joints_stay() -> None:
     lamp = np.concatenate([corner + at for at in ([0.0, 0.0], [1.16, 0.0], [0.0, 0.56], [1.16, 0.56])])
     view = seen(np.concatenate([GRID + 0.3, lamp]))
     assert thinned(view, FOCAL_PX) is view
+
+
+@pytest.mark.parametrize("size", [18, 24])
+def test_of_a_ceiling_that_is_all_cells_only_points_stay(size: int) -> None:
+    """However the view is turned, where it ends no crossing passes for a corner."""
+    angle = np.radians(29.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    cells = np.stack(np.meshgrid(0.1 * np.arange(-size, size), 0.1 * np.arange(-size, size)), -1).reshape(-1, 2) @ turn
+    cells = cells[np.all(np.abs(cells) < [1.7, 1.2], axis=1)]
+    lamps = np.array([[0.3, 0.2], [-0.9, 0.2], [0.3, -1.0]])
+    view = seen(np.concatenate([cells, lamps]))
+    view.crossing_type[len(cells) :] = LAMP
+    np.testing.assert_array_equal(thinned(view, FOCAL_PX).xy_base_m, lamps)
 
 
 def test_an_empty_view_stays_empty() -> None:
