@@ -11,16 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from ceilvo.crossing_types import quarter_turns, turned_type
-from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.se2 import compose, inverse, rotation, transform
 from ceilvo.types import Array, Landmarks, Pose
 
 SAME_M = 0.1
 """A joined landmark so near one of its type is that one; chosen: as far as places are told apart."""
-
-MISPLACED_M = 0.06
-"""A landmark so near a misplaced crossing is of it; chosen: it moved on while its height was not known."""
 
 
 def first_id_after(landmarks: Landmarks) -> int:
@@ -54,14 +50,3 @@ def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) ->
     parts = (old, new.of(~known))
     columns = ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")
     return Landmarks(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
-
-
-def forget_near(filter_: PoseFilter, xy_base_m: Array) -> None:
-    """Drop landmarks at points (N, 2) in base: what was learnt there is elsewhere."""
-    pose, cov, _ = filter_.estimate()
-    at = transform(Pose(pose), xy_base_m)
-    near = filter_.landmarks_near(at, MISPLACED_M)[1]
-    off = near.xy_map_m[:, None] - at
-    wrong = np.any(np.hypot(off[..., 0], off[..., 1]) < MISPLACED_M, axis=1)
-    landmarks = filter_.landmarks()  # those that are no landmarks yet go with a reset, also where none is wrong
-    filter_.reset(pose, cov, landmarks.of(~np.isin(landmarks.ids, near.ids[wrong])))
