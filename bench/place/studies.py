@@ -18,7 +18,7 @@ from ceilvo.bench.place.rides import ride
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.sights import CrossingSight
 from ceilvo.bench.place.robot.tally import Tally, figures, times
-from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP
+from ceilvo.daemon.relocalisation.relocaliser_state import NOT_THIS_MAP
 from ceilvo.types import Array, State
 
 LEG_S = 1800.0

@@ -99,11 +99,6 @@ class NotThisMap:
     def asks(self) -> bool:
         return self.state.unknown > _NEVER
 
-    @property
-    def ground_m2(self) -> float:
-        """Of the ceiling that has been looked at."""
-        return self.state.ground.shown_m2
-
     def doubt(
         self,
         doubt: Doubt,

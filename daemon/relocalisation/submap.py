@@ -50,3 +50,21 @@ def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) ->
     parts = (old, new.of(~known))
     columns = ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")
     return Landmarks(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
+
+
+def turned_cov(cov: Array, way_m: Array) -> Array:
+    """(3, 3) m and rad of a pose that was known by `cov` (3, 3) before it went a way (2,) in map.
+
+    The moments of a turn of the way by the error of heading, a Gaussian's, which may be a quarter turn or more: to
+    first order (se2.lever) a pose that is turned by 90 deg would lie 40 sigma off.
+    """
+    var = float(cov[2, 2])
+    cos, cos2 = np.exp(-0.5 * var), np.exp(-2.0 * var)
+    across = np.array([-way_m[1], way_m[0]])
+    along = 0.5 * (1.0 + cos2) - 2.0 * cos + 1.0
+    both: Array = cov.copy()
+    both[:2, :2] += along * np.outer(way_m, way_m) + 0.5 * (1.0 - cos2) * np.outer(across, across)
+    both[:2, :2] += cos * (np.outer(cov[:2, 2], across) + np.outer(across, cov[:2, 2]))
+    both[:2, 2] += var * cos * across
+    both[2, :2] = both[:2, 2]
+    return both
