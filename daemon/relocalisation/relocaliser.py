@@ -18,7 +18,7 @@ from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief, of_tracked
-from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
+from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
 from ceilvo.daemon.slam.association import associate
@@ -276,6 +276,8 @@ class Relocaliser:
         tracked pose (3,), moved onto its place where that lies a few centimetres off."""
         s = self.state
         found = s.survey.index.candidates(view, most=MOST_FOUND)
+        wrong = float(np.min(found.false_alarm_probability[:1], initial=1.0))
+        s.search = PlaceSearch(len(found), found.complete, wrong)
         s.belief.cut = not (found.complete or s.listed)
         if not len(found):
             return pose
@@ -298,12 +300,12 @@ class Relocaliser:
 
     def _decided(self, pose: Array) -> bool:
         s = self.state
-        said = self._on_map.said  # then no place of the map is likely enough, whatever the belief has of this one
-        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not said else None
+        refused = self._on_map.refuses  # then no place of it is likely enough, whatever the belief has of this one
+        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not refused else None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
-        if s.belief.doubt() >= self._rate or said:
+        if s.belief.doubt() >= self._rate or refused:
             s.reason = s.reason or CONTRADICTION
             self._open_submap()
         elif s.views >= FEWEST_VIEWS:

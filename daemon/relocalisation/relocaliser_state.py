@@ -28,6 +28,20 @@ ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
 
 
+@dataclass(frozen=True, slots=True)
+class PlaceSearch:
+    """What the last look through the whole map gave.
+
+    Attributes:
+        places: that the view can be from; complete: all of them, see place_index.Candidates.
+        false_alarm_probability: chance that a wrong place of such a map explains as much as the best of them.
+    """
+
+    places: int
+    complete: bool
+    false_alarm_probability: float
+
+
 @dataclass(slots=True)
 class RelocaliserState:
     """All that a Relocaliser remembers besides its filter's state.
@@ -55,6 +69,7 @@ class RelocaliserState:
         doubted_m: way since a view and the one before it gave a small doubt.
         listed: all places where the robot may be were listed one by one; what the index leaves out is none of them.
         unmapped: what the map lacks while the place is sure.
+        search: the last one of this doubt.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -81,6 +96,7 @@ class RelocaliserState:
     doubted_m: float = np.inf
     listed: bool = False
     unmapped: Unmapped = field(default_factory=Unmapped)
+    search: PlaceSearch | None = None
 
     @property
     def sure(self) -> bool:
@@ -94,6 +110,10 @@ class RelocaliserState:
             return ""
         why = self.pending.reason if self.pending is not None else self.reason
         why = f"{why}; {MAPPED_APART}" if self.apart else why
+        scale = self.not_this_map.scale if self.pending is None else 0.0
+        if scale != 0.0:
+            than = f"{100.0 * abs(scale):.0f} % {'larger' if scale > 0.0 else 'smaller'} than its own"
+            return f"{NOT_THIS_MAP}: tiles are {than}, as with a calibration of another height; {why}"
         if self.not_this_map.said:
             ground_m2 = self.not_this_map.ground.shown_m2
             return f"{NOT_THIS_MAP}: nowhere does it show these {ground_m2:.0f} m2 of ceiling; {why}"
@@ -103,8 +123,8 @@ class RelocaliserState:
         return f"to be confirmed by landmarks: {why}"
 
     def close_submap(self) -> None:
-        """The place is another one or sure: what is learnt from now on is of the map."""
-        self.submap_from, self.apart, self.gap_cov = None, False, np.zeros((3, 3))
+        """The place is another one or sure: what is learnt from now on is of the map, and no search is asked for."""
+        self.submap_from, self.apart, self.gap_cov, self.search = None, False, np.zeros((3, 3)), None
 
     def gap_opens(self, pose: Array, cov: Array) -> None:
         """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""

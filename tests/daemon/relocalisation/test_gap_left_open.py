@@ -58,6 +58,7 @@ def test_after_a_gap_on_new_ground_the_pose_covers_the_gap_and_the_reason_says_w
     assert estimate is not None
     map_from_truth = compose(np.asarray(estimate.pose), inverse(drive.pose))
     drive.go(17)
+    assert drive.estimator.place_search() is None
     drive.conditions.dark = True
     drive.go(dark_s)
     drive.conditions.dark = False
@@ -76,6 +77,9 @@ def test_after_a_gap_on_new_ground_the_pose_covers_the_gap_and_the_reason_says_w
             assert message["state"] == "RELOCALISING"
             odom.append((np.asarray(estimate.odom), drive.pose))
     print(f"NEES {worst:.1f}, {worst_m:.2f} m off")
+    search = drive.estimator.place_search()
+    assert search is not None
+    assert 0.0 <= search["false_alarm_probability"] <= 1.0
     assert worst < CHI2
     assert worst_m > PROMISED_M
     assert len(odom) > 100, reasons
