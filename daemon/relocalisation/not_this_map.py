@@ -143,8 +143,10 @@ class NotThisMap:
             fits = doubt.alignment(off, lattice.tile_m, turned=False) if doubt.unmeasured else 0.0
             unknown -= max(fits, 0.0)  # tiles that do not lie so are features without landmarks, and count as those
         beyond = ground.share_beyond(pose[:2], reach_m) if doubt.anywhere else 0.0
+        before = self.state
         self.begin(unknown, ground.area_m2, beyond)
-        self.state.lattice = lattice
+        # the calibration of a daemon that runs does not change: what it sees larger then is a step of the ceiling
+        self.state.lattice, self.state.scales = (lattice, []) if doubt.stored > 0.0 else (before.lattice, before.scales)
 
     def begin(self, unknown: float, area_m2: float, beyond: float) -> None:
         """With a doubt: log-odds of unknown ground against the tracked place, ground that the map knows, and the share
@@ -190,6 +192,7 @@ class NotThisMap:
             complete: no other place of the map is.
         """
         s = self.state
+        self._scale(view)
         new = self.new_ground(pose, view.visible_m)
         if new < NEW_GROUND or not len(view):
             if s.views:
@@ -199,12 +202,20 @@ class NotThisMap:
         s.ground.show(transform(Pose(pose), view.visible_m))
         s.view_m2 = (s.ground.shown_m2 - before_m2) / new
         s.views.append((view, np.array(pose), new, float(np.log(UNLISTED if complete else UNLISTED_INCOMPLETE))))
-        s.scales += [] if s.lattice is None else [s.lattice.log_scales(view)]
         self._weigh_new_view(weigh)
         self._add(places, weigh)
         if len(s.views) > MOST_VIEWS:
-            s.views, s.ratio, s.on, s.scales = s.views[1:], s.ratio[:, 1:], s.on[:, 1:], s.scales[-MOST_VIEWS:]
+            s.views, s.ratio, s.on = s.views[1:], s.ratio[:, 1:], s.on[:, 1:]
         return self._says()
+
+    def _scale(self, view: Observations) -> None:
+        """Of the last views, also of old ground; once the height is right again those that were kept say nothing."""
+        s = self.state
+        before = s.scale
+        s.scales = [*s.scales, *([] if s.lattice is None else [s.lattice.log_scales(view)])][-MOST_VIEWS:]
+        if before != 0.0 and s.scale == 0.0:
+            s.views, s.ground, s.said, s.odds = [], Coverage(), False, np.inf
+            s.ratio, s.on = np.zeros((len(s.places), 0, 2)), np.zeros((len(s.places), 0), bool)
 
     def _says(self) -> bool:
         """Weigh the map anew; True when that was what made it say so."""
