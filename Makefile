@@ -109,6 +109,7 @@ bench-place: $(VENV)/.installed-dev
 	$(BIN)/python -m ceilvo.bench.place carried --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place restart --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place renovated --seed $(or $(SEED),1000) --resume
+	$(BIN)/python -m ceilvo.bench.place heights --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place start --seed $(or $(SEED),1000) --resume
 	REGRESSIONS=all $(BIN)/python -m pytest tests/bench/test_place_regressions.py
 

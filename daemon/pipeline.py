@@ -33,7 +33,7 @@ from ceilvo.daemon.relocalisation.floor_tracker import FloorTrackerState
 from ceilvo.daemon.relocalisation.floors import Floors
 from ceilvo.daemon.relocalisation.not_this_map import MAP_RIGHT
 from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
-from ceilvo.daemon.relocalisation.submap import forget_near, rest_of
+from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.finder.line_finder import LineFinderState
@@ -133,7 +133,7 @@ class Pipeline:
         self.relocaliser.followed(self.dead_reckoning.state, track, shown, heard)
         self.relocaliser.follow_lamps(self.dead_reckoning.state, track, heard.lamps)
         if len(misplaced) and track.gap is None:
-            forget_near(self.filter, misplaced)
+            self.relocaliser.state.survey.forget_near(self.filter, misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)

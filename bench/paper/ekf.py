@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.daemon.slam.pose_filter import COUNTERS
 from ceilvo.daemon.slam.spatial_index import landmarks_near
@@ -91,6 +92,12 @@ class EkfNearestNeighbour:
 
     def jump(self, pose: Array, cov: Array) -> None:
         self.reset(pose, cov, self.landmarks())
+
+    def forget(self, ids: Ints, newborn: bool = False) -> None:
+        """As PoseFilter.forget; the ids of the others change, for they are their places in the list."""
+        if not self._known:
+            gone = np.isin(np.arange(len(self._kind)), ids) | (newborn & (self._sightings < CONFIRMED))
+            self._keep(~gone)
 
     def size(self) -> int:
         return len(self.landmarks())
@@ -174,8 +181,10 @@ class EkfNearestNeighbour:
 
     def _forget(self) -> None:
         keep = (self._sightings >= CONFIRMED) | (self._age <= FORGET_UPDATES)
-        if np.all(keep):
-            return
+        if not np.all(keep):
+            self._keep(keep)
+
+    def _keep(self, keep: NDArray[np.bool_]) -> None:
         rows = np.concatenate([np.ones(3, bool), np.repeat(keep, 2)])
         self._x, self._p = self._x[rows], self._p[np.ix_(rows, rows)]
         self._kind, self._sightings, self._age = self._kind[keep], self._sightings[keep], self._age[keep]

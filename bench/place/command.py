@@ -73,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     _command(
         commands, "renovated", "30 per cent of the ceiling new over night in every other run, all of it in the rest", 40
     )
+    _command(commands, "heights", "started again with the calibration of another camera's height", 36)
     _command(commands, "rides", "to another floor, by lift and by ramp, and back out on the same one", 60)
     one = commands.add_parser("case", help="one case of faults again, with all that the daemon said")
     one.add_argument("kind", choices=KINDS, metavar="KIND")
@@ -171,6 +172,11 @@ def _renovated(a: argparse.Namespace) -> None:
     _told(a, study_tables.renovated(results), study_tables.renovated_bars(results), results, ())
 
 
+def _heights(a: argparse.Namespace) -> None:
+    results = _studied(a, [Run("heights", a.seed, i) for i in range(a.count)])
+    _told(a, study_tables.heights(results), study_tables.heights_bars(results), results, ())
+
+
 def _rides(a: argparse.Namespace) -> None:
     results = _studied(a, [Run("rides", a.seed, i) for i in range(a.count)])
     _told(a, study_tables.rides(results), study_tables.rides_bars(results), results, ())
@@ -204,6 +210,7 @@ _WORK: dict[str, Callable[[argparse.Namespace], None]] = {
     "start": _start,
     "radio": _radio,
     "renovated": _renovated,
+    "heights": _heights,
     "rides": _rides,
     "case": _case,
     "eye-check": _eye_check,

@@ -11,14 +11,15 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.bench.place import radio
 from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
+from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
-from ceilvo.bench.place.faults.changes import NIGHT_S, renovated
+from ceilvo.bench.place.faults.changes import HEIGHTS, NIGHT_S, renovated
 from ceilvo.bench.place.rides import ride
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.sights import CrossingSight
 from ceilvo.bench.place.robot.tally import Tally, figures, times
-from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP
+from ceilvo.daemon.relocalisation.relocaliser_state import NOT_THIS_MAP
 from ceilvo.types import Array, State
 
 LEG_S = 1800.0
@@ -30,6 +31,8 @@ _START_MOST_M = 60.0
 """Driven before a start is given up; chosen: twelve times the bar."""
 _RIGHT_S = 2.0
 """TRACKING for so long ends a start; chosen: that a wrong one shows."""
+_HEIGHT_S = 15.0
+"""Driven under a ceiling of another height; chosen: half as long again as the bar."""
 _LAPS = 3
 _NEAR_M = 0.05
 """A landmark so near a true crossing of its type is right; chosen: a quarter of the association gate."""
@@ -66,7 +69,7 @@ def run_study(run: Run) -> dict[str, Any]:
         return radio.start(run.seed, run.number, run.size, run.anchors, run.noise_m, run.obstructed)
     if run.study == "rides":
         return ride(run.seed, run.number)
-    return {"laps": _laps, "start": _start, "renovated": _renovated}[run.study](run)
+    return {"laps": _laps, "start": _start, "renovated": _renovated, "heights": _heights}[run.study](run)
 
 
 def _laps(run: Run) -> dict[str, Any]:
@@ -146,6 +149,34 @@ def _renovated(run: Run) -> dict[str, Any]:
     out = {"settled": settled, "share": run.share, "last_tracking_s": last_tracking_s, "run": figures(tally)}
     out |= {"not_this_map_s": not_this_map_s, "tile_m": world.spec.tile_m, "lamps": world.spec.lamps}
     return out | map_figures(drive, features, np.array(path)) | {"step_ms": times(drive.step_ms)}
+
+
+def _heights(run: Run) -> dict[str, Any]:
+    """Switched off, and on with the calibration of another camera's height: what is said, and whether the map stays."""
+    rng = np.random.default_rng([run.seed, run.number, 5])
+    size, ratio = _LEG_SIZES[run.number // len(HEIGHTS) % 2], HEIGHTS[run.number % len(HEIGHTS)]
+    tile_m, lamps = float(rng.choice((0.3, 0.6, 0.625, 1.25))), LAMPS[int(rng.integers(len(LAMPS)))]
+    world = make_world(WorldSpec(size, tile_m, lamps, 1000 * run.seed + run.number))
+    drive = drive_in(world, rng, bool(rng.random() < 0.5), 10.0, bool(rng.random() < 0.5), float(rng.uniform(0.3, 1.0)))
+    landmarks = load_known(drive, world, rng)
+    settled = drive.settle(SETTLE_S)
+    stored = drive.stored()
+    drive.begin_anew()
+    drive.conditions.sight = Sight(scale=ratio)
+    out = {"ratio": ratio, "size": size, "tile_m": tile_m, "lamps": lamps, "settled": settled and stored is not None}
+    if stored is None:
+        return out
+    landmarks, axis_rad, pose = stored
+    drive.load(landmarks, axis_rad, pose, NIGHT_S)
+    tally, not_this_map_s = Tally(), None
+    drive.tally = tally
+    while tally.seconds < _HEIGHT_S:
+        estimate = drive.tick()
+        if not_this_map_s is None and estimate is not None and estimate.reason.startswith(NOT_THIS_MAP):
+            not_this_map_s = tally.seconds
+    kept = drive.estimator.map()[0]
+    same = len(kept) == len(landmarks) and bool(np.all(kept.xy_map_m == landmarks.xy_map_m))
+    return out | {"not_this_map_s": not_this_map_s, "kept": same, "run": figures(tally)}
 
 
 def map_figures(drive: Drive, features: Features, path: Array) -> dict[str, float]:

@@ -155,6 +155,37 @@ def renovated_bars(results: Sequence[Result]) -> list[Bar]:
     ]
 
 
+def heights(results: Sequence[Result]) -> Table:
+    columns = ("height, share", "runs", "wrong s T, D", "worst m", "TRACKING %", "not this map", "s, median")
+    out = Table(*columns, "within 10 s", "map kept")
+    for ratio in sorted({r["ratio"] for r in results if r["settled"]}):
+        group = [r for r in results if r["settled"] and r["ratio"] == ratio]
+        f, said = [r["run"] for r in group], [r["not_this_map_s"] for r in group if r["not_this_map_s"] is not None]
+        out.add_row(
+            f"{ratio:.2f}",
+            f"{len(group)}",
+            f"{wrong_s(f, 'TRACKING'):.1f}, {wrong_s(f, 'DEGRADED'):.1f}",
+            f"{max((m for x in f for m in x['worst_m'].values()), default=0.0):.2f}",
+            f"{100.0 * sum(x['state_s'].get('TRACKING', 0.0) for x in f) / sum(x['seconds'] for x in f):.0f}",
+            f"{len(said)}",
+            median(said),
+            f"{sum(s <= _NOT_THIS_MAP_S for s in said)}",
+            f"{sum(r['kept'] for r in group)}",
+        )
+    return out
+
+
+def heights_bars(results: Sequence[Result]) -> list[Bar]:
+    group = [r for r in results if r["settled"]]
+    f, said = [r["run"] for r in group], [r["not_this_map_s"] for r in group]
+    wrong = wrong_s(f, "TRACKING") + wrong_s(f, "DEGRADED")
+    return [
+        Bar("TRACKING or DEGRADED wrong, s", wrong, f"{wrong:.1f} in {len(group)} runs", high=0.0),
+        share_bar("says not this map within 10 s, share", [s is not None and s <= _NOT_THIS_MAP_S for s in said], 1.0),
+        share_bar("map kept to the bit, share", [r["kept"] for r in group], 1.0),
+    ]
+
+
 def rides(results: Sequence[Result]) -> Table:
     columns = (
         "way",

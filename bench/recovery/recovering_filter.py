@@ -99,6 +99,9 @@ class RecoveringFilter:
         self._tracker.jump(pose, cov)
         self._memory = RecoveringState(self._tracker.state)
 
+    def forget(self, ids: Ints, newborn: bool = False) -> None:
+        self._tracker.forget(ids, newborn)
+
     def predict(self, motion: Motion) -> None:
         self._tracker.predict(motion)
         for poses in (self._memory.search, self._memory.alternatives):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -268,6 +268,12 @@ class Estimator:
         with self._lock:
             place = {"not_this_map": self._pipeline.relocaliser.times_off_map}
             return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults} | place
+
+    def place_search(self) -> Mapping[str, object] | None:
+        """What the last look through the whole map gave, see PlaceSearch; None where none was needed."""
+        with self._lock:
+            found = self._pipeline.relocaliser.state.search
+            return None if found is None else asdict(found)
 
     def noticed(self) -> tuple[tuple[str, str], ...]:
         """Name and reason of what senses noticed in the last frame for the first time."""

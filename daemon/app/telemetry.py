@@ -173,6 +173,7 @@ class Telemetry:
         }
         out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.health))
         out["cross_checks"] = {**self._estimator.suspicions(), "stamp_fault": self._estimator.stamp_fault}
+        out["place_search"] = self._estimator.place_search()
         learnt = self._estimator.senses()
         out |= {"senses": json_value(learnt)} if learnt else {}
         if self._base is not None:

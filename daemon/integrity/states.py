@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from ceilvo.config import States
 from ceilvo.daemon.relocalisation.doubts import UNLIKELY
-from ceilvo.daemon.relocalisation.relocaliser import AMBIGUOUS, NOT_THIS_MAP
+from ceilvo.daemon.relocalisation.relocaliser_state import AMBIGUOUS, MAPPED_APART, NOT_THIS_MAP
 from ceilvo.types import State
 
 LEAVE_RATIO = 0.8
@@ -223,6 +223,7 @@ class StateMachine:
         state = s.current
         if self._gives_up(e) and not self._blind(e):
             cause = next((c for c in (AMBIGUOUS, NOT_THIS_MAP) if e.in_doubt.startswith(c)), "in doubt")
+            cause += ", apart" if e.in_doubt.endswith(MAPPED_APART) else ""
             return State.RELOCALISING, cause, e.in_doubt
         lost = self._first_cause("lost_nis") if state is State.INIT else self._first_cause("lost_nis", "lost_sigma")
         if lost:

@@ -88,6 +88,14 @@ class Lattice:
             poses += [np.column_stack([there[:2] + shifts, np.full(len(shifts), there[2])]), there[None]]
         return rival_from_tracked(np.concatenate(poses), pose)
 
+    def log_scales(self, view: Observations) -> tuple[Array, Array]:
+        """Logarithms of each step in a row of what is seen over the period, (N,) and (M,) along the two axes."""
+        seen = view.xy_base_m[view.crossing_type == self.crossing_type]
+        at = seen @ rotation(view.heading_rad).T @ rotation(self.axis_rad)
+        steps = (_steps(at), _steps(at[:, ::-1]))
+        along, across = (np.log(s / t) if t > 0.0 else s[:0] for s, t in zip(steps, self.tile_m, strict=True))
+        return along, across
+
     def _misfit(self, pose: Array, view: Observations, turn: int) -> Array:
         """(2,) in map, by how much a pose must move for what it sees of the lattice to lie on it."""
         seen = view.xy_base_m[turned_type(view.crossing_type, turn) == self.crossing_type]
@@ -133,10 +141,16 @@ def offset(poses: Array, expected: Array) -> Array:
 
 def _period(at: Array) -> float:
     """Median distance along the first axis from a landmark to the next in its row; 0 where there is none."""
+    steps = _steps(at)
+    return float(np.median(steps)) if len(steps) >= FEWEST_PAIRS else 0.0
+
+
+def _steps(at: Array) -> Array:
+    """(N,) distances along the first axis from points (M, 2) to the next in their row."""
     order = np.lexsort([at[:, 0], np.round(at[:, 1] / (2.0 * ALIGNED_M))])
     step = np.diff(at[order], axis=0)
     good = (np.abs(step[:, 1]) < ALIGNED_M) & (step[:, 0] > SMALLEST_TILE_M) & (step[:, 0] < LARGEST_TILE_M)
-    return float(np.median(step[good, 0])) if np.count_nonzero(good) >= FEWEST_PAIRS else 0.0
+    return np.asarray(step[good, 0])
 
 
 def _phase(at: Array, tile: Array) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE, combined
-from ceilvo.daemon.relocalisation.lattice import Lattice, cells, offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.lattice import FEWEST_PAIRS, Lattice, cells, offset, rival_from_tracked, rival_poses
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Observations, Pose
 
@@ -38,6 +38,11 @@ chosen."""
 SPOILT = 0.001
 """Chance that a view which is kept shows something else than the ceiling, whatever has changed: people, a damaged
 picture; chosen."""
+SCALED, MOST_SCALED = 0.025, 0.3
+"""By how much, as a logarithm, tiles along both axes must be larger or smaller than the map's, all alike, to be of
+another height, a period in a view being known to 0.005; and beyond which it is another number of tiles; chosen."""
+RESCALED = 0.001
+"""Chance that the right map shows such tiles: a step of the ceiling that is not told, or another grid; chosen."""
 HALF = 0.5
 """A view of which the map knows less of the ground is from there."""
 _NEVER = -np.inf
@@ -68,6 +73,7 @@ class NotThisMapState:
         ratio: (G, K, 2) of every view there; on: (G, K) whether its ground is known there.
         odds: log-odds of the map against ground that it does not know; said: that it is not this map; times: that it
             was said.
+        lattice: of the map where the doubt began; scales: of every view, see Lattice.log_scales.
     """
 
     area_m2: float = 0.0
@@ -83,6 +89,13 @@ class NotThisMapState:
     odds: float = np.inf
     said: bool = False
     times: int = 0
+    lattice: Lattice | None = None
+    scales: list[tuple[Array, Array]] = field(default_factory=list)
+
+    @property
+    def scale(self) -> float:
+        """See other_scale."""
+        return other_scale(self.scales)
 
 
 class NotThisMap:
@@ -96,13 +109,13 @@ class NotThisMap:
         return self.state.said
 
     @property
-    def asks(self) -> bool:
-        return self.state.unknown > _NEVER
+    def refuses(self) -> bool:
+        """Whether no place of the map may be called sure: it is not this map, or not at this height."""
+        return self.state.said or self.state.scale != 0.0
 
     @property
-    def ground_m2(self) -> float:
-        """Of the ceiling that has been looked at."""
-        return self.state.ground.shown_m2
+    def asks(self) -> bool:
+        return self.state.unknown > _NEVER
 
     def doubt(
         self,
@@ -130,7 +143,10 @@ class NotThisMap:
             fits = doubt.alignment(off, lattice.tile_m, turned=False) if doubt.unmeasured else 0.0
             unknown -= max(fits, 0.0)  # tiles that do not lie so are features without landmarks, and count as those
         beyond = ground.share_beyond(pose[:2], reach_m) if doubt.anywhere else 0.0
+        before = self.state
         self.begin(unknown, ground.area_m2, beyond)
+        # the calibration of a daemon that runs does not change: what it sees larger then is a step of the ceiling
+        self.state.lattice, self.state.scales = (lattice, []) if doubt.stored > 0.0 else (before.lattice, before.scales)
 
     def begin(self, unknown: float, area_m2: float, beyond: float) -> None:
         """With a doubt: log-odds of unknown ground against the tracked place, ground that the map knows, and the share
@@ -176,6 +192,7 @@ class NotThisMap:
             complete: no other place of the map is.
         """
         s = self.state
+        self._scale(view)
         new = self.new_ground(pose, view.visible_m)
         if new < NEW_GROUND or not len(view):
             if s.views:
@@ -191,13 +208,23 @@ class NotThisMap:
             s.views, s.ratio, s.on = s.views[1:], s.ratio[:, 1:], s.on[:, 1:]
         return self._says()
 
+    def _scale(self, view: Observations) -> None:
+        """Of the last views, also of old ground; once the height is right again those that were kept say nothing."""
+        s = self.state
+        before = s.scale
+        s.scales = [*s.scales, *([] if s.lattice is None else [s.lattice.log_scales(view)])][-MOST_VIEWS:]
+        if before != 0.0 and s.scale == 0.0:
+            s.views, s.ground, s.said, s.odds = [], Coverage(), False, np.inf
+            s.ratio, s.on = np.zeros((len(s.places), 0, 2)), np.zeros((len(s.places), 0), bool)
+
     def _says(self) -> bool:
         """Weigh the map anew; True when that was what made it say so."""
         s = self.state
         if not s.views:
             return False
         s.odds = float(self._odds())
-        before, s.said = s.said, bool(s.odds < np.log(MAP_RIGHT) or (s.said and s.odds < 0.0))
+        before, scaled = s.said, len(s.views) > 1 and s.scale != 0.0
+        s.said = bool(s.odds < np.log(MAP_RIGHT) or (s.said and s.odds < 0.0) or scaled)
         s.times += s.said and not before
         return s.said and not before
 
@@ -241,7 +268,8 @@ class NotThisMap:
         s = self.state
         missed = np.array([[v[3] for v in s.views]])
         unlisted = s.beyond + float(self._with_changes(missed)[0])
-        return float(np.logaddexp(np.logaddexp.reduce(self._weights()), unlisted)) - s.unknown
+        scaled = float(np.log(RESCALED)) if s.scale != 0.0 else 0.0  # of all views together: it is one ceiling
+        return float(np.logaddexp(np.logaddexp.reduce(self._weights()), unlisted)) + scaled - s.unknown
 
     def _with_changes(self, ratio: Array) -> Array:
         """(G,) log-likelihood ratios of views (G, K), each of changed ground or not.
@@ -257,6 +285,20 @@ class NotThisMap:
         same = ratio[:, None] + new * np.log1p(-changed)
         each = np.logaddexp(new * np.log(changed), same)
         return np.asarray(np.logaddexp.reduce(np.log(CHANGED_CHANCE) + np.sum(each, axis=-1), axis=-1))
+
+
+def other_scale(scales: list[tuple[Array, Array]]) -> float:
+    """By how much tiles in views, see Lattice.log_scales, are larger than the map's along both axes, as a share.
+
+    0 where they are as large, are not alike along both, or show too little.
+    """
+    steps = [np.concatenate([view[axis] for view in scales]) if scales else np.zeros(0) for axis in range(2)]
+    if min(len(s) for s in steps) < FEWEST_PAIRS:
+        return 0.0
+    middle = [float(np.median(s)) for s in steps]
+    off = float(np.mean(middle))
+    alike = abs(middle[0] - middle[1]) < SCALED
+    return float(np.expm1(off)) if alike and SCALED < abs(off) < MOST_SCALED else 0.0
 
 
 def _same(places: Array, known: Array) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief, of_tracked
-from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
+from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
 from ceilvo.daemon.slam.association import associate
@@ -30,16 +30,10 @@ from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 VIEW_PERIOD_S = 0.1
 """A standing robot in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
-AMBIGUOUS = "ambiguous"
-"""Begins the reason while several places of the map are likely."""
-NOT_THIS_MAP = "not this map"
-"""Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
 YOUNG_VIEWS, YOUNG_M2 = 1.5, 12.0
 """A map that knows less ground than so many views, or this, is all around the robot: gaps do not doubt it; chosen."""
-ALIKE = 0.05
-"""Share of the belief from which a place is named among those that look alike; chosen."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
@@ -81,22 +75,12 @@ class Relocaliser:
     @property
     def sure(self) -> bool:
         """Whether the tracked place may be called good."""
-        s = self.state
-        return s.pending is None and s.reason == ""
+        return self.state.sure
 
     @property
     def doubt(self) -> str:
         """Why the place is not sure, for people; "" while it is."""
-        s = self.state
-        if self.sure:
-            return ""
-        why = s.pending.reason if s.pending is not None else s.reason
-        if s.not_this_map.said:
-            return f"{NOT_THIS_MAP}: nowhere does it show these {self._on_map.ground_m2:.0f} m2 of ceiling; {why}"
-        alike = s.belief.alike(ALIKE)
-        if s.pending is None and alike > 1:
-            return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
-        return f"to be confirmed by landmarks: {why}"
+        return self.state.doubt
 
     @property
     def times_off_map(self) -> int:
@@ -117,7 +101,8 @@ class Relocaliser:
         self.filter.reset(pose, cov, known)
         self._schedule.restart()
         self._on_map.end()
-        s.belief, s.began, s.views, s.gapped, s.jumped, s.submap_from = PlaceBelief(), 0.0, 0, False, 0.0, None
+        s.belief, s.began, s.views, s.gapped, s.jumped = PlaceBelief(), 0.0, 0, False, 0.0
+        s.close_submap()
         s.leads = np.zeros((0, 3))
         s.survey.measured_m = s.doubted_m = np.inf
         if known is None:
@@ -187,6 +172,7 @@ class Relocaliser:
         admitted = self._admitted(view)
         if admitted is not None:
             self.filter.update(admitted)
+            s.apart |= s.submap_from is not None and bool(np.any(admitted.label < 0))
             if self.sure and not self.state.surprised and len(self._sharp.visible_m):
                 s.survey.learnt(self.filter, self._sharp.shown(crossings, view))
         return view
@@ -264,6 +250,7 @@ class Relocaliser:
         if lattice is not None:
             if doubt.unmeasured:
                 pose = aligned_pose(lattice, expected, view, evidence)
+                s.gap_opens(pose, doubt.cov)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, lattice.watched_m), turned=True)
             off = offset(rival_poses(rivals, pose), expected)
@@ -289,6 +276,8 @@ class Relocaliser:
         tracked pose (3,), moved onto its place where that lies a few centimetres off."""
         s = self.state
         found = s.survey.index.candidates(view, most=MOST_FOUND)
+        wrong = float(np.min(found.false_alarm_probability[:1], initial=1.0))
+        s.search = PlaceSearch(len(found), found.complete, wrong)
         s.belief.cut = not (found.complete or s.listed)
         if not len(found):
             return pose
@@ -311,16 +300,17 @@ class Relocaliser:
 
     def _decided(self, pose: Array) -> bool:
         s = self.state
-        said = self._on_map.said  # then no place of the map is likely enough, whatever the belief has of this one
-        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not said else None
+        refused = self._on_map.refuses  # then no place of it is likely enough, whatever the belief has of this one
+        winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not refused else None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
-        if s.belief.doubt() >= self._rate or said:
+        if s.belief.doubt() >= self._rate or refused:
             s.reason = s.reason or CONTRADICTION
             self._open_submap()
         elif s.views >= FEWEST_VIEWS:
-            s.reason, s.began, s.grave, s.submap_from, s.leads = "", 0.0, False, None, np.zeros((0, 3))
+            s.reason, s.began, s.grave, s.leads = "", 0.0, False, np.zeros((0, 3))
+            s.close_submap()
             s.belief.forget()
             self._on_map.end()
         return winner is not None
@@ -333,7 +323,8 @@ class Relocaliser:
         """The robot is at a pose (3,); what was learnt in doubt comes along."""
         self._on_map.end()
         s, cov, first_id = self.state, np.diag(JUMP_SIGMA**2), self.state.submap_from
-        s.submap_from, tracked = None, self.filter.estimate()[0]
+        s.close_submap()
+        tracked = self.filter.estimate()[0]
         whole = None if first_id is None else joined(self.filter.landmarks(), first_id, tracked, found)
         if first_id is None or whole is None:
             self.filter.jump(Pose(found), cov)

@@ -11,12 +11,35 @@ from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.unmapped import Unmapped
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.submap import turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.schedule import ScheduleState
 from ceilvo.types import Array
 
 USUAL_WEIGHT = 0.05
 """Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
+AMBIGUOUS = "ambiguous"
+"""Begins the reason while several places of the map are likely."""
+NOT_THIS_MAP = "not this map"
+"""Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
+MAPPED_APART = "new ground is mapped apart; drive by odom, which goes on unbroken, not by the map pose"
+"""Ends the reason while there is a submap, see submap.py: what an application may rely on."""
+ALIKE = 0.05
+"""Share of the belief from which a place is named among those that look alike; chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceSearch:
+    """What the last look through the whole map gave.
+
+    Attributes:
+        places: that the view can be from; complete: all of them, see place_index.Candidates.
+        false_alarm_probability: chance that a wrong place of such a map explains as much as the best of them.
+    """
+
+    places: int
+    complete: bool
+    false_alarm_probability: float
 
 
 @dataclass(slots=True)
@@ -35,6 +58,9 @@ class RelocaliserState:
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         submap_from: id from which on landmarks were learnt in doubt, see submap.py; None while the place is sure.
+        apart: something was learnt so.
+        gap_cov, gap_at_m: (3, 3) m and rad, of the tracked pose before it was moved onto the tiles that are seen, and
+            (2,) where. Which tiles they are it does not say, so that much is open until the place is sure.
         leads: of the doubt that is not settled yet, see Doubt.
         survey: of the map, to find a place on it.
         schedule: when a view is news.
@@ -43,6 +69,7 @@ class RelocaliserState:
         doubted_m: way since a view and the one before it gave a small doubt.
         listed: all places where the robot may be were listed one by one; what the index leaves out is none of them.
         unmapped: what the map lacks while the place is sure.
+        search: the last one of this doubt.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -58,6 +85,9 @@ class RelocaliserState:
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
     submap_from: int | None = None
+    apart: bool = False
+    gap_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    gap_at_m: Array = field(default_factory=lambda: np.zeros(2))
     leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
     survey: MapSurvey = field(default_factory=MapSurvey)
     schedule: ScheduleState = field(default_factory=ScheduleState)
@@ -66,6 +96,43 @@ class RelocaliserState:
     doubted_m: float = np.inf
     listed: bool = False
     unmapped: Unmapped = field(default_factory=Unmapped)
+    search: PlaceSearch | None = None
+
+    @property
+    def sure(self) -> bool:
+        """Whether the tracked place may be called good."""
+        return self.pending is None and self.reason == ""
+
+    @property
+    def doubt(self) -> str:
+        """Why the place is not sure, for people; "" while it is."""
+        if self.sure:
+            return ""
+        why = self.pending.reason if self.pending is not None else self.reason
+        why = f"{why}; {MAPPED_APART}" if self.apart else why
+        scale = self.not_this_map.scale if self.pending is None else 0.0
+        if scale != 0.0:
+            than = f"{100.0 * abs(scale):.0f} % {'larger' if scale > 0.0 else 'smaller'} than its own"
+            return f"{NOT_THIS_MAP}: tiles are {than}, as with a calibration of another height; {why}"
+        if self.not_this_map.said:
+            ground_m2 = self.not_this_map.ground.shown_m2
+            return f"{NOT_THIS_MAP}: nowhere does it show these {ground_m2:.0f} m2 of ceiling; {why}"
+        alike = self.belief.alike(ALIKE)
+        if self.pending is None and alike > 1:
+            return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
+        return f"to be confirmed by landmarks: {why}"
+
+    def close_submap(self) -> None:
+        """The place is another one or sure: what is learnt from now on is of the map, and no search is asked for."""
+        self.submap_from, self.apart, self.gap_cov, self.search = None, False, np.zeros((3, 3)), None
+
+    def gap_opens(self, pose: Array, cov: Array) -> None:
+        """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""
+        self.gap_cov, self.gap_at_m = self.left_open(pose) + cov, pose[:2].copy()
+
+    def left_open(self, pose: Array) -> Array:
+        """(3, 3) by which the tracked pose (3,) may be off as the gaps of this doubt left it."""
+        return turned_cov(self.gap_cov, pose[:2] - self.gap_at_m)
 
     def shown(self, crossings: int) -> None:
         """One more view with a motion showed so many."""

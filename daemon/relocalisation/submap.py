@@ -11,16 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from ceilvo.crossing_types import quarter_turns, turned_type
-from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.spatial_index import landmarks_near
 from ceilvo.se2 import compose, inverse, rotation, transform
 from ceilvo.types import Array, Landmarks, Pose
 
 SAME_M = 0.1
 """A joined landmark so near one of its type is that one; chosen: as far as places are told apart."""
-
-MISPLACED_M = 0.06
-"""A landmark so near a misplaced crossing is of it; chosen: it moved on while its height was not known."""
 
 
 def first_id_after(landmarks: Landmarks) -> int:
@@ -56,12 +52,19 @@ def joined(landmarks: Landmarks, first_id: int, tracked: Array, found: Array) ->
     return Landmarks(*(np.concatenate([getattr(p, name) for p in parts]) for name in columns))
 
 
-def forget_near(filter_: PoseFilter, xy_base_m: Array) -> None:
-    """Drop landmarks at points (N, 2) in base: what was learnt there is elsewhere."""
-    pose, cov, _ = filter_.estimate()
-    at = transform(Pose(pose), xy_base_m)
-    near = filter_.landmarks_near(at, MISPLACED_M)[1]
-    off = near.xy_map_m[:, None] - at
-    wrong = np.any(np.hypot(off[..., 0], off[..., 1]) < MISPLACED_M, axis=1)
-    landmarks = filter_.landmarks()  # those that are no landmarks yet go with a reset, also where none is wrong
-    filter_.reset(pose, cov, landmarks.of(~np.isin(landmarks.ids, near.ids[wrong])))
+def turned_cov(cov: Array, way_m: Array) -> Array:
+    """(3, 3) m and rad of a pose that was known by `cov` (3, 3) before it went a way (2,) in map.
+
+    The moments of a turn of the way by the error of heading, a Gaussian's, which may be a quarter turn or more: to
+    first order (se2.lever) a pose that is turned by 90 deg would lie 40 sigma off.
+    """
+    var = float(cov[2, 2])
+    cos, cos2 = np.exp(-0.5 * var), np.exp(-2.0 * var)
+    across = np.array([-way_m[1], way_m[0]])
+    along = 0.5 * (1.0 + cos2) - 2.0 * cos + 1.0
+    both: Array = cov.copy()
+    both[:2, :2] += along * np.outer(way_m, way_m) + 0.5 * (1.0 - cos2) * np.outer(across, across)
+    both[:2, :2] += cos * (np.outer(cov[:2, 2], across) + np.outer(across, cov[:2, 2]))
+    both[:2, 2] += var * cos * across
+    both[2, :2] = both[:2, 2]
+    return both

@@ -28,6 +28,9 @@ INDEXED_M, EDGE_M = 2.5, 0.1
 """What a view may change of the map lies so near the robot, or as far as the camera sees; most see less. At the
 edge of that a landmark may have come in since the index took it up."""
 
+MISPLACED_M = 0.06
+"""A landmark so near a misplaced crossing is of it; chosen: it moved on while its height was not known."""
+
 
 @dataclass(slots=True)
 class MapSurvey:
@@ -128,6 +131,18 @@ class MapSurvey:
         self.index.sync(near)
         there = self.index.within(pose[:2] - reach_m + EDGE_M, pose[:2] + reach_m - EDGE_M)
         self.index.remove(np.setdiff1d(there, near.ids))
+
+    def forget_near(self, filter_: PoseFilter, xy_base_m: Array) -> None:
+        """Filter and index drop landmarks at points (N, 2) in base: what was learnt there is elsewhere.
+
+        Landmarks that are not shown yet may be of them, and are begun again.
+        """
+        at = transform(Pose(filter_.estimate()[0]), xy_base_m)
+        near = filter_.landmarks_near(at, MISPLACED_M)[1]
+        off = near.xy_map_m[:, None] - at
+        wrong = near.ids[np.any(np.hypot(off[..., 0], off[..., 1]) < MISPLACED_M, axis=1)]
+        filter_.forget(wrong, newborn=True)
+        self.index.remove(wrong)
 
 
 def _rare(landmarks: Landmarks) -> int:

@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ceilvo.daemon.slam.association import chi2_of
-from ceilvo.daemon.slam.joint_filter import View, noise_in_map
+from ceilvo.daemon.slam.joint_filter import View
 from ceilvo.daemon.slam.joint_map import JITTER
 from ceilvo.se2 import rotation, wrap_array
 from ceilvo.types import Array
+
+
+def noise_in_map(theta: float, var: Array) -> Array:
+    """(K, 2, 2) of variances (K, 2) along base x and y."""
+    r = rotation(theta)
+    return np.asarray((r * var[:, None, :]) @ r.T, np.float64)
 
 
 class Conditional:

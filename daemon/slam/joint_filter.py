@@ -24,7 +24,7 @@ from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.daemon.slam.pose_filter import COUNTERS, checked_motion
 from ceilvo.daemon.slam.spatial_index import IndexedMap, unpacked
 from ceilvo.errors import CeilvoError
-from ceilvo.se2 import rotation, transform
+from ceilvo.se2 import transform
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
 ALL_LABELS = 1 << 60
@@ -65,12 +65,6 @@ class View:
             joint=joint,
             inflation=inflation,
         )
-
-
-def noise_in_map(theta: float, var: Array) -> Array:
-    """(K, 2, 2) of variances (K, 2) along base x and y."""
-    r = rotation(theta)
-    return np.asarray((r * var[:, None, :]) @ r.T, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +177,11 @@ class JointFilter:
         """Continue from a pose that knows nothing of the map."""
         self._state.joint.put_pose(pose, cov)
         self._rule.jumped(self._state)
+
+    def forget(self, ids: Ints, newborn: bool = False) -> None:
+        if self._state.known is None:
+            upkeep.forget(self._state.joint, ids, newborn)
+            self._summary = None
 
     def update(self, obs: Observations) -> None:
         """Associate, absorb, then births and deaths of landmarks."""

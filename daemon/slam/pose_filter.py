@@ -32,6 +32,15 @@ class PoseFilter(Protocol):
     def jump(self, pose: Array, cov: Array) -> None:
         """Continue from a pose (3,) with covariance (3, 3) that owes nothing to the map; the map stays."""
 
+    def forget(self, ids: Ints, newborn: bool = False) -> None:
+        """Drop landmarks by their ids; all else stays to the bit, as when those are marginalised out.
+
+        Ids that are not there are passed over. A known map stays as it is. Labels are of other landmarks afterwards.
+
+        Args:
+            newborn: drop also all that was not seen often enough to be shown.
+        """
+
     def predict(self, motion: Motion) -> None:
         """Move by the motion since the last call."""
 

@@ -100,6 +100,13 @@ def settle(j: JointMap, now: int, birth_sightings: int) -> int:
     return len(never_again)
 
 
+def forget(j: JointMap, ids: Ints, newborn: bool = False) -> None:
+    """Drop landmarks by id, see PoseFilter.forget."""
+    gone = np.isin(j.ids, ids)
+    gone[j.size :] |= newborn
+    j.forget(np.flatnonzero(gone))
+
+
 def make_room(j: JointMap, most: int, now: int) -> int:
     """Forget the least certain newborn landmarks that are not in view, so many at most; returns how many there were."""
     newborn = np.arange(j.size, len(j))

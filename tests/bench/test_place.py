@@ -308,7 +308,9 @@ def test_poses_are_of_the_map_not_of_the_room() -> None:
     assert isinstance(Pose(d.pose), np.ndarray)
 
 
-@pytest.mark.parametrize("name", ["faults", "carried", "restart", "laps", "start", "renovated", "case", "eye-check"])
+@pytest.mark.parametrize(
+    "name", ["faults", "carried", "restart", "laps", "start", "renovated", "heights", "case", "eye-check"]
+)
 def test_every_command_has_help_that_keeps_seeds_apart(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         command.main([name, "--help"])

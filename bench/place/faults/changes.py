@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Features, Origin, features_of, joined, without
 from ceilvo.bench.place.ceiling.worlds import World, make_world
 from ceilvo.bench.place.faults.script import Script, Site, goes_on, halt, last
@@ -17,6 +18,8 @@ SHARE = 0.3
 """Of a room that is renovated, issue's."""
 NIGHT_S = 8.0 * 3600.0
 """For which a robot is switched off while its ceiling is changed."""
+HEIGHTS = (0.8, 0.9, 0.95, 1.05, 1.1, 1.2)
+"""Height of the ceiling in a calibration over that with which the map was made."""
 _OTHER = 10**9
 """Added to a world's seed for another ceiling; chosen: far from other worlds' seeds."""
 
@@ -35,6 +38,22 @@ def half_the_lamps(d: Drive, site: Site) -> Iterator[None]:
 def over_night(share: float) -> Script:
     """A part of the ceiling is another one."""
     return _switched_off(lambda world, d: renovated(world, share, d.rng))
+
+
+def other_height(d: Drive, site: Site) -> Iterator[None]:
+    """Switched off, and on with the calibration of another camera's height; after 15 s the right one is put back."""
+    yield from halt(d)
+    stored = d.stored()
+    d.begin_anew()
+    d.conditions.sight = Sight(scale=float(d.rng.choice(HEIGHTS)))
+    if stored is not None:
+        d.load(*stored, ago_s=NIGHT_S)
+    d.tally.effect()
+    yield from goes_on(d)
+    yield from last(d, 15.0)
+    d.conditions.sight = Sight()
+    d.restart()
+    d.tally.over()
 
 
 def rehung() -> Script:

@@ -86,6 +86,7 @@ KINDS: dict[str, Kind] = {
     "a third renovated": Kind(changes.over_night(changes.SHARE)),
     "lamps rehung": Kind(changes.rehung()),
     "another building": Kind(changes.over_night(1.0)),
+    "another height": Kind(changes.other_height),
     "other floor": Kind(changes.other_floor),
     "reset elsewhere": Kind(claims.told(claims.reset_to(claims.elsewhere)), pictures=True),
     "reset here": Kind(claims.told(claims.reset_to(claims.here))),

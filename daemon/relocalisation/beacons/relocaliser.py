@@ -172,10 +172,11 @@ class BeaconRelocaliser(Relocaliser):
         self.bridge.end()
 
     def carry(self, track: Track, pose: Pose, cov: Array) -> tuple[Pose, Array]:
-        """The filter's pose (3,) with covariance (3, 3), moved over a gap."""
+        """The filter's pose (3,) with covariance (3, 3), moved over a gap; one that must not be used yet with the
+        covariance of the gap before it, too."""
         if self.bridge.lives and self.bridge.helps and track.gap is not None:
             return self.bridge.pose
-        return track.carry(pose, cov)
+        return track.carry(pose, cov + self.state.left_open(pose) if self.state.grave else cov)
 
     # -- ranges
 

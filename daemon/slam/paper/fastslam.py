@@ -22,7 +22,15 @@ from ceilvo.daemon.slam.association import (
     usable,
 )
 from ceilvo.daemon.slam.paper import curve_fit
-from ceilvo.daemon.slam.paper.particle_maps import Candidates, ParticleMaps, fused, turned
+from ceilvo.daemon.slam.paper.particle_maps import (
+    LOG_2PI,
+    Candidates,
+    ParticleMaps,
+    fused,
+    gaussian_log,
+    mahalanobis,
+    turned,
+)
 from ceilvo.daemon.slam.pose_filter import (
     COUNTERS,
     checked_motion,
@@ -46,7 +54,6 @@ ESS_FLOOR = 0.1
 """Share of the particles that one update must leave effective; the likelihood is tempered until it does."""
 REGULARISATION = (2e-5, 2e-5, 1e-5)
 """m, m, rad: noise after resampling, so that no cloud ever collapses to a point."""
-_LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(slots=True)
@@ -125,6 +132,12 @@ class FastSlam:
         low, high = np.min(landmarks.xy_map_m, axis=0), np.max(landmarks.xy_map_m, axis=0)
         unit = self.state.rng.random((self._settings.particles, 3))
         return np.column_stack([low + unit[:, :2] * (high - low), 2.0 * np.pi * unit[:, 2]])
+
+    def forget(self, ids: Ints, newborn: bool = False) -> None:
+        if self.state.known is None:
+            self.state.maps.forget(ids)
+            self.state.candidates = Candidates(EXPIRES_UPDATES) if newborn else self.state.candidates
+            self.state.summary = None
 
     def predict(self, motion: Motion) -> None:
         self.state.poses = moved(self.state.poses, checked_motion(motion), self.state.rng)
@@ -249,7 +262,7 @@ class FastSlam:
         off = wrap_array(self.state.poses[:, 2] - obs.heading_rad)
         floor = self._settings.outlier_floor
         outlier = np.log(floor * OUTLIER_DENSITY_PER_RAD) if floor > 0.0 else -np.inf
-        inlier = np.log1p(-floor) - 0.5 * (off * off / var + np.log(var) + _LOG_2PI)
+        inlier = np.log1p(-floor) - 0.5 * (off * off / var + np.log(var) + LOG_2PI)
         return np.asarray(np.logaddexp(inlier, outlier), np.float64)
 
     def _tempered(self, log_likelihood: Array) -> Array:
@@ -333,16 +346,3 @@ class FastSlam:
         self.state.weights = np.full(len(poses), 1.0 / len(poses))
         self.state.maps.resample(ancestors)
         return len(np.unique(ancestors)), residual
-
-
-def gaussian_log(innovation: Array, cov: Array) -> Array:
-    """log N(innovation; 0, cov): (K, 2, ...) and packed (K, 3, ...) to (K, ...)."""
-    det = cov[:, 0] * cov[:, 2] - cov[:, 1] * cov[:, 1]
-    return np.asarray(-0.5 * (mahalanobis(innovation, cov) + np.log(det)) - _LOG_2PI, np.float64)
-
-
-def mahalanobis(innovation: Array, cov: Array) -> Array:
-    """Squared: (K, 2, ...) and packed (K, 3, ...) to (K, ...)."""
-    x, y = innovation[:, 0], innovation[:, 1]
-    xx, xy, yy = cov[:, 0], cov[:, 1], cov[:, 2]
-    return np.asarray((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy), np.float64)

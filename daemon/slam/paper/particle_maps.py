@@ -15,6 +15,7 @@ _CHUNK = 64
 """Landmarks that arrays grow by at least; chosen."""
 _REFRESH = 64
 """Landmarks out of view whose summary is renewed per update, so that its cost does not grow with the map."""
+LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(slots=True)
@@ -93,6 +94,15 @@ class ParticleMaps:
         self.row = np.concatenate([self.row, np.zeros((more, n), np.int32)])
         self.xy = np.concatenate([self.xy, np.zeros((more, 2))])
         self.packed = np.concatenate([self.packed, np.zeros((more, 3))])
+
+    def forget(self, ids: Ints) -> None:
+        """Drop landmarks by their ids; the order of the others stays."""
+        keep = np.flatnonzero(~np.isin(self.ids[: self.size], ids))
+        if len(keep) == self.size:
+            return
+        self.size, self.turn = len(keep), 0
+        for name in ("ids", "crossing_type", "sightings", "mean", "cov", "row", "xy", "packed"):
+            setattr(self, name, getattr(self, name)[keep])
 
     def resample(self, ancestors: Ints) -> None:
         """Particle i goes on with the map of particle ancestors[i]."""
@@ -191,3 +201,16 @@ def turned(var: Array, theta: float) -> Array:
     """(M, 3) packed covariances in map from (M, 2) variances in base."""
     r = rotation(theta)
     return np.column_stack([var @ (r[0] ** 2), var @ (r[0] * r[1]), var @ (r[1] ** 2)])
+
+
+def gaussian_log(innovation: Array, cov: Array) -> Array:
+    """log N(innovation; 0, cov): (K, 2, ...) and packed (K, 3, ...) to (K, ...)."""
+    det = cov[:, 0] * cov[:, 2] - cov[:, 1] * cov[:, 1]
+    return np.asarray(-0.5 * (mahalanobis(innovation, cov) + np.log(det)) - LOG_2PI, np.float64)
+
+
+def mahalanobis(innovation: Array, cov: Array) -> Array:
+    """Squared: (K, 2, ...) and packed (K, 3, ...) to (K, ...)."""
+    x, y = innovation[:, 0], innovation[:, 1]
+    xx, xy, yy = cov[:, 0], cov[:, 1], cov[:, 2]
+    return np.asarray((yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy), np.float64)

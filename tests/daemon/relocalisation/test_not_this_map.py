@@ -16,7 +16,8 @@ from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, Vi
 from ceilvo.daemon.relocalisation.lattice import Lattice, rival_from_tracked
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap, Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
-from ceilvo.daemon.relocalisation.relocaliser import NOT_THIS_MAP, Relocaliser
+from ceilvo.daemon.relocalisation.relocaliser import Relocaliser
+from ceilvo.daemon.relocalisation.relocaliser_state import NOT_THIS_MAP
 from ceilvo.se2 import inverse, transform
 from ceilvo.types import Array, Landmarks, Observations, State
 
