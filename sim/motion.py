@@ -241,9 +241,14 @@ class WheelOdometry:
 
 @dataclass(frozen=True)
 class TiltSpec:
-    """Rocking of the body while it drives: |roll| and |pitch| stay within the amplitude at any time."""
+    """Rocking of the body while it drives: |roll| and |pitch| stay within the amplitude at any time.
+
+    Attributes:
+        at_rest: it rocks while it stands, too, as one that somebody leans on.
+    """
 
     amplitude_rad: float = 0.0
+    at_rest: bool = False
 
 
 class TiltProfile:
@@ -263,7 +268,7 @@ class TiltProfile:
         t = np.asarray(t_s, np.float64)
         if self._spec.amplitude_rad == 0.0:
             return np.zeros((*t.shape, 2))
-        moving = self._path.speed_at(t) / self._path.spec.speed_mps
+        moving = 1.0 if self._spec.at_rest else self._path.speed_at(t) / self._path.spec.speed_mps
         squat = np.clip(self._path.acceleration_at(t) / self.SQUAT_FULL_MPS2, -1.0, 1.0)
         push = (squat[..., 1], -squat[..., 0])  # outwards in a bend, nose up when speeding up
         axes = [self._waves(t, i) * moving + self.SQUAT * push[i] for i in (0, 1)]

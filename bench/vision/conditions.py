@@ -188,6 +188,12 @@ def _driving() -> list[Condition]:
     fast = replace(LAP, speed_mps=0.8, corner_radius_m=0.8 / np.radians(90.0))
     return [
         _make("tilt", "tilt up to 2 deg with vibration", tilt=TWO_DEG, bars={**bars, **TIMES}),
+        _make(
+            "tilt-start",
+            "the same from the first frame on, while the robot still stands",
+            tilt=replace(TWO_DEG, at_rest=True),
+            bars={**bars, "tracking_worst_mm": Bar("<=", 8.0)},
+        ),
         _make("tilt-full", "the same, looked at whole", tilt=TWO_DEG, overrides=FULL, bars={**bars, **WHOLE_TIMES}),
         _make("fast", "0.8 m/s, turns of 90 deg/s", lap=fast),
         _make("turning", "1 m/s, turns of 1.5 rad/s", lap=TURNING),

@@ -183,3 +183,10 @@ def test_the_heading_that_is_not_wrapped_is_the_turn_rates_integral() -> None:
     assert turned[-1] > 2.0 * np.pi, "more than a lap"
     middle = path.twist_at(0.5 * (t[1:] + t[:-1]))[:, 2]
     assert np.allclose(np.diff(turned), middle * np.diff(t), atol=1e-4)
+
+
+def test_a_robot_that_rocks_at_rest_does_so_from_the_first_instant() -> None:
+    spec = TiltSpec(np.radians(2.0), at_rest=True)
+    standing = TiltProfile(LapPath(), spec).at(np.linspace(0.0, 0.5, 50))
+    assert np.ptp(standing, axis=0).min() > np.radians(0.3)
+    assert np.abs(TiltProfile(LapPath(), spec).at(T)).max() <= spec.amplitude_rad
