@@ -37,7 +37,6 @@ from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, OnStageDone, ignore
 from ceilvo.daemon.vision.finder.line_finder import LineFinderState
-from ceilvo.daemon.vision.thinning import thinned
 from ceilvo.senses.heard import NOTHING, Heard
 from ceilvo.types import Array, Crossings, Estimate, Frame, Landmarks, Motion, Observations, Pose, WheelMotion
 
@@ -75,7 +74,6 @@ class Pipeline:
         settings = config.filter
         process = np.diag([settings.process_xy_m**2, settings.process_xy_m**2, settings.process_theta_rad**2])
         self.config = config
-        self._focal_px = calibration.level_view.focal_px
         self.vision = CrossingFinder(calibration, config.features)
         self.odometry = HeightsOdometry(config.odometry, calibration)
         self.dead_reckoning = DeadReckoning(process)
@@ -123,14 +121,11 @@ class Pipeline:
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
         stands = suspicions.has(Kind.STANDS)  # frozen, or the robot stands on slipping wheels: no news of the place
         self.seen = crossings = None if placed is None else self.odometry.directed(placed)
-        shown = 0 if crossings is None else len(crossings)
-        if crossings is not None:
-            crossings = thinned(crossings, self._focal_px)
         misplaced = self.odometry.misplaced
         odd_ceiling, rocking = self.odometry.suspicion, self.odometry.rocking
         on_stage_done("odometry")
         track = self.dead_reckoning.advance(stamp_ns, motion)
-        self.relocaliser.followed(self.dead_reckoning.state, track, shown, heard)
+        self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
         self.relocaliser.follow_lamps(self.dead_reckoning.state, track, heard.lamps)
         if len(misplaced) and track.gap is None:
             self.relocaliser.state.survey.forget_near(self.filter, misplaced)
@@ -146,7 +141,8 @@ class Pipeline:
         if crossings is not None and len(crossings) and track.gap is None and not stands:
             view = self.relocaliser.look(stamp_ns, crossings)
         on_stage_done("filter")
-        return self._estimate(stamp_ns, motion, track, shown, view, suspicions, odd_ceiling, rocking)
+        seen = 0 if crossings is None else len(crossings)
+        return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling, rocking)
 
     def _estimate(
         self,

@@ -11,6 +11,7 @@ from ceilvo import se2
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.evidence.admission import FARTHEST_M
+from ceilvo.daemon.vision.thinning import without_cells
 from ceilvo.se2 import transform
 from ceilvo.types import GOOD, NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, Observations, Pose
 
@@ -44,7 +45,7 @@ class KeyPoseTaker:
         if self._most is not None and len(self._poses) >= self._most:
             self._forget(1)
             self._cut()
-        view = pipeline.relocaliser.observed(crossings)
+        view = pipeline.relocaliser.observed(without_cells(crossings))
         ids = _names(pipeline, view)
         self._floors.append(estimate.floor)
         self._views.append((view.xy_base_m, _squares(view.var_m2), view.crossing_type, ids))

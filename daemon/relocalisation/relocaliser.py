@@ -24,6 +24,7 @@ from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import UpdateSchedule
+from ceilvo.daemon.vision.thinning import without_cells
 from ceilvo.se2 import transform, wrap
 from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 
@@ -163,8 +164,8 @@ class Relocaliser:
 
         Where a view shows that the robot is elsewhere, the filter is put there.
         """
-        s = self.state
-        if not self._schedule.due(stamp_ns, self._view_period_s):
+        s, crossings = self.state, without_cells(crossings)
+        if not len(crossings) or not self._schedule.due(stamp_ns, self._view_period_s):
             return None
         view = self.observed(crossings)
         if self._weigh(self._sharp.of(view)):

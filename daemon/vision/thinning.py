@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.crossings import squares_with
-from ceilvo.types import Crossings, Ints
+from ceilvo.types import Crossings
 
 _NEAR_M = 0.11
 """How near a neighbour is: over two cells of 50 mm, under a quarter of a tile's side; chosen."""
@@ -23,29 +23,40 @@ rows of cells."""
 _SQUARES = 15
 """Squares with crossings that must remain; chosen: from 10 on no points are needed."""
 ALL_CELLS = 250
-"""Crossings in dense fields that are left out whatever remains, for the ceiling is all cells then; chosen: more than of
-a ceiling of grilles. Motions are found by them, but places are not: a map would hold a hundred a square metre."""
+"""Crossings in dense fields from which a ceiling is all cells; chosen: more than of a ceiling of grilles."""
 
 
 def thinned(crossings: Crossings, focal_px: float) -> Crossings:
-    """Points, and the crossings outside dense fields, where there are enough of them; else all.
+    """The crossings outside dense fields, where there are enough of them; else all, and of a ceiling that is all cells.
 
     Whole fields are left out, not some of their crossings: which of them remain would change from frame to frame.
     """
+    xy = crossings.xy_base_m.astype(np.float32)
+    alone = _alone(xy)
+    if not _MANY <= np.count_nonzero(~alone) < ALL_CELLS:
+        return crossings
+    others = crossings.of(alone)
+    return others if squares_with(others, focal_px) >= _SQUARES else crossings
+
+
+def without_cells(crossings: Crossings) -> Crossings:
+    """What tells places: of a ceiling that is all cells, points and what lies apart; of any other all.
+
+    Motions are found by cells, but places are not: a map would hold a hundred a square metre, all alike.
+    """
+    if len(crossings) < ALL_CELLS:
+        return crossings
     line = crossings.crossing_type < LINE_CROSSINGS
     xy = crossings.xy_base_m[line].astype(np.float32)
-    alone = kernel.crowd(xy, _NEAR_M) <= _NEIGHBOURS
-    dense = len(alone) - np.count_nonzero(alone)
-    if dense < _MANY:
+    alone = _alone(xy)
+    if np.count_nonzero(~alone) < ALL_CELLS:
         return crossings
-    if dense >= ALL_CELLS:
-        alone[alone] = _dense_around(xy, alone) == 0
+    alone[alone] = kernel.crowd(xy, _AROUND_M)[alone] == kernel.crowd(xy[alone], _AROUND_M)  # none in the field
     stays = ~line
     stays[line] = alone
-    others = crossings.of(stays)
-    return others if dense >= ALL_CELLS or squares_with(others, focal_px) >= _SQUARES else crossings
+    return crossings.of(stays)
 
 
-def _dense_around(xy: NDArray[np.float32], alone: NDArray[np.bool_]) -> Ints:
-    """(M,) for those of (N, 2) that are alone, how many that are not lie around."""
-    return np.asarray(kernel.crowd(xy, _AROUND_M)[alone] - kernel.crowd(xy[alone], _AROUND_M))
+def _alone(xy: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(M,) which of (M, 2) are in no dense field."""
+    return np.asarray(kernel.crowd(xy, _NEAR_M) <= _NEIGHBOURS)

@@ -12,6 +12,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision.finder.line_finder import LineFinder, LineFinderState
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
+from ceilvo.daemon.vision.thinning import thinned
 from ceilvo.types import Array, Crossings, Frame, Ints, Lines
 
 _SAMPLES_A_SIDE = 32
@@ -74,6 +75,8 @@ class CrossingFinder:
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
         crossings = None if lines is None else self._lines.crossed(lines)
+        if crossings is not None:
+            crossings = thinned(crossings, self._calibration.level_view.focal_px)
         if self._points is not None:
             whole = self.state.since_detection == 0
             crossings = self._points(frame.gray, crossings, self._lines.tilt_prior(), whole)

@@ -15,7 +15,7 @@ from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
 from ceilvo.daemon.vision.points.lamps import find_lamps
 from ceilvo.daemon.vision.points.places import Found, Gray, Places, joined
 from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
-from ceilvo.daemon.vision.thinning import ALL_CELLS, thinned
+from ceilvo.daemon.vision.thinning import ALL_CELLS, without_cells
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
 
@@ -48,7 +48,7 @@ class PointFinder:
         if crossings is not None and len(crossings) >= ALL_CELLS and not now_and_then:
             return crossings
         view = self._calibration.level_view
-        few = None if crossings is None else thinned(crossings, view.focal_px)
+        few = None if crossings is None else without_cells(crossings)
         have = 0 if few is None else squares_with(few, view.focal_px)
         if have >= ENOUGH:
             return crossings
