@@ -130,6 +130,17 @@ def off_course(fit: RigidFit, sure: bool, course: Course, config: Odometry) -> s
     return "" if jump and sure and _repeated(fit, course, config) else jump
 
 
+def measured_twist(fit: RigidFit, course: Course, config: Odometry) -> tuple[Array, float]:
+    """(3,) [m/s, m/s, rad/s] of a motion that is taken, and the time that it is the mean over.
+
+    After a view that was refused it is that since then where this view, too, is off course: the way up to it was no
+    motion of a robot. Where this view is on course the other one was mistaken, and tells no twist.
+    """
+    if course.refused is None or not _jumped(fit, course, config):
+        return fit.b_from_a / course.elapsed_s, course.elapsed_s
+    return se2.between(course.refused, fit.b_from_a) / course.step_s, course.step_s
+
+
 def _within(fit: RigidFit, course: Course) -> bool:
     off = fit.b_from_a - course.guess
     off[2] = se2.wrap(float(off[2]))

@@ -17,7 +17,16 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, goes_on_turning, twist_prior
-from ceilvo.daemon.odometry.course import JUMPED, NOWHERE, Course, Found, contradicted, judged, moved_by_hand
+from ceilvo.daemon.odometry.course import (
+    JUMPED,
+    NOWHERE,
+    Course,
+    Found,
+    contradicted,
+    judged,
+    measured_twist,
+    moved_by_hand,
+)
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
     HeadingFusion,
@@ -246,9 +255,7 @@ class VisualOdometry:
         cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else NOWHERE
         before = s.twist
-        s.twist, s.twist_span_s = fit.b_from_a / course.elapsed_s, course.elapsed_s
-        if course.refused is not None:  # the way up to it was no motion of a robot
-            s.twist, s.twist_span_s = se2.between(course.refused, fit.b_from_a) / course.step_s, course.step_s
+        s.twist, s.twist_span_s = measured_twist(fit, course, self._config)
         s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
         s.twist_change = s.twist - before
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES

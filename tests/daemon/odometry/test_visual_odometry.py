@@ -140,6 +140,17 @@ def test_a_consistent_jump_that_no_robot_makes_is_a_failure() -> None:
     assert abs(motion.prev_from_curr[0] - 0.5 * DT_S) < 0.002
 
 
+def test_a_view_that_was_mistaken_costs_one_motion_and_leaves_the_twist_alone() -> None:
+    """The next view is on course: what lies between the two was no motion, and nobody moved the robot."""
+    vo = VisualOdometry(Odometry())
+    poses = circle(12)
+    steps = [se2.compose(pose, np.array([0.03, 0.0, 0.0])) if k == 6 else pose for k, pose in enumerate(poses)]
+    motions = [vo.step(seen_from(pose), DT_S) for pose in steps]
+    assert [k for k, motion in enumerate(motions) if not motion.ok] == [0, 6]
+    assert np.abs(vo.state.twist - [0.5, 0.0, 0.6]).max() < 0.05
+    assert max(motion.doubt for motion in motions[7:]) < 1e-3
+
+
 def test_a_turn_that_no_robot_makes_is_a_failure() -> None:
     """An old picture on a bend: it fits a part of what was seen last, turned by half a radian."""
     vo, poses = VisualOdometry(Odometry(max_turn_radps=20.0)), circle(10)
