@@ -19,7 +19,7 @@ from ceilvo.daemon.odometry.cross_checks.noticed import EVENTS, suspicions_of
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, PathsState
 from ceilvo.daemon.odometry.cross_checks.pictures import Pictures, PicturesState
 from ceilvo.daemon.odometry.cross_checks.reversal import Reversal, ReversalState
-from ceilvo.daemon.odometry.cross_checks.standing import Standing, StandingState
+from ceilvo.daemon.odometry.cross_checks.standing import Standing, StandingState, StoppedDead, StoppedState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion, Suspicions
 from ceilvo.daemon.odometry.cross_checks.turned_camera import YAW_SIGMA_RAD, TurnedCamera, TurnedCameraState
 from ceilvo.daemon.odometry.senses.motion_senses import MotionSenses, MotionSensesState, Noticed, Told
@@ -58,6 +58,7 @@ class CrossChecksState:
     counters: dict[str, int] = field(default_factory=lambda: {kind.value: 0 for kind in Kind})
     senses: MotionSensesState = field(default_factory=MotionSensesState)
     rewound: RewoundState = field(default_factory=RewoundState)
+    stopped: StoppedState = field(default_factory=StoppedState)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,7 @@ class CrossChecks:
         self._refuse_repeats = config.camera.refuse_repeats
         self._paths, self._pictures = Paths(), Pictures()
         self._standing, self._delay = Standing(config.odometry.match_radius_m), Delay()
-        self._rewound = Rewound(config.odometry)
+        self._rewound, self._stopped = Rewound(config.odometry), StoppedDead(config.odometry)
         self._reversal, self._turned_camera = Reversal(), TurnedCamera()
         self.senses, self._noticed = MotionSenses(config.senses), Noticed()
         self._active: list[str] = []
@@ -104,6 +105,7 @@ class CrossChecks:
             self._counters,
             self.senses.state,
             self._rewound.state,
+            self._stopped.state,
         )
 
     @state.setter
@@ -111,6 +113,7 @@ class CrossChecks:
         self._paths.state, self._pictures.state, self._delay.state = state.paths, state.pictures, state.delay
         self._standing.state, self._reversal.state = state.standing, state.reversal
         self._turned_camera.state, self._rewound.state = state.turned_camera, state.rewound
+        self._stopped.state = state.stopped
         self._active, self._counters, self.senses.state = state.active, state.counters, state.senses
         self._admitted = None
 
@@ -228,6 +231,8 @@ class CrossChecks:
         late_s = self._max_delay_s if self._steady_late_s is None else max(known_s, 0.0) + _KNOWN_DELAY_S
         found = [] if asked.repeat is None else [asked.repeat]
         found += self._standing.step(self._paths, late_s, self._noticed.still)
+        stopped = self._stopped.step(motion, elapsed_s) if wheels is None else None
+        found += [] if stopped is None else [stopped]
         found += suspicions_of(self._noticed, motion.ok, self._since_jump_s())
         against = self._reversal.step(self._paths, max(known_s, 0.0))
         found += against + self._turned_camera.step(self._paths, max(known_s, 0.0), late_s, bool(against))

@@ -1,16 +1,19 @@
-"""Wheels that turn while the picture stands, a picture that moves while they stand, and blindness on the spot."""
+"""Wheels that turn while the picture stands, a picture that moves while they stand, blindness on the spot, and, without
+wheels, a picture that stops dead."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo import se2
+from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, displacement
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
-from ceilvo.types import Array, Displacement, Ints
+from ceilvo.types import Array, Displacement, Ints, Motion
 
 _MOVED_M, _MOVED_RAD = 0.02, 0.03
 """Least motion that counts; chosen: gears and belts of a few millimetres of play turn motors before wheels."""
@@ -32,6 +35,12 @@ _BLIND_S = 0.09
 0.1 s is 6 m/s. Where there were no frames at all it is a hole: a busy computer leaves them out for some tenths."""
 _SURE_STEP = 0.5
 """Of the radius in which features are matched: a longer step on a ceiling of tiles may be another; chosen."""
+
+
+_DEAD_M, _DEAD_RAD = 0.0005, 0.0003
+"""Motion of a picture that stands, five times the noise of one frame; as in pictures.py."""
+_BRAKED_M, _BRAKED_RAD = 0.002, 0.002
+"""Shortest way to a stop that is told from none, and motion that proves that the picture is live; as there."""
 
 
 @dataclass(slots=True)
@@ -133,6 +142,81 @@ class Standing:
         m, deg = float(np.hypot(moved[0], moved[1])), math.degrees(abs(float(moved[2])))
         why = f"the picture moved by {m:.2f} m and {deg:.1f} deg while the wheels stood: pushed, carried, or they slide"
         return Suspicion(Kind.MOVES, why, Severity.NOTED)
+
+
+@dataclass(slots=True)
+class StoppedState:
+    """Without wheels: how fast the picture moved last, and what came since.
+
+    Attributes:
+        speed_mps, turn_radps: mean over span_s, between the last two views that moved; 0 before there were any.
+        moved: (3,) since the last view; moved_s: time.
+        dead_s: since the picture stopped dead; None while it is live.
+    """
+
+    speed_mps: float = 0.0
+    turn_radps: float = 0.0
+    span_s: float = 0.0
+    moved: Array = field(default_factory=lambda: np.zeros(3))
+    moved_s: float = 0.0
+    dead_s: float | None = None
+
+
+class StoppedDead:
+    """A picture that moved, and stands from one view to the next with no way to brake on."""
+
+    def __init__(self, config: Odometry) -> None:
+        self._brake_mps2, self._brake_radps2 = config.max_accel_mps2, config.max_turn_accel_radps2
+        self.state = StoppedState()
+
+    def step(self, motion: Motion, elapsed_s: float) -> Suspicion | None:
+        """After odometry took a frame, elapsed_s after the one before, of a robot without wheels."""
+        s = self.state
+        s.moved, s.moved_s = se2.compose(s.moved, motion.prev_from_curr), s.moved_s + elapsed_s
+        if motion.restarted:
+            self.state = StoppedState()
+        elif motion.ok and s.moved_s > 0.0:
+            self._view()
+        s = self.state
+        if s.dead_s is None:
+            return None
+        s.dead_s += elapsed_s
+        m, rad = s.speed_mps * s.dead_s, s.turn_radps * s.dead_s
+        return Suspicion(
+            Kind.STANDS,
+            f"the picture stopped dead at {s.speed_mps:.2f} m/s and {s.turn_radps:.2f} rad/s: it is frozen, or the "
+            "robot ran into something",
+            Severity.IN_DOUBT if m > _IN_DOUBT_M or rad > _IN_DOUBT_RAD else Severity.DEGRADED,
+            m,
+            rad,
+        )
+
+    def _view(self) -> None:
+        """A view was laid on the last one."""
+        s = self.state
+        m, rad = float(np.hypot(s.moved[0], s.moved[1])), abs(float(s.moved[2]))
+        if s.dead_s is not None:  # counted from where it stopped
+            if m > _BRAKED_M or rad > _BRAKED_RAD:
+                self.state = StoppedState()
+            return
+        if m < _DEAD_M and rad < _DEAD_RAD and self._had_to_move():
+            s.dead_s = 0.0
+        else:
+            s.speed_mps, s.turn_radps, s.span_s = m / s.moved_s, rad / s.moved_s, s.moved_s
+        s.moved, s.moved_s = np.zeros(3), 0.0
+
+    def _had_to_move(self) -> bool:
+        """Whether a robot that braked as hard as it can would have been seen to move on."""
+        s = self.state
+        way_m = _least_way(s.speed_mps, s.span_s, s.moved_s, self._brake_mps2)
+        return way_m > _BRAKED_M or _least_way(s.turn_radps, s.span_s, s.moved_s, self._brake_radps2) > _BRAKED_RAD
+
+
+def _least_way(mean: float, span_s: float, time_s: float, brake: float) -> float:
+    """Of something that moved so fast in the mean over a span, in the time after it."""
+    speed = max(mean - 0.5 * brake * span_s, 0.0)
+    braking_s = min(time_s, speed / brake)
+    return (speed - 0.5 * brake * braking_s) * braking_s
 
 
 def _seen_since_wheels_stand(paths: Paths, late_s: float) -> Ints:
