@@ -51,20 +51,27 @@ class Reader:
         self.states: list[dict[str, str]] = []
         heard = {"/pose": (POSE, self._pose), "/tf": (TF, self._tf), "/tf_static": (TF, self._tf)}
         heard |= {"/odom": (ODOM, self._odom), "/diagnostics": (DIAGNOSTICS, self._diagnostics)}
-        self._subscribers = []
-        for topic, (kind, take) in heard.items():
+
+        def subscriber(topic: str) -> Any:
+            kind, take = heard[topic]
             durability = QosDurability.TRANSIENT_LOCAL if topic in latched else QosDurability.VOLATILE
-            self._subscribers.append(
-                ROS2Subscriber(
-                    topic,
-                    kind,
-                    take,
-                    msg_definition=self._definition(kind),
-                    router_port=port,
-                    type_hash=self._store.hash_rihs01(kind),
-                    qos=QosProfile(durability=durability, history_depth=1),
-                )
+            return ROS2Subscriber(
+                topic,
+                kind,
+                take,
+                msg_definition=self._definition(kind),
+                router_port=port,
+                type_hash=self._store.hash_rihs01(kind),
+                qos=QosProfile(durability=durability, history_depth=1),
             )
+
+        until = time.monotonic() + _ANSWER_S
+        self._subscribers = [subscriber(topic) for topic in latched]
+        while not self.transforms and time.monotonic() < until:  # it asks once for what was said before, for .5 to 2 s
+            for late in self._subscribers:
+                late.close()
+            self._subscribers = [subscriber(topic) for topic in latched]
+        self._subscribers += [subscriber(topic) for topic in heard if topic not in latched]
 
     def graph(self) -> dict[str, Any]:
         """Topics with types, and the endpoints of each by node, hash and quality of service."""
