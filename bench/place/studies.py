@@ -20,7 +20,7 @@ from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.sights import CrossingSight
 from ceilvo.bench.place.robot.tally import Tally, figures, times
 from ceilvo.daemon.relocalisation.relocaliser_state import NOT_THIS_MAP
-from ceilvo.types import Array, State
+from ceilvo.types import Array, Estimate, State
 
 LEG_S = 1800.0
 """Of laps in one room; chosen: an hour has two rooms at least."""
@@ -144,7 +144,7 @@ def _renovated(run: Run) -> dict[str, Any]:
         path.append(drive.pose[:2])
         if estimate is not None and estimate.state is State.TRACKING:
             last_tracking_s = tally.seconds
-        if not_this_map_s is None and estimate is not None and estimate.reason.startswith(NOT_THIS_MAP):
+        if not_this_map_s is None and _says_not_this_map(estimate):
             not_this_map_s = tally.seconds
     out = {"settled": settled, "share": run.share, "last_tracking_s": last_tracking_s, "run": figures(tally)}
     out |= {"not_this_map_s": not_this_map_s, "tile_m": world.spec.tile_m, "lamps": world.spec.lamps}
@@ -158,7 +158,7 @@ def _heights(run: Run) -> dict[str, Any]:
     tile_m, lamps = float(rng.choice((0.3, 0.6, 0.625, 1.25))), LAMPS[int(rng.integers(len(LAMPS)))]
     world = make_world(WorldSpec(size, tile_m, lamps, 1000 * run.seed + run.number))
     drive = drive_in(world, rng, bool(rng.random() < 0.5), 10.0, bool(rng.random() < 0.5), float(rng.uniform(0.3, 1.0)))
-    landmarks = load_known(drive, world, rng)
+    load_known(drive, world, rng)
     settled = drive.settle(SETTLE_S)
     stored = drive.stored()
     drive.begin_anew()
@@ -172,11 +172,15 @@ def _heights(run: Run) -> dict[str, Any]:
     drive.tally = tally
     while tally.seconds < _HEIGHT_S:
         estimate = drive.tick()
-        if not_this_map_s is None and estimate is not None and estimate.reason.startswith(NOT_THIS_MAP):
+        if not_this_map_s is None and _says_not_this_map(estimate):
             not_this_map_s = tally.seconds
     kept = drive.estimator.map()[0]
     same = len(kept) == len(landmarks) and bool(np.all(kept.xy_map_m == landmarks.xy_map_m))
     return out | {"not_this_map_s": not_this_map_s, "kept": same, "run": figures(tally)}
+
+
+def _says_not_this_map(estimate: Estimate | None) -> bool:
+    return estimate is not None and estimate.reason.startswith(NOT_THIS_MAP)
 
 
 def map_figures(drive: Drive, features: Features, path: Array) -> dict[str, float]:

@@ -231,7 +231,7 @@ class CrossChecks:
         late_s = self._max_delay_s if self._steady_late_s is None else max(known_s, 0.0) + _KNOWN_DELAY_S
         found = [] if asked.repeat is None else [asked.repeat]
         found += self._standing.step(self._paths, late_s, self._noticed.still)
-        stopped = self._stopped.step(motion, elapsed_s) if wheels is None else None
+        stopped = self._stopped.step(motion, wheels, elapsed_s)
         found += [] if stopped is None else [stopped]
         found += suspicions_of(self._noticed, motion.ok, self._since_jump_s())
         against = self._reversal.step(self._paths, max(known_s, 0.0))

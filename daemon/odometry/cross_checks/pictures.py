@@ -49,9 +49,9 @@ _LIGHT_CHANGED = 0.05
 """Relative change of brightness from one standing picture to the next after which noise is learnt anew; chosen."""
 _DIMMER = 0.7
 """Of the brightness at which noise was learnt: darker pictures have less noise; chosen."""
-_STANDS_M, _STANDS_RAD = 0.0005, 0.0003
+STANDS_M, STANDS_RAD = 0.0005, 0.0003
 """Motion of a standing picture, five times the noise of one frame; chosen."""
-_MOVES_M, _MOVES_RAD = 0.002, 0.002
+MOVES_M, MOVES_RAD = 0.002, 0.002
 """Motion that proves that the pictures are live; chosen."""
 _LEARNT_FRAMES = 5
 """Standing pictures that tell the noise; chosen."""
@@ -142,13 +142,13 @@ class Pictures:
         difference = _difference(new, before)
         if difference is None or not motion.ok:
             s.candidate_frames = 0
-        elif moved_m > _MOVES_M or turned_rad > _MOVES_RAD:
+        elif moved_m > MOVES_M or turned_rad > MOVES_RAD:
             if s.candidate_frames >= _LEARNT_FRAMES:
                 s.noise_grey = max(s.candidate_grey, _NOISELESS_GREY)
                 s.noise_mean_grey = float(new.sample.mean())
             s.candidate_frames = 0
             s.equal_moving += (float(np.mean(new.sample == before.sample)) - s.equal_moving) / _MOVING_FRAMES
-        elif moved_m < _STANDS_M and turned_rad < _STANDS_RAD:
+        elif moved_m < STANDS_M and turned_rad < STANDS_RAD:
             self._stand(new, before, difference)
 
     def _stand(self, new: Picture, before: Picture, difference: float) -> None:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.cross_checks.paths import Paths, displacement
+from ceilvo.daemon.odometry.cross_checks.pictures import MOVES_M, MOVES_RAD, STANDS_M, STANDS_RAD
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicion
-from ceilvo.types import Array, Displacement, Ints, Motion
+from ceilvo.types import Array, Displacement, Ints, Motion, WheelMotion
 
 _MOVED_M, _MOVED_RAD = 0.02, 0.03
 """Least motion that counts; chosen: gears and belts of a few millimetres of play turn motors before wheels."""
@@ -35,12 +36,6 @@ _BLIND_S = 0.09
 0.1 s is 6 m/s. Where there were no frames at all it is a hole: a busy computer leaves them out for some tenths."""
 _SURE_STEP = 0.5
 """Of the radius in which features are matched: a longer step on a ceiling of tiles may be another; chosen."""
-
-
-_DEAD_M, _DEAD_RAD = 0.0005, 0.0003
-"""Motion of a picture that stands, five times the noise of one frame; as in pictures.py."""
-_BRAKED_M, _BRAKED_RAD = 0.002, 0.002
-"""Shortest way to a stop that is told from none, and motion that proves that the picture is live; as there."""
 
 
 @dataclass(slots=True)
@@ -169,8 +164,11 @@ class StoppedDead:
         self._brake_mps2, self._brake_radps2 = config.max_accel_mps2, config.max_turn_accel_radps2
         self.state = StoppedState()
 
-    def step(self, motion: Motion, elapsed_s: float) -> Suspicion | None:
-        """After odometry took a frame, elapsed_s after the one before, of a robot without wheels."""
+    def step(self, motion: Motion, wheels: WheelMotion | None, elapsed_s: float) -> Suspicion | None:
+        """After odometry took a frame, elapsed_s after the last one. Wheels are for Standing: this begins anew."""
+        if wheels is not None:
+            self.state = StoppedState()
+            return None
         s = self.state
         s.moved, s.moved_s = se2.compose(s.moved, motion.prev_from_curr), s.moved_s + elapsed_s
         if motion.restarted:
@@ -196,10 +194,10 @@ class StoppedDead:
         s = self.state
         m, rad = float(np.hypot(s.moved[0], s.moved[1])), abs(float(s.moved[2]))
         if s.dead_s is not None:  # counted from where it stopped
-            if m > _BRAKED_M or rad > _BRAKED_RAD:
+            if m > MOVES_M or rad > MOVES_RAD:
                 self.state = StoppedState()
             return
-        if m < _DEAD_M and rad < _DEAD_RAD and self._had_to_move():
+        if m < STANDS_M and rad < STANDS_RAD and self._had_to_move():
             s.dead_s = 0.0
         else:
             s.speed_mps, s.turn_radps, s.span_s = m / s.moved_s, rad / s.moved_s, s.moved_s
@@ -209,7 +207,7 @@ class StoppedDead:
         """Whether a robot that braked as hard as it can would have been seen to move on."""
         s = self.state
         way_m = _least_way(s.speed_mps, s.span_s, s.moved_s, self._brake_mps2)
-        return way_m > _BRAKED_M or _least_way(s.turn_radps, s.span_s, s.moved_s, self._brake_radps2) > _BRAKED_RAD
+        return way_m > MOVES_M or _least_way(s.turn_radps, s.span_s, s.moved_s, self._brake_radps2) > MOVES_RAD
 
 
 def _least_way(mean: float, span_s: float, time_s: float, brake: float) -> float:

@@ -48,14 +48,14 @@ class PointFinder:
         if crossings is not None and len(crossings) >= ALL_CELLS and not now_and_then:
             return crossings
         view = self._calibration.level_view
-        few = None if crossings is None else without_cells(crossings)
-        have = 0 if few is None else squares_with(few, view.focal_px)
+        apart = None if crossings is None else without_cells(crossings)
+        have = 0 if apart is None else squares_with(apart, view.focal_px)
         if have >= ENOUGH:
             return crossings
         if self._places is None:
             self._places = Places(self._calibration, self._max_view_deg)
-        cells = crossings is not None and few is not None and len(few) < len(crossings)
-        found = self._look(view.reduced(gray), self._places, 0 if cells else ENOUGH - have)
+        only_lamps = apart is not crossings  # corners and spots of cells are as many as cells
+        found = self._look(view.reduced(gray), self._places, 0 if only_lamps else ENOUGH - have)
         if not len(found):
             return crossings
         if crossings is None or not len(crossings):  # lines of one direction tell half of the tilt, and that badly

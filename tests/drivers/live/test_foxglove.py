@@ -58,6 +58,7 @@ def test_every_message_becomes_foxgloves() -> None:
     view.take(Topic.HEALTH.value, json.dumps({"schema": "ceilvo.health.1", "stamp_unix_ns": UNIX_NS}).encode())
     view.scene()
     assert {channel for channel, _ in got.values()} == set(CHANNELS)
+    assert {"/pose", "/tf", "/scene", "/camera/jpeg", "/event", "/camera/calibration"} <= set(got)
     odom, base = (
         np.array([t.translation.x, t.translation.y, 2 * np.arctan2(t.rotation.z, t.rotation.w)])
         for t in (chain["odom"], chain["base_link"])

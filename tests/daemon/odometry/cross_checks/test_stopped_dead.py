@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.cross_checks.standing import StoppedDead
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity
-from ceilvo.types import Motion
+from ceilvo.types import Motion, WheelMotion
 
 NOISE_M = 1e-4
 BRAKE_MPS2 = Odometry().max_accel_mps2
@@ -25,7 +25,7 @@ def seen(way_m: np.ndarray, rate_hz: float, seed: int = 0, lost: tuple[int, ...]
         step = believed - at[k - 2] if k in lost and k > 1 else at[k] - believed
         motion = Motion(np.array([step, 0.0, 0.0]), np.eye(3), 9, 0.0, "nothing fits" if k in lost else None)
         believed += step
-        out.append(check.step(motion, 1.0 / rate_hz) is not None)
+        out.append(check.step(motion, None, 1.0 / rate_hz) is not None)
     return out
 
 
@@ -59,10 +59,21 @@ def test_it_is_over_when_the_picture_moves_and_graver_the_longer_it_lasts() -> N
     drives = Motion(np.array([0.03, 0.0, 0.0]), np.eye(3), 9, 0.0)
     stands = Motion(np.array([1e-4, 0.0, 0.0]), np.eye(3), 9, 0.0)
     for _ in range(3):
-        assert check.step(drives, 1.0 / 30.0) is None
-    said = [check.step(stands, 1.0 / 30.0) for _ in range(15)]
+        assert check.step(drives, None, 1.0 / 30.0) is None
+    said = [check.step(stands, None, 1.0 / 30.0) for _ in range(15)]
     assert all(s is not None and s.kind is Kind.STANDS for s in said)
     assert said[0] is not None and said[0].severity is Severity.DEGRADED
     assert said[-1] is not None and said[-1].severity is Severity.IN_DOUBT
     assert abs(said[-1].jump_m - 0.9 * 15 / 30.0) < 0.02
-    assert check.step(drives, 1.0 / 30.0) is None and check.step(drives, 1.0 / 30.0) is None
+    assert check.step(drives, None, 1.0 / 30.0) is None and check.step(drives, None, 1.0 / 30.0) is None
+
+
+def test_what_the_picture_did_before_wheels_came_and_went_is_forgotten() -> None:
+    """The robot braked while the wheels told it."""
+    check = StoppedDead(Odometry())
+    drives = Motion(np.array([0.03, 0.0, 0.0]), np.eye(3), 9, 0.0)
+    stands = Motion(np.array([1e-4, 0.0, 0.0]), np.eye(3), 9, 0.0)
+    for _ in range(3):
+        assert check.step(drives, None, 1.0 / 30.0) is None
+    assert check.step(stands, WheelMotion(np.zeros(3), np.eye(3)), 1.0 / 30.0) is None
+    assert not any(check.step(stands, None, 1.0 / 30.0) for _ in range(5))
