@@ -97,10 +97,17 @@ class Robot:
 
     def until(self, true: Callable[[], bool], what: str) -> None:
         def true_and_alive() -> bool:
+            self.check()
             assert not self.result, self.result
             return true()
 
         until(true_and_alive, what)
+
+    def check(self) -> None:
+        """Raises what ended the daemon, with where it was raised."""
+        for result in self.result:
+            if isinstance(result, Exception):
+                raise result
 
     def until_state(self, *states: State) -> None:
         """A pose captured from now on is in one of the states."""
@@ -124,6 +131,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         yield made
     finally:
         made.close()
+    made.check()
     assert isinstance(made.result[0], dict), made.result
 
 

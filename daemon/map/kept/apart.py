@@ -27,15 +27,17 @@ class Apart:
         self.change: Change | None = None
         self._base: StoredMap | None = None
         self._hash = ""
+        self._own: frozenset[int] = frozenset()
         self._names: dict[int, int] = {}
 
     def begin(self, stored: StoredMap | None, map_hash: str) -> None:
         """The robot is on the map with this hash now; None: on none of the database."""
         self.change, self._base, self._hash, self._names = None, stored, map_hash, {}
+        self._own = _ids(stored)
 
     def written(self, ours: StoredMap, map_hash: str) -> None:
         """The robot's map, as it was then, is in the database in whatever way onto() said."""
-        self._base, self._hash = self._named(ours), map_hash
+        self._base, self._hash, self._own = self._named(ours), map_hash, _ids(ours)
 
     def onto(self, ours: StoredMap, theirs: StoredMap | None, map_hash: str) -> StoredMap:
         """What is to be written.
@@ -60,9 +62,9 @@ class Apart:
         return StoredMap(whole, theirs.map_axis_rad)
 
     def _give_names(self, base: Landmarks, ours: Landmarks, theirs: Landmarks) -> None:
-        """What the robot learnt since has other ids in the database where its own are in use there."""
-        new = np.setdiff1d(ours.ids, [*base.ids.tolist(), *self._names])
-        taken = new[np.isin(new, theirs.ids)].tolist()
+        """What the robot learnt since has other ids in the database where its own are in use there, or were given."""
+        new = np.setdiff1d(ours.ids, [*self._own, *self._names])
+        taken = new[np.isin(new, [*theirs.ids.tolist(), *self._names.values()])].tolist()
         above = int(max(np.max(a.ids, initial=-1) for a in (base, ours, theirs))) + 1
         above = max(above, *(n + 1 for n in self._names.values()), 0)
         self._names |= {i: above + n for n, i in enumerate(taken)}
@@ -72,3 +74,7 @@ class Apart:
             return ours
         ids = np.array([self._names.get(i, i) for i in ours.landmarks.ids.tolist()], np.int64)
         return replace(ours, landmarks=replace(ours.landmarks, ids=ids))
+
+
+def _ids(stored: StoredMap | None) -> frozenset[int]:
+    return frozenset() if stored is None else frozenset(stored.landmarks.ids.tolist())

@@ -238,27 +238,45 @@ class KeptMap:
             return False
         return bool(db.version) and db.hash == self._hash and not self._anew
 
-    def write(self, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None, refused: int) -> None:
+    def write(
+        self,
+        landmarks: Landmarks,
+        map_axis_rad: float,
+        key_poses: KeyPoses | None,
+        refused: int,
+        written: Callable[[str], None] = lambda _: None,
+    ) -> None:
         """Write what changed, after look(). A map that somebody else wrote, or that was given up, becomes a generation
         first.
+
+        Args:
+            written: hears the hash once the landmarks are there, and again with the key poses; what fails after that
+                leaves them there.
 
         Raises:
             FileFormatError, OSError: it cannot be written; what lies there stays. SupersededError where another program
                 has written since look().
         """
         try:
-            self._write(landmarks, map_axis_rad, key_poses, refused)
+            self._write(landmarks, map_axis_rad, key_poses, refused, written)
         except DamagedError:
             self.close()
             self.look()
-            self._write(landmarks, map_axis_rad, key_poses, refused)
+            self._write(landmarks, map_axis_rad, key_poses, refused, written)
         except SupersededError:
             raise
         except FileFormatError:
             self.close()
             raise
 
-    def _write(self, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None, refused: int) -> None:
+    def _write(
+        self,
+        landmarks: Landmarks,
+        map_axis_rad: float,
+        key_poses: KeyPoses | None,
+        refused: int,
+        written: Callable[[str], None],
+    ) -> None:
         if self._db is None:
             raise FileFormatError(f"{self.path}: not open")
         is_new = self._anew or not self._db.version
@@ -268,9 +286,11 @@ class KeptMap:
         self._db.save(landmarks, map_axis_rad, self._session, found=found, refused=refused, anew=self._anew)
         self._hold(self._db)
         self._anew = False
+        written(self._hash)
         if key_poses is not None and len(key_poses):
             self._db.add_key_poses(key_poses)
             self._hold(self._db)
+            written(self._hash)
         self._written = True
         if is_new or self.landmarks >= GROWN * self._copied:
             self._copy(self._db)

@@ -229,9 +229,12 @@ class Store:
             return self._save_beside(kept, ours.landmarks, ours.map_axis_rad)
         before = kept.content
         landmarks = whole.landmarks if before is None or kept is self._map else unmoved(whole.landmarks, before)
-        kept.write(landmarks, whole.map_axis_rad, key_poses, refused)
-        if alone:
-            self._apart.written(ours, kept.hash)
+
+        def written(map_hash: str) -> None:
+            if alone:
+                self._apart.written(ours, map_hash)
+
+        kept.write(landmarks, whole.map_axis_rad, key_poses, refused, written)
         return True
 
     # -- another program's changes

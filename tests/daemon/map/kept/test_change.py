@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kept_maps import load_database
+from map_contents import key_poses
 from map_writer import estimate, landmarks
 
 from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.kept.change import Change
 from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME, Store
 from ceilvo.daemon.map.map_file import StoredMap, load_state
+from ceilvo.errors import FileFormatError
 from ceilvo.se2 import rotation, transform
 from ceilvo.types import Landmarks, Pose
 
@@ -164,3 +166,50 @@ def test_who_writes_between_the_look_and_the_writing_loses_nothing(
     assert store.save(landmarks(101), AXIS_RAD, estimate(2))
     found = stored(tmp_path)
     assert len(found) == 101 and np.allclose(found.xy_map_m, changed(landmarks(101)).xy_map_m, atol=0.001)
+
+
+def test_what_a_robot_goes_on_learning_keeps_apart_from_names_that_were_given(store: Store, tmp_path: Path) -> None:
+    """The name given to a landmark whose id was taken is the next id that the robot itself gives."""
+    added = landmarks(102).of(np.array([100, 101]))
+    far = replace(added, xy_map_m=np.array([[50.0, 50.0], [51.0, 50.0]]))
+    columns = ("ids", "xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")
+
+    def make(m: Landmarks) -> Landmarks:
+        return Landmarks(*(np.concatenate([getattr(changed(m), n), getattr(far, n)]) for n in columns))
+
+    other_program(tmp_path, make)
+    for n, count in enumerate((103, 104, 130, 131)):
+        assert store.save(landmarks(count), AXIS_RAD, estimate(2 + n))
+        found = stored(tmp_path)
+        assert len(found) == count + 2
+        assert len(np.unique(found.ids)) == len(found)
+        want = np.vstack([changed(landmarks(count)).xy_map_m, far.xy_map_m])
+        apart = np.hypot(*(found.xy_map_m[:, None] - want).transpose(2, 0, 1))
+        assert np.max(np.min(apart, axis=0)) < 0.003, "all that the robot knows is there once, where it belongs"
+        assert np.max(np.min(apart, axis=1)) < 0.003
+
+
+def test_a_save_that_fails_half_way_is_no_other_program(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As of a folder that is taken away between the landmarks and the key poses; the landmarks are this robot's own."""
+    add, fails = MapDatabase.add_key_poses, [True]
+
+    def add_or_fail(db: MapDatabase, *args: object) -> int:
+        if fails[0]:
+            raise FileFormatError(f"{db.path}: disk I/O error")
+        return add(db, *args)  # type: ignore[arg-type]
+
+    views = key_poses("robot", 5)
+    monkeypatch.setattr(MapDatabase, "add_key_poses", add_or_fail)
+    assert not store.save(landmarks(110), AXIS_RAD, estimate(2), key_poses=views)
+    assert "disk I/O error" in store.error
+    fails[0] = False
+    for n, count in enumerate((112, 113)):
+        assert store.save(landmarks(count), AXIS_RAD, estimate(3 + n), key_poses=views)
+        assert store.change is None
+        assert np.array_equal(stored(tmp_path).ids, np.arange(count))
+        assert np.array_equal(stored(tmp_path).xy_map_m, landmarks(count).xy_map_m)
+    with MapDatabase(tmp_path / MAP_NAME) as db:
+        assert sum(map(len, db.content().key_poses)) == 5
+    assert not any("another program" in r.message for r in caplog.records)
