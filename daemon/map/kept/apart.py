@@ -39,15 +39,17 @@ class Apart:
         """The robot's map, as it was then, is in the database in whatever way onto() said."""
         self._base, self._hash, self._own = self._named(ours), map_hash, _ids(ours)
 
-    def onto(self, ours: StoredMap, theirs: StoredMap | None, map_hash: str) -> StoredMap:
+    def onto(self, ours: StoredMap, theirs: StoredMap | None, map_hash: str, copied_hash: str) -> StoredMap:
         """What is to be written.
 
         Args:
             ours: the robot's map.
             theirs: what the database holds, with its hash.
+            copied_hash: of the good copy, which takes the place of a damaged database: an earlier one of ours.
         """
         base = self._base
-        if base is None or theirs is None or (self.change is None and map_hash == self._hash):
+        is_ours = self.change is None and map_hash in (self._hash, copied_hash)
+        if base is None or theirs is None or is_ours:
             return ours
         self.change = Change.between(base, theirs)
         if self.change is None:

@@ -22,7 +22,7 @@ from ceilvo.daemon.map.database.database import MapDatabase
 from ceilvo.daemon.map.database.faults import DamagedError, HeldError, SupersededError
 from ceilvo.daemon.map.kept.found import Found, floors_around, found_in
 from ceilvo.daemon.map.kept.generations import Generations
-from ceilvo.daemon.map.kept.usable import out_of_the_way, usable
+from ceilvo.daemon.map.kept.usable import copy_in_place_of_link, out_of_the_way, usable
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap, load_map
 from ceilvo.errors import FileFormatError
@@ -37,6 +37,9 @@ a robot learns a building."""
 OLD_NAME = "map.json"
 """The map of a ceilvo that had no database; it is read where there is none, and stays as it is."""
 
+Told = Callable[[str], None]
+"""Hears the hash of what was written."""
+
 
 class KeptMap:
     """One database, open while it can be. What somebody else wrote into it meanwhile, or put in its place, is noticed.
@@ -44,6 +47,7 @@ class KeptMap:
     Attributes:
         path: of the database.
         landmarks: in it, when it was last read or written.
+        copied_hash: of the good copy, as it was last made here.
     """
 
     def __init__(self, path: Path, generations: int, session: str, floor: str = "") -> None:
@@ -56,6 +60,7 @@ class KeptMap:
         self._anew = False
         self._written = False
         self._copied = 0
+        self.copied_hash = ""
         self._generations = Generations(path, generations)
         self._old = Generations(path.with_name(OLD_NAME), generations)
 
@@ -119,27 +124,13 @@ class KeptMap:
             if not (os.path.lexists(self.path) or os.path.lexists(copy_of(self.path))):
                 break
             try:
-                self._no_link()
+                copy_in_place_of_link(self.path)
                 return self._open()
             except HeldError:
                 raise
             except FileFormatError as e:  # a copy that took nobody's place was of no use, either
                 _log.warning("%s; %s", e, self._out_of_the_way(isinstance(e, DamagedError) or attempt > 0))
         return None
-
-    def _no_link(self) -> None:
-        """What a link leads to is used, and stays as it is: SQLite would write there, and keep its log there."""
-        if self.path.is_symlink() and self.path.is_file():
-            leads_to = self.path.readlink()
-            with contextlib.suppress(OSError):
-                aside = put_in_place(self.path, self.path)
-                name = "nothing" if aside is None else aside.name
-                _log.warning(
-                    "%s: a link to %s, expected a file; a copy of that is used; set aside as %s",
-                    self.path,
-                    leads_to,
-                    name,
-                )
 
     def _open(self) -> MapDatabase:
         floor = self._floor
@@ -244,14 +235,13 @@ class KeptMap:
         map_axis_rad: float,
         key_poses: KeyPoses | None,
         refused: int,
-        written: Callable[[str], None] = lambda _: None,
+        written: Told = lambda _: None,
     ) -> None:
         """Write what changed, after look(). A map that somebody else wrote, or that was given up, becomes a generation
         first.
 
         Args:
-            written: hears the hash once the landmarks are there, and again with the key poses; what fails after that
-                leaves them there.
+            written: told once the landmarks are there, and again with the key poses; what fails later leaves them.
 
         Raises:
             FileFormatError, OSError: it cannot be written; what lies there stays. SupersededError where another program
@@ -270,12 +260,7 @@ class KeptMap:
             raise
 
     def _write(
-        self,
-        landmarks: Landmarks,
-        map_axis_rad: float,
-        key_poses: KeyPoses | None,
-        refused: int,
-        written: Callable[[str], None],
+        self, landmarks: Landmarks, map_axis_rad: float, key_poses: KeyPoses | None, refused: int, written: Told
     ) -> None:
         if self._db is None:
             raise FileFormatError(f"{self.path}: not open")
@@ -357,7 +342,7 @@ class KeptMap:
         if os.path.lexists(copy) and not copy.is_file():
             _log.warning("%s: not a file, expected a good copy of the map; %s", copy, out_of_the_way(copy))
         keep_copy(db)
-        self._copied = self.landmarks
+        self._copied, self.copied_hash = self.landmarks, db.hash
 
     def _hold(self, db: MapDatabase) -> None:
         stored = db.load()

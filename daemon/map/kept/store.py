@@ -224,7 +224,7 @@ class Store:
     def _write(self, kept: KeptMap, ours: StoredMap, key_poses: KeyPoses | None, refused: int) -> bool:
         kept.look()
         alone = kept is self._map and not self._others
-        whole = self._apart.onto(ours, kept.stored, kept.hash) if alone else ours
+        whole = self._apart.onto(ours, kept.stored, kept.hash, kept.copied_hash) if alone else ours
         if is_much_smaller(len(whole.landmarks), kept.landmarks):
             return self._save_beside(kept, ours.landmarks, ours.map_axis_rad)
         before = kept.content
@@ -250,7 +250,7 @@ class Store:
             change, theirs = self._apart.change, self._map.stored
             if change is None or theirs is None:
                 return ours, Pose(pose)
-            whole = self._apart.onto(ours, theirs, self._map.hash)
+            whole = self._apart.onto(ours, theirs, self._map.hash, self._map.copied_hash)
             self._apart.begin(theirs, self._map.hash)
             return whole, change.pose(pose)
 

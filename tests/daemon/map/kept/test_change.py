@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -213,3 +215,16 @@ def test_a_save_that_fails_half_way_is_no_other_program(
     with MapDatabase(tmp_path / MAP_NAME) as db:
         assert sum(map(len, db.content().key_poses)) == 5
     assert not any("another program" in r.message for r in caplog.records)
+
+
+def test_a_damaged_database_costs_nothing_that_the_robot_knows(store: Store, tmp_path: Path) -> None:
+    """Its good copy has less, and is no other program's map."""
+    store.keep_copy()
+    assert store.save(landmarks(110), AXIS_RAD, estimate(2))
+    with closing(sqlite3.connect(tmp_path / MAP_NAME)) as db:
+        db.execute("UPDATE landmarks SET x = x + 1 WHERE id = 5")
+        db.commit()
+    for n, count in enumerate((112, 114)):
+        assert store.save(landmarks(count), AXIS_RAD, estimate(3 + n))
+        assert store.change is None
+        assert np.array_equal(stored(tmp_path).xy_map_m, landmarks(count).xy_map_m)
