@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from ceilvo.bench.place.ceiling.eye import SyntheticEye
-from ceilvo.bench.place.ceiling.worlds import LAMPS, TILES_M, World, WorldSpec, landmarks_of, make_world
-from ceilvo.bench.place.faults.kinds import KINDS
+from ceilvo.bench.place.ceiling.twins import Twins
+from ceilvo.bench.place.ceiling.worlds import LAMPS, TILES_M, World, WorldSpec, in_map, landmarks_of, make_world
+from ceilvo.bench.place.faults.kinds import CARRIED_KINDS, KINDS
 from ceilvo.bench.place.faults.script import Kind, Site
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.bench.place.robot.driver import Driver
@@ -36,6 +37,8 @@ _FRESH_S = 6.0
 """The same where it has only begun."""
 SETTLE_S = 60.0
 """A loaded map's pose must be confirmed within; chosen."""
+CARRIED_WITHIN_M = 10.0
+"""So far a robot that was carried is from where it was; five tiles of the largest along both axes are 8.8 m."""
 _AFTER_S, _AFTER_MOST_S = 20.0, 90.0
 """Watched after a fault at least, and at most until the robot is found again; chosen: the bars are 10 m and 15 s."""
 
@@ -78,7 +81,8 @@ def run_case(case: Case) -> dict[str, Any]:
         about |= {"settled": settled, "before": figures(drive.tally)}
         if settled:
             drive.step_ms.clear()
-            _fault(drive, kind.script(drive, site))
+            twins = twins_of(drive, site.world, CARRIED_WITHIN_M) if case.kind in CARRIED_KINDS else None
+            _fault(drive, kind.script(drive, site), twins)
     except MemoryError as e:
         about["failed"] = f"out of memory: {e}"
     key = "fault" if about["settled"] else "before"
@@ -140,7 +144,14 @@ def _with_pictures(rng: np.random.Generator, wheels: bool) -> tuple[Drive, Site,
     return drive, Site(tile_m), about | {"map": "learnt", "eye": "pictures"}
 
 
-def _fault(drive: Drive, script: Iterator[None]) -> None:
+def twins_of(drive: Drive, world: World | None, within_m: float = np.inf) -> Twins | None:
+    """Of the map that a robot under a ceiling made of crossings can know."""
+    if world is None or not isinstance(drive.camera, CrossingSight):
+        return None
+    return Twins(world.features, in_map(drive.camera.eye.missed), drive.calibration, within_m)
+
+
+def _fault(drive: Drive, script: Iterator[None], twins: Twins | None = None) -> None:
     drive.tally = tally = Tally()
     for _ in script:
         drive.tick()
@@ -151,5 +162,7 @@ def _fault(drive: Drive, script: Iterator[None]) -> None:
     ended_s = tally.seconds
     for _ in range(round(_AFTER_MOST_S / drive.dt_s)):
         drive.tick()
+        if twins is not None and tally.told_s is None and twins.passed(drive.pose) == 1:
+            tally.told()
         if tally.seconds - ended_s > _AFTER_S and tally.recovered_s is not None:
             break

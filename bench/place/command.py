@@ -19,7 +19,7 @@ from ceilvo.bench.place import radio, study_tables, tables
 from ceilvo.bench.place.case import SIZES, Case, as_key, cases, from_key, run_case
 from ceilvo.bench.place.ceiling.eye_check import compare
 from ceilvo.bench.place.faults.changes import SHARE
-from ceilvo.bench.place.faults.kinds import KINDS
+from ceilvo.bench.place.faults.kinds import CARRIED_KINDS, KINDS
 from ceilvo.bench.place.studies import LEG_S, Run, run_study
 from ceilvo.bench.results import bars as bars_module
 from ceilvo.bench.results.bars import Bar
@@ -33,7 +33,7 @@ _FILES = (
     *(f"place/{name}.py" for name in ("case", "radio", "studies")),
     *(f"place/faults/{name}.py" for name in ("carried", "changes", "claims", "kinds", "pictures", "script", "signals")),
     *(f"place/robot/{name}.py" for name in ("drive", "driver", "sights", "tally")),
-    *(f"place/ceiling/{name}.py" for name in ("eye", "truth", "worlds")),
+    *(f"place/ceiling/{name}.py" for name in ("eye", "truth", "twins", "worlds")),
 )
 """Whose change makes earlier results void."""
 _OUT = Path("build/bench/place")
@@ -134,7 +134,7 @@ def _faults(a: argparse.Namespace) -> None:
 
 
 def _carried(a: argparse.Namespace) -> None:
-    results = _faults_of(a, tables.CARRIED_KINDS)
+    results = _faults_of(a, CARRIED_KINDS)
     _told(a, tables.table(results), tables.carried_bars(results), results, tables.worst_cases(results, _SHOWN))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.bench.place import radio
-from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known
+from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known, twins_of
 from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
@@ -100,6 +100,7 @@ def _start(run: Run) -> dict[str, Any]:
     drive = drive_in(world, rng, bool(run.number % 2), 10.0, False, 0.5)
     elsewhere = np.asarray(se2.compose(world.map_from_ceiling, drive.driver.start()))
     landmarks = load_known(drive, world, rng, elsewhere)
+    twins = twins_of(drive, world)
     tally = drive.tally = Tally()
     tally.over()
     kept_s, found_m = 0.0, None
@@ -109,6 +110,8 @@ def _start(run: Run) -> dict[str, Any]:
             estimate = drive.tick()
         except MemoryError as e:
             failed, estimate = f"out of memory: {e}", None
+        if twins is not None and tally.told_s is None and twins.passed(drive.pose) == 1:
+            tally.told()
         tracking = estimate is not None and estimate.state is State.TRACKING
         if tracking and kept_s == 0.0:
             found_m = tally.metres

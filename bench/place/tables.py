@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from ceilvo.bench.place.faults.kinds import CARRIED_KINDS
 from ceilvo.bench.results.bars import Bar
 
 Result = dict[str, Any]
@@ -107,24 +108,21 @@ def carried_bars(results: Sequence[Result]) -> list[Bar]:
     said = [not x["wrong_now"] and x["say_s"] <= SAY_BAR_S for x in f]
     found = [_found(x) for x in f]
     wrong = wrong_s(f, "TRACKING") + wrong_s(f, "DEGRADED")
+    told = [found for x, found in zip(f, found, strict=True) if _soon(x["told_s"], x["told_m"])]
     return [
         share_bar("carried 1 to 5 tiles: said within 1 s of motion, share", said, 1.0),
         share_bar("carried 1 to 5 tiles: found within 10 m or 15 s, share", found, FOUND_SHARE),
+        share_bar("of those whose place can be told within that, share", told, FOUND_SHARE),
         Bar("carried 1 to 5 tiles: wrong, s", wrong, f"{wrong:.1f}", high=0.0),
     ]
 
 
-CARRIED_KINDS = (
-    "carried 1 tile dark",
-    "carried 2 tiles dark",
-    "carried 5 tiles dark",
-    "carried 1 to 5 tiles light",
-    "snatched",
-)
-
-
 def _found(x: Result) -> bool:
-    return x["recovered_s"] is not None and (x["recovered_m"] <= FOUND_BAR[0] or x["recovered_s"] <= FOUND_BAR[1])
+    return _soon(x["recovered_s"], x["recovered_m"])
+
+
+def _soon(s: float | None, m: float | None) -> bool:
+    return s is not None and m is not None and (m <= FOUND_BAR[0] or s <= FOUND_BAR[1])
 
 
 def share_bar(name: str, good: Sequence[bool], low: float) -> Bar:

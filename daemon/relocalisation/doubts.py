@@ -229,17 +229,17 @@ def negligible(doubt: Doubt, rate: float) -> bool:
     return doubt.elsewhere + by_chance < rate
 
 
-def log_odds_of_found(poses: Array, pose: Array, leads: Array, area_m2: float, spots: int) -> Array:
+def log_odds_of_found(poses: Array, pose: Array, leads: Array, area_m2: float, late: bool) -> Array:
     """(N,) of places that a view was found at, against all places that are not listed.
 
     Args:
         poses: (N, 3); pose: (3,) tracked.
         leads: (K, 3) transforms from the tracked pose to where transitions lead to.
         area_m2: of the map.
-        spots: looked at since the doubt; a place that was there before would have been listed then.
+        late: all that was there at another spot since the doubt has been listed.
     """
     out = np.full(len(poses), -np.log(max(area_m2, 1.0) * PLACES_PER_M2))
-    out += np.log(ENTERS) if spots > 0 else 0.0
+    out += np.log(ENTERS) if late else 0.0
     if not len(leads):
         return out
     out += np.log1p(-LED)

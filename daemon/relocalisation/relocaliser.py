@@ -42,7 +42,7 @@ SURPRISE = -3.0
 FRESH_SPOTS = 12
 """While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 MOST_FOUND = 2048
-"""Places that a view is found at, the likeliest; chosen for time, half a second."""
+"""Places that a view is found at, the likeliest, unless it tells all that there can be; chosen for time."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 
@@ -104,7 +104,7 @@ class Relocaliser:
         self._on_map.end()
         s.belief, s.began, s.views, s.gapped, s.jumped = PlaceBelief(), 0.0, 0, False, 0.0
         s.close_submap()
-        s.leads = np.zeros((0, 3))
+        s.leads, s.searched = np.zeros((0, 3)), False
         s.survey.measured_m = s.doubted_m = np.inf
         if known is None:
             self.state = RelocaliserState()
@@ -259,6 +259,7 @@ class Relocaliser:
             s.belief.add(rivals, doubt.log_odds(off, here, lattice.tile_m))
             unknown = doubt.unknown_by_tiles(here, lattice.tile_m) if doubt.unmeasured else unknown
         if doubt.elsewhere >= doubts.UNLIKELY:
+            s.searched = False
             listed_m = max(doubt.search_m, WATCH_M if lattice is None else lattice.watched_m)
             known = float(evidence.known(expected[None])[0])
             self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
@@ -276,17 +277,17 @@ class Relocaliser:
         """List the places of the whole map that this view can be from, each with its part of what is not listed; the
         tracked pose (3,), moved onto its place where that lies a few centimetres off."""
         s = self.state
-        found = s.survey.index.candidates(view, most=MOST_FOUND)
+        found = s.survey.index.candidates(view)
         wrong = float(np.min(found.false_alarm_probability[:1], initial=1.0))
         s.search = PlaceSearch(len(found), found.complete, wrong)
-        s.belief.cut = not (found.complete or s.listed)
-        if not len(found):
-            return pose
-        poses = s.survey.index.refined(found.pose, view)
+        whole, s.belief.cut = found.complete and not s.searched, False
+        poses = s.survey.index.refined(found.pose if whole else found.pose[:MOST_FOUND], view)
         odds = s.belief.unknown - s.belief.settled[0]
-        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, s.spots)
+        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, s.searched and s.spots > 0)
         places = rival_from_tracked(poses, pose)
         s.belief.add(places, odds)
+        s.searched = (s.searched or whole) and not s.belief.cut
+        s.belief.cut = not (s.searched or s.listed)
         own = np.flatnonzero(of_tracked(places))
         if not len(own):
             return pose
@@ -310,7 +311,7 @@ class Relocaliser:
             s.reason = s.reason or CONTRADICTION
             self._open_submap()
         elif s.views >= FEWEST_VIEWS:
-            s.reason, s.began, s.grave, s.leads = "", 0.0, False, np.zeros((0, 3))
+            s.reason, s.began, s.grave, s.searched, s.leads = "", 0.0, False, False, np.zeros((0, 3))
             s.close_submap()
             s.belief.forget()
             self._on_map.end()

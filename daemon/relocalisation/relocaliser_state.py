@@ -68,6 +68,7 @@ class RelocaliserState:
         grave: the doubt was not small when it began, so that the pose is not used before the place is sure.
         doubted_m: way since a view and the one before it gave a small doubt.
         listed: all places where the robot may be were listed one by one; what the index leaves out is none of them.
+        searched: since the doubt a view told all places of the map that it can be from, and all of them were listed.
         unmapped: what the map lacks while the place is sure.
         search: the last one of this doubt.
     """
@@ -95,6 +96,7 @@ class RelocaliserState:
     grave: bool = False
     doubted_m: float = np.inf
     listed: bool = False
+    searched: bool = False
     unmapped: Unmapped = field(default_factory=Unmapped)
     search: PlaceSearch | None = None
 

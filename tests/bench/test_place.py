@@ -212,11 +212,11 @@ def test_recovery_counts_from_the_faults_end_to_a_right_pose_that_stays() -> Non
 
 
 def case_result(
-    kind: str, wrong: float, say: float, recovered: float | None, metres: float | None
+    kind: str, wrong: float, say: float, recovered: float | None, metres: float | None, told_m: float | None = 1.0
 ) -> dict[str, object]:
     tally = told([(10.0, State.TRACKING, RIGHT, DRIVES)], Tally())
     f = figures(tally) | {"wrong_s": {"TRACKING": wrong} if wrong else {}, "say_s": say}
-    f |= {"recovered_s": recovered, "recovered_m": metres}
+    f |= {"recovered_s": recovered, "recovered_m": metres, "told_s": told_m and 20.0, "told_m": told_m}
     about = {
         "kind": kind,
         "settled": True,
@@ -233,9 +233,11 @@ def case_result(
 def test_bars_are_the_issues() -> None:
     good = [case_result("snatched", 0.0, 0.5, 20.0, 9.0) for _ in range(19)]
     bars = tables.fault_bars([*good, case_result("snatched", 0.0, 0.9, 16.0, 11.0)])
-    assert [b.verdict for b in bars] == ["PASS"] * 7
+    assert [b.verdict for b in bars] == ["PASS"] * 8
     bars = tables.fault_bars([*good, case_result("snatched", 0.1, 1.2, None, None), case_result("ramp", 0.0, 0, 1, 1)])
-    assert [b.verdict for b in bars] == ["MISS", "PASS", "PASS", "PASS", "MISS", "PASS", "MISS"]
+    assert [b.verdict for b in bars] == ["MISS", "PASS", "PASS", "PASS", "MISS", "PASS", "PASS", "MISS"]
+    lost = [case_result("snatched", 0.0, 0.5, None, None, told_m) for told_m in (None, 11.0, 9.0)]
+    assert [b.text for b in tables.carried_bars([*good, *lost])][1:3] == ["19 of 22", "19 of 20"]
     assert any("snatched" in line for line in tables.worst_cases([case_result("snatched", 2.0, 1.2, None, None)], 3))
 
 
@@ -245,6 +247,8 @@ def test_a_start_that_was_wrong_counts_as_no_start() -> None:
     wrong = right | {"run": figures(Tally()) | {"wrong_s": {"TRACKING": 1.0}}}
     assert [b.verdict for b in study_tables.start_bars([right, right])] == ["PASS"] * 3
     assert [b.verdict for b in study_tables.start_bars([wrong, wrong])] == ["MISS", "MISS", "PASS"]
+    told = right | {"run": figures(Tally()) | {"told_m": 1.5}}
+    assert study_tables.start_bars([told, told])[1].text == "2.0, 1.5 at best"
 
 
 # --- all of it

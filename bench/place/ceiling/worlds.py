@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.bench.place.ceiling.truth import Features, features_of
 from ceilvo.sim.ceiling.layout import Layout
@@ -74,9 +75,14 @@ def make_world(spec: WorldSpec) -> World:
     return World(spec, layout, features_of(layout, map_from_ceiling, room), room, map_from_ceiling)
 
 
+def in_map(missed: Array) -> NDArray[np.bool_]:
+    """(N,) which crossings a loaded map has, by the share of the frames (N,) in which each is not seen."""
+    return np.asarray(missed < _IN_MAP)
+
+
 def landmarks_of(features: Features, missed: Array, rng: np.random.Generator) -> Landmarks:
     """The map as a daemon would have learnt it; missed (N,): share of the frames in which each crossing is not seen."""
-    known = missed < _IN_MAP
+    known = in_map(missed)
     n = int(np.count_nonzero(known))
     return Landmarks(
         ids=np.arange(n),

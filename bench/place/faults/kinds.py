@@ -102,3 +102,11 @@ KINDS: dict[str, Kind] = {
     "configured elsewhere": Kind(claims.told(claims.started_at(claims.elsewhere))),
     "configured here": Kind(claims.told(claims.started_at(claims.here))),
 }
+CARRIED_KINDS = (
+    "carried 1 tile dark",
+    "carried 2 tiles dark",
+    "carried 5 tiles dark",
+    "carried 1 to 5 tiles light",
+    "snatched",
+)
+"""Moved by hand onto tiles that look the same."""

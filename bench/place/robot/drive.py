@@ -88,7 +88,7 @@ class Drive:
         self.estimate: Estimate | None = None
         self.step_ms: list[float] = []
         self.senses: Callable[[int], Heard] | None = None
-        self._calibration = calibration
+        self.calibration = calibration
         self._ns = self._stamp_ns = 10**9
         self._before_ns: int | None = None
         self._turned_rad = 0.0
@@ -101,7 +101,7 @@ class Drive:
 
     def begin_anew(self) -> None:
         """Another process of the daemon."""
-        self.pipeline = Pipeline(self._calibration, self.config, self.rng.spawn(1)[0])
+        self.pipeline = Pipeline(self.calibration, self.config, self.rng.spawn(1)[0])
         self.estimator = Estimator(self.pipeline, lambda: self._ns)
         self._before_ns = None
 

@@ -31,7 +31,7 @@ class Tally:
         effect_s: moment from which on the daemon could have known; say_s: from there until a wrong pose was claimed for
             the last time, 0 where it never was; wrong_now: it is still claimed.
         over_s: end of the fault; recovered_s, recovered_m: from there until TRACKING with a right pose, and what was
-            driven; None while not.
+            driven; None while not. told_s, told_m: from there until the place could be told, see Twins.
     """
 
     seconds: float = 0.0
@@ -47,6 +47,8 @@ class Tally:
     over_s: float | None = None
     recovered_s: float | None = None
     recovered_m: float | None = None
+    told_s: float | None = None
+    told_m: float | None = None
     reasons: list[str] = field(default_factory=list)
     marked: bool = False
     _state: State | None = None
@@ -63,6 +65,11 @@ class Tally:
     def over(self) -> None:
         """The fault is over."""
         self.over_s, self._over_m, self._right_since = self.seconds, self.metres, None
+
+    def told(self) -> None:
+        """From now on the place can be told."""
+        if self.told_s is None and self.over_s is not None:
+            self.told_s, self.told_m = self.seconds - self.over_s, self.metres - self._over_m
 
     def add(self, dt_s: float, state: State, off: tuple[float, float], moved: tuple[float, float], reason: str) -> None:
         """An estimate that held for dt_s, off by (m, rad), while the robot moved by (m, rad)."""
@@ -119,6 +126,8 @@ def figures(t: Tally) -> dict[str, Any]:
         "wrong_now": t.wrong_now,
         "recovered_s": t.recovered_s,
         "recovered_m": t.recovered_m,
+        "told_s": t.told_s,
+        "told_m": t.told_m,
         "reasons": t.reasons[-_REASONS:],
     }
 
