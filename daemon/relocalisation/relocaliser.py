@@ -283,9 +283,10 @@ class Relocaliser:
         whole, s.belief.cut = found.complete and not s.searched, False
         poses = s.survey.index.refined(found.pose if whole else found.pose[:MOST_FOUND], view)
         odds = s.belief.unknown - s.belief.settled[0]
-        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, s.searched and s.spots > 0)
+        late = s.searched and s.spots > 0
+        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, late)
         places = rival_from_tracked(poses, pose)
-        s.belief.add(places, odds)
+        s.belief.add(places, odds, late)
         s.searched = (s.searched or whole) and not s.belief.cut
         s.belief.cut = not (s.searched or s.listed)
         own = np.flatnonzero(of_tracked(places))
@@ -304,6 +305,9 @@ class Relocaliser:
         s = self.state
         refused = self._on_map.refuses  # then no place of it is likely enough, whatever the belief has of this one
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not refused else None
+        anywhere = not s.listed and not len(s.leads)
+        if winner is not None and anywhere and not s.belief.beats_all(winner):
+            winner = None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ceilvo.crossing_types import JOINTS
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
-from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice
+from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, repeats
 from ceilvo.daemon.relocalisation.not_this_map import Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
@@ -92,7 +93,8 @@ class MapSurvey:
                 out = Surroundings.of(wider, self.coverage, out.chance, out.reach_m, axis_rad, own)
         named = out.landmarks.of(self.index.named(out.landmarks.ids))
         lattice = Lattice.of(out.landmarks, axis_rad)
-        shifts = np.zeros((0, 2)) if lattice is None else lattice.shifts(MEASURED_M)
+        tiled = lattice is not None and lattice.crossing_type == JOINTS
+        shifts = lattice.shifts(MEASURED_M) if lattice is not None and tiled else repeats(named, MEASURED_M)
         return Chance.measured(named, out.raster, self.coverage, shifts)
 
     def watched(self, around: Surroundings, pose: Array, view: Observations) -> Array:
