@@ -26,8 +26,8 @@ LEAST, MOST = 0.02, 0.98
 MOST_COMMON = 256
 """Landmarks of the commonest type that are asked; chosen for time: tiles of 0.3 m have 1600 within 6 m, 1250 shifts."""
 NAMED = 0.95
-"""Of what hangs at a place that is alike, how much has the same name; chosen. The map has some by other names, and which
-those are differs from lamp to lamp: that told lamps on a raster apart that are alike."""
+"""Of what hangs at a place that is alike, how much has the same name; chosen. The map has some by other names, and
+which those are differs from lamp to lamp: that told lamps on a raster apart that are alike."""
 _NAMES = 3
 """Names that a rare crossing is mistaken for, about: four types are corners, four are edges on joints."""
 
