@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ceilvo.bench.vision.textures import found_ceilings
+from ceilvo.bench.vision.textures import PLASTER, found_ceilings
 from ceilvo.calibration import Calibration, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.sim.ceiling.spec import CeilingSpec
@@ -29,8 +29,6 @@ FAINT = CeilingSpec(groove_albedo=0.66, lip_albedo=0.78)  # chosen: 13 % darker 
 _DARKER_A_LEVEL = 0.0118
 """By which part a groove must be darker than the tiles beside it to be a grey level darker in the picture: measured
 across joints 8 mm wide in a picture without noise, speckle and lamps."""
-BARE = CeilingSpec(joints=False, vents=0, spots=0, stains=3, tile_spread=0.0)
-"""Chosen: nothing but lamps and a few stains."""
 FULL = ("features.full_every=1",)
 MOUNT_XY_M = (0.05, -0.03)  # chosen: off the centre, so that turning moves the camera
 
@@ -136,7 +134,7 @@ def _ceilings() -> list[Condition]:
         *(_fainter(levels) for levels in (5.0, 3.0, 2.0)),
         _make("t-bars-dim", "bright bars with edges 4.5 px apart, daylight only", ceiling=T_BAR, render=_DIM),
         _make("t-bars-dim-tilt", "the same, tilt up to 2 deg", ceiling=T_BAR, render=_DIM, tilt=TWO_DEG),
-        _make("bare", "plaster with lamps only", ceiling=BARE, bars=never_wrong),
+        _make("bare", "plaster with lamps only", ceiling=PLASTER, bars=never_wrong),
         _make(
             "walls",
             "walls with doors and a rail, seen below the ceiling",
@@ -159,9 +157,14 @@ def _heights() -> list[Condition]:
         "coffers": "coffers 0.25 m deep, 1.2 m apart",
         "ducts": "ducts and cable trays that cross, below the ceiling",
         "truss": "thin bars both ways, 0.5 m below the ceiling",
+        "hanging_lamps": "lamps 0.6 m below the ceiling",
+        "signs": "boards that hang on edge, 0.45 m below the ceiling",
     }
     return [
-        *(_make(n, a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars) for n, a in about.items()),
+        *(
+            _make(n.replace("_", "-"), a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars)
+            for n, a in about.items()
+        ),
         *(
             _make(name, f"the ceiling rises by 5 deg {where}", ceiling=CeilingSpec(slope=rise), bars=bars)
             for name, (rise, where) in slopes.items()
@@ -172,8 +175,11 @@ def _heights() -> list[Condition]:
 def _fainter(levels: float) -> Condition:
     """Joints that are so many grey levels deep, between tiles all alike, beside lamps that saturate."""
     bars = {"recall_grid_pct": at_least(85.0), "precision_pct": at_least(97.0)} if levels >= 3.0 else {}
-    ceiling = CeilingSpec(groove_darker=_DARKER_A_LEVEL * levels, tile_spread=0.0)
-    return _make(f"faint-{levels:g}", f"grooves {levels:g} grey levels deep", ceiling=ceiling, bars=bars)
+    return _make(f"faint-{levels:g}", f"grooves {levels:g} grey levels deep", ceiling=_darker(levels), bars=bars)
+
+
+def _darker(levels: float) -> CeilingSpec:
+    return CeilingSpec(groove_darker=_DARKER_A_LEVEL * levels, tile_spread=0.0)
 
 
 def _in_the_way() -> list[Condition]:
@@ -219,7 +225,14 @@ def _lenses() -> list[Condition]:
     return [
         *(_make(f"{w}x{h}", "base, pictures of another size", true=_of_size(w, h), bars=found) for w, h in sizes),
         _make("1280x720", "larger picture", true=_of_size(1280, 720)),
+        _make("160x120", "base, the smallest picture", true=_of_size(160, 120)),
         _make("fisheye", "fisheye lens", true=simulated_calibration(simulated_camera("fisheye"))),
+        _make(
+            "fisheye-22-faint-3",
+            "fisheye lens 22 deg off the vertical, grooves 3 grey levels deep",
+            ceiling=_darker(3.0),
+            true=simulated_calibration(simulated_camera("fisheye"), pitch_rad=float(np.radians(22.0))),
+        ),
     ]
 
 
@@ -245,7 +258,7 @@ def _stress() -> list[Condition]:
 
 def _found_ceilings() -> list[Condition]:
     """What is found in buildings: right, or said not to be."""
-    one_direction = ("wood-slats", "strips-only")
+    not_always_seen = ("wood-slats", "slats-round", "plaster-round", "plaster-glints", "strips-only")
     bars = {"worst_mm": at_most(20.0)}
     return [
         _make(
@@ -254,7 +267,7 @@ def _found_ceilings() -> list[Condition]:
             ceiling=f.ceiling,
             render=f.render,
             true=f.true,
-            bars={} if f.name in one_direction else bars,
+            bars={} if f.name in not_always_seen else bars,
         )
         for f in found_ceilings()
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +26,9 @@ STRIPS_ONLY = CeilingSpec(strip_lamps=True, joints=False, lamp_every=(1, 3), ven
 WOOD = CeilingSpec(pattern="slats", slat_m=0.12, groove_m=0.02, lip_m=0.0, wood=True, texture=0.0, tile_spread=0.0)
 OPEN_CELLS = CeilingSpec(tile_m=0.1, groove_m=0.012, lip_m=0.0, lamp_every=(18, 12), vents=0, stains=0)
 """Cells a sixth as wide as tiles: a thousand crossings in view, and a period of a few frames' way."""
+HEXAGONS = CeilingSpec(pattern="hexagons", tile_m=0.5)
+PLASTER = CeilingSpec(joints=False, vents=0, spots=0, stains=3, tile_spread=0.0)
+"""Nothing but lamps and a few stains; chosen."""
 TWO_LAMPS = CeilingSpec(joints=False, vents=0, spots=0, stains=0, tile_spread=0.0, texture=0.0, lamp_every=(4, 3))
 _LIGHTS_EVERY_M, _LIGHTS_BELOW_M, _ROOM_M = 1.7, 1.4, 6.94
 """Lights that a glossy ceiling shows: how far apart, how far below it, and up to where; chosen, as desk lamps stand."""
@@ -58,6 +61,11 @@ def found_ceilings() -> tuple[Found, ...]:
         Found("wood-slats", "slats of wood, each its own", WOOD),
         Found("open-cells", "open cells of 0.1 m, a thousand crossings in view", OPEN_CELLS),
         Found("two-lamps", "plaster, about two lamps in view", TWO_LAMPS),
+        Found("hexagons", "hexagons of 0.5 m with troffers", HEXAGONS),
+        Found("hexagons-round", "hexagons of 0.5 m with round lamps", replace(HEXAGONS, round_lamps=True)),
+        Found("slats-round", "slats of wood with round lamps", replace(WOOD, round_lamps=True)),
+        Found("plaster-round", "plaster with round lamps, one to four in view", replace(PLASTER, round_lamps=True)),
+        Found("plaster-glints", "plaster with troffers, and glints that slide", PLASTER, _reflecting(_GLINT_M, _GLINT)),
         Found("pools", "pools of glow that slide with the robot", render=_reflecting(_POOL_M, _POOL)),
         Found("glints", "glints that pass for lamps and slide", render=_reflecting(_GLINT_M, _GLINT)),
         Found("off-24-deg", "camera mounted 24 deg off the vertical", true=askew),

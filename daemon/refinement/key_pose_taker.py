@@ -11,7 +11,6 @@ from ceilvo import se2
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.evidence.admission import FARTHEST_M
-from ceilvo.daemon.vision.thinning import without_cells
 from ceilvo.se2 import transform
 from ceilvo.types import GOOD, NO_DIRECTION_RAD, Array, Crossings, Estimate, Ints, Observations, Pose
 
@@ -45,7 +44,7 @@ class KeyPoseTaker:
         if self._most is not None and len(self._poses) >= self._most:
             self._forget(1)
             self._cut()
-        view = pipeline.relocaliser.observed(without_cells(crossings))
+        view = pipeline.relocaliser.observed(pipeline.relocaliser.tells(crossings))
         ids = _names(pipeline, view)
         self._floors.append(estimate.floor)
         self._views.append((view.xy_base_m, _squares(view.var_m2), view.crossing_type, ids))

@@ -24,7 +24,7 @@ from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import UpdateSchedule
-from ceilvo.daemon.vision.thinning import without_cells
+from ceilvo.daemon.vision.thinning import for_places
 from ceilvo.se2 import transform, wrap
 from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
 
@@ -42,7 +42,7 @@ SURPRISE = -3.0
 FRESH_SPOTS = 12
 """While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 MOST_FOUND = 2048
-"""Places that a view is found at, the likeliest, unless it tells all that there can be; chosen for time."""
+"""Places that a view is found at, the likeliest, unless it tells all and another than the tracked leads; for time."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
 """[m, m, rad] of a rival that takes over: tiles differ by millimetres, its reach is REACH_M of evidence.py."""
 
@@ -164,7 +164,7 @@ class Relocaliser:
 
         Where a view shows that the robot is elsewhere, the filter is put there.
         """
-        s, crossings = self.state, without_cells(crossings)
+        s, crossings = self.state, self.tells(crossings)
         if not len(crossings) or not self._schedule.due(stamp_ns, self._view_period_s):
             return None
         view = self.observed(crossings)
@@ -177,6 +177,10 @@ class Relocaliser:
             if self.sure and not self.state.surprised and len(self._sharp.visible_m):
                 s.survey.learnt(self.filter, self._sharp.shown(crossings, view))
         return view
+
+    def tells(self, crossings: Crossings) -> Crossings:
+        """What of a view tells places."""
+        return for_places(crossings, self._calibration.level_view.focal_px)
 
     def observed(self, crossings: Crossings) -> Observations:
         s = self.state
@@ -280,7 +284,7 @@ class Relocaliser:
         found = s.survey.index.candidates(view)
         wrong = float(np.min(found.false_alarm_probability[:1], initial=1.0))
         s.search = PlaceSearch(len(found), found.complete, wrong)
-        whole, s.belief.cut = found.complete and not s.searched, False
+        whole, s.belief.cut = found.complete and not s.searched and s.belief.led_by_another, False
         poses = s.survey.index.refined(found.pose if whole else found.pose[:MOST_FOUND], view)
         odds = s.belief.unknown - s.belief.settled[0]
         late = s.searched and s.spots > 0
@@ -305,8 +309,7 @@ class Relocaliser:
         s = self.state
         refused = self._on_map.refuses  # then no place of it is likely enough, whatever the belief has of this one
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not refused else None
-        anywhere = not s.listed and not len(s.leads)
-        if winner is not None and anywhere and not s.belief.beats_all(winner):
+        if winner is not None and not (s.listed or len(s.leads) or s.belief.beats_all(winner)):
             winner = None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))

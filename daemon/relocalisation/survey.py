@@ -95,7 +95,7 @@ class MapSurvey:
         lattice = Lattice.of(out.landmarks, axis_rad)
         tiled = lattice is not None and lattice.crossing_type == JOINTS
         shifts = lattice.shifts(MEASURED_M) if lattice is not None and tiled else repeats(named, MEASURED_M)
-        return Chance.measured(named, out.raster, self.coverage, shifts)
+        return Chance.measured(named, out.raster, self.coverage, shifts, not tiled)
 
     def watched(self, around: Surroundings, pose: Array, view: Observations) -> Array:
         """(M, 3) rival_from_tracked of where a robot at a sure pose (3,) may have got to without a trace."""

@@ -22,6 +22,8 @@ _AROUND_M = 0.25
 rows of cells."""
 _SQUARES = 15
 """Squares with crossings that must remain; chosen: from 10 on no points are needed."""
+ENOUGH = 10
+"""Squares with features at which no points are looked for; chosen, as for faint lines: tiles show 30."""
 ALL_CELLS = 250
 """Crossings in dense fields from which a ceiling is all cells; chosen: more than of a ceiling of grilles."""
 
@@ -55,6 +57,20 @@ def without_cells(crossings: Crossings) -> Crossings:
     stays = ~line
     stays[line] = alone
     return crossings.of(stays)
+
+
+def for_places(crossings: Crossings, focal_px: float) -> Crossings:
+    """What tells places: without_cells(), and no points where lines suffice.
+
+    There points are looked for so that motion goes on when lines become few. A map would have them from some views
+    and not from others.
+    """
+    crossings = without_cells(crossings)
+    line = crossings.crossing_type < LINE_CROSSINGS
+    if np.all(line):
+        return crossings
+    lines = crossings.of(line)
+    return lines if squares_with(lines, focal_px) >= ENOUGH else crossings
 
 
 def _alone(xy: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ceilvo.sim.surroundings.boxes import Box
 from ceilvo.sim.surroundings.surroundings import SurroundingsSpec
 
@@ -9,6 +11,8 @@ _BEYOND_M = 3.0
 """How far all goes on beyond the walls, as the ceiling does; chosen."""
 _TILE_ALBEDO = 0.74
 """Of a lower ceiling's tiles; chosen, near the main one's."""
+_SHINING, _BOARD = 2.5, 0.5
+"""In place of an albedo: a lamp's field, which saturates, and a painted board; chosen."""
 
 
 def step(room_m: float, ceiling_m: float, down_m: float = 0.4, at: float = 0.5) -> SurroundingsSpec:
@@ -43,6 +47,30 @@ def truss(room_m: float, ceiling_m: float) -> SurroundingsSpec:
         _row(room_m, ceiling_m - 0.44, ceiling_m - 0.5, 0.06, every_m, axis) for axis, every_m in ((0, 0.9), (1, 1.8))
     )
     return SurroundingsSpec(boxes=tuple(b for row in both for b in row))
+
+
+def hanging_lamps(room_m: float, ceiling_m: float) -> SurroundingsSpec:
+    """Lamps 1.2 m long and 0.15 m wide that shine downwards, 0.6 m below a tiled ceiling."""
+    return SurroundingsSpec(boxes=_field(room_m, 1.6, 1.9, (1.2, 0.15), ceiling_m - 0.6, ceiling_m - 0.54, _SHINING))
+
+
+def signs(room_m: float, ceiling_m: float) -> SurroundingsSpec:
+    """Boards 0.9 m wide and 5 cm thick that hang on edge, their lower side 0.45 m below a tiled ceiling."""
+    return SurroundingsSpec(boxes=_field(room_m, 2.3, 2.1, (0.9, 0.05), ceiling_m - 0.45, ceiling_m - 0.02, _BOARD))
+
+
+def _field(
+    room_m: float,
+    every_x_m: float,
+    every_y_m: float,
+    size_m: tuple[float, float],
+    bottom_m: float,
+    top_m: float,
+    albedo: float,
+) -> tuple[Box, ...]:
+    """Boxes all over a room, none in line with the usual tiles."""
+    x, y = np.arange(0.5, room_m, every_x_m), np.arange(0.3, room_m, every_y_m)
+    return tuple(Box((float(a), float(b)), size_m, bottom_m, top_m, albedo) for a in x for b in y)
 
 
 def _row(room_m: float, top_m: float, bottom_m: float, wide_m: float, every_m: float, axis: int) -> tuple[Box, ...]:

@@ -76,8 +76,10 @@ class Chance:
         return Chance(same, _between(same, same))
 
     @staticmethod
-    def measured(landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Chance:
-        """By shifts (S, 2) of landmarks that are named.
+    def measured(
+        landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array, any_name: bool = False
+    ) -> Chance:
+        """By shifts (S, 2) of landmarks that are named; any_name: what hangs there is alike whatever it is called.
 
         The most alike is chosen by all types but the commonest together, for the best of many is good by chance where a
         type has few landmarks; for the same reason such a type takes the rate of all.
@@ -93,8 +95,9 @@ class Chance:
         tried, hits = known @ of, same @ of
         anyone = (same | (bits & RARE > 0) & known) @ of
         out, out_any = _rates(landmarks, tried, hits), _rates(landmarks, tried, anyone)
-        rare = np.arange(CROSSING_TYPES) != np.argmax(np.bincount(landmarks.crossing_type))
-        out[1, rare] = np.maximum(out[1], NAMED * out_any[1])[rare]
+        if any_name:
+            rare = np.arange(CROSSING_TYPES) != np.argmax(np.bincount(landmarks.crossing_type))
+            out[1, rare] = np.maximum(out[1], NAMED * out_any[1])[rare]
         return Chance(out, _between(out, out_any))
 
 

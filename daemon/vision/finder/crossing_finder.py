@@ -78,8 +78,10 @@ class CrossingFinder:
         if crossings is not None:
             crossings = thinned(crossings, self._calibration.level_view.focal_px)
         if self._points is not None:
-            whole = self.state.since_detection == 0
-            crossings = self._points(frame.gray, crossings, self._lines.tilt_prior(), whole)
+            state, prior = self.state, self._lines.tilt_prior()
+            crossings, state.points = self._points(
+                frame.gray, crossings, prior, state.since_detection == 0, state.points
+            )
         if crossings is not None:
             crossings = replace(crossings, sample_gray=frame.gray.take(self._raster))
         on_stage_done("crossings")

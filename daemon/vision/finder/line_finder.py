@@ -56,6 +56,7 @@ class LineFinderState:
         detections, tracked: frames that were searched whole, and near the predicted edges only.
         faint: what the last looks for faint lines showed.
         several: the ceiling was found to have several heights.
+        points: frames in which points are still looked for, for there were too few lines.
     """
 
     tilt: TiltState = field(default_factory=TiltState)
@@ -69,6 +70,7 @@ class LineFinderState:
     faint: FaintState = field(default_factory=FaintState)
     psi_rad: float | None = None
     several: bool = False
+    points: int = 0
 
 
 class LineFinder:

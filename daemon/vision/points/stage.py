@@ -15,12 +15,13 @@ from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
 from ceilvo.daemon.vision.points.lamps import find_lamps
 from ceilvo.daemon.vision.points.places import Found, Gray, Places, joined
 from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
-from ceilvo.daemon.vision.thinning import ALL_CELLS, without_cells
+from ceilvo.daemon.vision.thinning import ALL_CELLS, ENOUGH, without_cells
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
 
-ENOUGH = 10
-"""Places with features at which no more are looked for; chosen, as for faint lines: tiles show 30."""
+PLENTY, AFTER = 25, 15
+"""ENOUGH once points are looked for, and frames in which they still are then; chosen: fewer than tiles show, half a
+second. Else motion is lost where a ceiling of slats or hexagons shows crossings first and corners then, or at once."""
 _STEADY_RAD = np.radians(0.02)
 """Tilt of a robot that showed no lines to tell it by; chosen: floors in buildings, and a millimetre at 2.2 m."""
 
@@ -37,30 +38,39 @@ class PointFinder:
         self._places: Places | None = None
 
     def __call__(
-        self, gray: Gray, crossings: Crossings | None, prior: TiltPrior | None, now_and_then: bool = True
-    ) -> Crossings | None:
-        """The crossings of a frame (H, W) with the points that it needs besides; None where there is neither.
+        self,
+        gray: Gray,
+        crossings: Crossings | None,
+        prior: TiltPrior | None,
+        now_and_then: bool = True,
+        left: int = 0,
+    ) -> tuple[Crossings | None, int]:
+        """The crossings of a frame (H, W) with the points that it needs besides, None where there is neither; and in
+        how many frames more they are looked for even if lines suffice.
 
         Args:
             prior: of the tilt, for frames without lines.
             now_and_then: this is one of the frames in which lamps are looked for on a ceiling that is all cells.
+            left: what the last call said.
         """
         if crossings is not None and len(crossings) >= ALL_CELLS and not now_and_then:
-            return crossings
+            return crossings, left
         view = self._calibration.level_view
         apart = None if crossings is None else without_cells(crossings)
-        have = 0 if apart is None else squares_with(apart, view.focal_px)
-        if have >= ENOUGH:
-            return crossings
+        have, enough = 0 if apart is None else squares_with(apart, view.focal_px), PLENTY if left else ENOUGH
+        if have >= enough and left <= 1:
+            return crossings, 0
+        left = AFTER if have < enough else left - 1
         if self._places is None:
             self._places = Places(self._calibration, self._max_view_deg)
         only_lamps = apart is not crossings  # corners and spots of cells are as many as cells
-        found = self._look(view.reduced(gray), self._places, 0 if only_lamps else ENOUGH - have)
+        need = 0 if only_lamps else max(enough - have, ENOUGH)
+        found = self._look(view.reduced(gray), self._places, need)
         if not len(found):
-            return crossings
+            return crossings, left
         if crossings is None or not len(crossings):  # lines of one direction tell half of the tilt, and that badly
             crossings = self._without_crossings(crossings, prior)
-        return self._with(crossings, found)
+        return self._with(crossings, found), left
 
     def _look(self, gray: Gray, places: Places, need: int) -> Found:
         lamps, bright = find_lamps(gray, places)

@@ -72,3 +72,21 @@ def test_where_nothing_tells_the_motion_it_is_never_called_good(pattern: str) ->
     assert not np.any(good & (off_m > 0.3))
     assert not np.any(good[-20:])
     assert off_m[-1] < 3.0 * sigma_m[-1]
+
+
+@pytest.mark.parametrize("seed", [95, 96])
+def test_a_ceiling_that_shows_now_lines_and_now_corners_is_one(seed: int) -> None:
+    """Hexagons have joints along one direction only; where few of them are in view, corners take over, and the map
+    must have them by then."""
+    ceiling = CeilingSpec(pattern="hexagons", tile_m=0.5, round_lamps=True)
+    world = World(WorldSpec(seed=seed, ceiling=ceiling, lap=LapSpec(room_m=6.94, inset_m=1.0)))
+    pipeline = Pipeline(world.calibration, Config(), np.random.default_rng(1))
+    start, good, off = world.truth_at(0.0), 0, []
+    for k in range(round(11.0 * RATE_HZ)):
+        t_s = k / RATE_HZ
+        estimate = pipeline.step(Frame(k, 1 + round(t_s * 1e9), world.frame_at(t_s)))
+        good += estimate.state in GOOD
+        off.append(float(np.hypot(*(se2.compose(start, estimate.pose) - world.truth_at(t_s))[:2])))
+    print(f"seed {seed}: good {good} of {len(off)}, {1e3 * max(off):.1f} mm at most")
+    assert good >= 0.9 * len(off)
+    assert max(off) < 0.01

@@ -59,7 +59,7 @@ def test_lamps_are_where_they_hang_to_a_millimetre(lamps: World) -> None:
     finder, worst, told = PointFinder(lamps.calibration, VIEW_DEG), [], []
     for k in range(12):
         t_s = AT_S + 0.4 * k
-        seen = finder(lamps.frame_at(t_s), None, None)
+        seen, _ = finder(lamps.frame_at(t_s), None, None)
         assert seen is not None and not seen.directed
         at = lamps_at(lamps, lamps.truth_at(t_s), np.zeros(2))
         worst += off_m(seen, LAMP, at).tolist()
@@ -76,8 +76,8 @@ def test_the_tilt_that_lines_told_is_taken_off(lamps: World, tilt_rad: tuple[flo
     frame = lamps.renderer.render(pose, np.random.default_rng(SEED), tilt)
     finder = PointFinder(lamps.calibration, VIEW_DEG)
     at = lamps_at(lamps, pose, tilt)
-    told = finder(frame, None, TiltPrior(tilt, np.full(2, 1e-4)))
-    untold = finder(frame, None, None)
+    told, _ = finder(frame, None, TiltPrior(tilt, np.full(2, 1e-4)))
+    untold, _ = finder(frame, None, None)
     assert told is not None and untold is not None and len(at) >= 2
     assert np.max(off_m(told, LAMP, at)) < 2e-3
     assert np.min(off_m(untold, LAMP, at)) > 0.03, "2.2 m above, a fiftieth of a radian is 44 mm"
@@ -89,7 +89,7 @@ def test_a_lamp_that_the_border_cuts_is_left_out(lamps: World) -> None:
     frame[:, :] = 100
     frame[200:230, 0:25] = 255
     frame[200:230, 300:325] = 255
-    seen = finder(frame, None, None)
+    seen, _ = finder(frame, None, None)
     assert seen is not None
     assert np.count_nonzero(seen.crossing_type == LAMP) == 1
     raw = lamps.calibration.level_view.to_raw(seen.uv_px)[0]
@@ -103,7 +103,7 @@ def test_corners_of_hexagons_are_found_again() -> None:
     for k in range(6):
         views = []
         for t_s in (AT_S + 0.5 * k, AT_S + 0.5 * k + 0.2):
-            seen = finder(room.frame_at(t_s), None, None)
+            seen, _ = finder(room.frame_at(t_s), None, None)
             assert seen is not None
             corners = seen.xy_base_m[seen.crossing_type == CORNER]
             views.append(se2.transform(room.truth_at(t_s), corners))
@@ -121,7 +121,7 @@ def test_stains_are_spots() -> None:
     stains = np.array(room.ceiling.layout.stains)
     for k in range(5):
         t_s = AT_S + 0.5 * k
-        seen = finder(room.frame_at(t_s), None, None)
+        seen, _ = finder(room.frame_at(t_s), None, None)
         assert seen is not None
         spots = se2.transform(room.truth_at(t_s), seen.xy_base_m[seen.crossing_type == SPOT])
         apart = np.hypot(*(spots[:, None] - stains[None, :, :2]).transpose(2, 0, 1))
