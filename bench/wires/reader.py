@@ -23,6 +23,9 @@ _ANSWER_S = 20.0
 """Wait at most so long for an answer about the graph, which ends when the router has said everything; the SDK's own
 .5 s lose endpoints on a busy computer. Chosen."""
 
+_ASKED = 3
+"""Times that publishers are asked for where there seem to be none: it says so also where its question went astray."""
+
 
 class _Kept(logging.Handler):
     """Warnings of the SDK: unknown attachments, hashes, bytes that cannot be decoded."""
@@ -80,8 +83,11 @@ class Reader:
         router: dict[str, Any] = {"router_port": self._port, "timeout": _ANSWER_S}
         out: dict[str, Any] = {}
         for topic, kinds in discovery.get_topic_names_and_types(**router):
-            info = discovery.get_topic_info(topic, verbose=True, **router)
-            ends = [] if info is None else info.publishers
+            for _ in range(_ASKED):
+                info = discovery.get_topic_info(topic, verbose=True, **router)
+                ends = [] if info is None else info.publishers
+                if ends:
+                    break
             out[topic] = {"types": kinds, "publishers": [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]}
         services: dict[str, Any] = {}
         until = time.monotonic() + _ANSWER_S

@@ -268,9 +268,9 @@ class Relocaliser:
             known = float(evidence.known(expected[None])[0])
             self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
         s.belief.doubt_unknown(unknown)
-        s.listed = (
-            (s.listed or s.began == 0.0) and lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
-        )
+        bounded = lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
+        s.listed = bounded and (s.listed or s.began == 0.0)
+        s.belief.cut = not (s.searched or s.listed)
         s.pending = None
         s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
@@ -278,13 +278,13 @@ class Relocaliser:
             self._open_submap()
 
     def _search(self, view: Observations, pose: Array, evidence: ViewEvidence) -> Array:
-        """List the places of the whole map that this view can be from, each with its part of what is not listed; the
-        tracked pose (3,), moved onto its place where that lies a few centimetres off."""
+        """List places of the map that this view can be from; the tracked pose (3,), moved onto its own where near."""
         s = self.state
         found = s.survey.index.candidates(view)
         wrong = float(np.min(found.false_alarm_probability[:1], initial=1.0))
         s.search = PlaceSearch(len(found), found.complete, wrong)
-        whole, s.belief.cut = found.complete and not s.searched and s.belief.led_by_another, False
+        few, s.belief.cut = len(found) <= MOST_FOUND or s.belief.led_by_another, False
+        whole = found.complete and few and not s.searched
         poses = s.survey.index.refined(found.pose if whole else found.pose[:MOST_FOUND], view)
         odds = s.belief.unknown - s.belief.settled[0]
         late = s.searched and s.spots > 0
