@@ -49,3 +49,8 @@ def turned_type(kind: Ints, quarter_turns: int) -> Ints:
 def quarter_turns(psi_rad: float, reference_rad: float) -> int:
     """How many quarter turns further an axis at psi must be named to lie nearest to an axis at reference."""
     return round((reference_rad - psi_rad) / (0.5 * np.pi)) % 4
+
+
+def commonest(kind: Ints) -> int:
+    """The code that most of (M,) have; 0 of none."""
+    return int(np.argmax(np.bincount(kind, minlength=1)))

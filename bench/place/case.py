@@ -151,6 +151,12 @@ def twins_of(drive: Drive, world: World | None, within_m: float = np.inf) -> Twi
     return Twins(world.features, in_map(drive.camera.eye.missed), drive.calibration, within_m)
 
 
+def watch(twins: Twins | None, drive: Drive) -> None:
+    """Mark the moment from which the robot's place can be told."""
+    if twins is not None and drive.tally.told_s is None and twins.passed(drive.pose) == 1:
+        drive.tally.told()
+
+
 def _fault(drive: Drive, script: Iterator[None], twins: Twins | None = None) -> None:
     drive.tally = tally = Tally()
     for _ in script:
@@ -162,7 +168,6 @@ def _fault(drive: Drive, script: Iterator[None], twins: Twins | None = None) -> 
     ended_s = tally.seconds
     for _ in range(round(_AFTER_MOST_S / drive.dt_s)):
         drive.tick()
-        if twins is not None and tally.told_s is None and twins.passed(drive.pose) == 1:
-            tally.told()
+        watch(twins, drive)
         if tally.seconds - ended_s > _AFTER_S and tally.recovered_s is not None:
             break

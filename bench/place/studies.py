@@ -10,7 +10,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.bench.place import radio
-from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known, twins_of
+from ceilvo.bench.place.case import SETTLE_S, drive_in, load_known, twins_of, watch
 from ceilvo.bench.place.ceiling.eye import Sight
 from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.bench.place.ceiling.worlds import LAMPS, WorldSpec, make_world
@@ -110,8 +110,7 @@ def _start(run: Run) -> dict[str, Any]:
             estimate = drive.tick()
         except MemoryError as e:
             failed, estimate = f"out of memory: {e}", None
-        if twins is not None and tally.told_s is None and twins.passed(drive.pose) == 1:
-            tally.told()
+        watch(twins, drive)
         tracking = estimate is not None and estimate.state is State.TRACKING
         if tracking and kept_s == 0.0:
             found_m = tally.metres

@@ -9,7 +9,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
+from ceilvo.crossing_types import LINE_CROSSINGS, commonest, quarter_turns, turned_type
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.matching import consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points
@@ -114,7 +114,7 @@ def register(
     if fit is None:
         return None, "too few consistent correspondences"
     shown, overlap = min(len(crossings), len(ref)), _overlap(fit, ref)
-    common = int(np.argmax(np.bincount(ref.crossing_type)))
+    common = commonest(ref.crossing_type)
     here, then = kinds != common, ref.crossing_type != common
     special = int(np.count_nonzero(here[i[fit.used]]))
     special_shown = min(np.count_nonzero(here), np.count_nonzero(then))

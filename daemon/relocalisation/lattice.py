@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.crossing_types import turned_type
+from ceilvo.crossing_types import commonest, turned_type
 from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
 from ceilvo.se2 import compose, rotation, wrap, wrap_array
 from ceilvo.types import Array, Ints, Landmarks, Observations
@@ -47,7 +47,7 @@ class Lattice:
         """None where the landmarks show no period along either axis."""
         if not len(landmarks):
             return None
-        common = int(np.argmax(np.bincount(landmarks.crossing_type)))
+        common = commonest(landmarks.crossing_type)
         at = landmarks.xy_map_m[landmarks.crossing_type == common] @ rotation(axis_rad)
         tile = np.array([_period(at), _period(at[:, ::-1])])
         if not np.any(tile):
@@ -147,7 +147,7 @@ def repeats(landmarks: Landmarks, reach_m: float) -> Array:
 
     Where there are no joints to tell a period by, lamps that hang in a pattern are found again so.
     """
-    rare = np.flatnonzero(landmarks.crossing_type != np.argmax(np.bincount(landmarks.crossing_type, minlength=1)))
+    rare = np.flatnonzero(landmarks.crossing_type != commonest(landmarks.crossing_type))
     some = landmarks.of(rare[:: max(1, -(-len(rare) // MOST_ASKED))])
     same = some.crossing_type[:, None] == some.crossing_type
     step = (some.xy_map_m[None] - some.xy_map_m[:, None])[same]

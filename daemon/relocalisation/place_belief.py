@@ -57,7 +57,7 @@ class PlaceBelief:
         cut: places were left out that may be right.
         leader, led_m: the likeliest place (3,) but for the tracked one, and for how much of the way it was.
         told, told_unknown: what of log_weight and unknown is of other senses, see tell().
-        even: (P,) log_weight, were all places as likely before anything was seen; see beats_all().
+        evidence: (P,) log-likelihoods of all that was seen and told, whatever was likely before; see beats_all().
     """
 
     places: Array = field(default_factory=_tracked)
@@ -73,14 +73,14 @@ class PlaceBelief:
     led_m: float = 0.0
     told: Array = field(default_factory=lambda: np.zeros(1))
     told_unknown: float = 0.0
-    even: Array = field(default_factory=lambda: np.zeros(1))
+    evidence: Array = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
         """States of older recordings were told nothing, and had one weight of a place."""
         if len(self.told) != len(self.places):
             self.told = np.zeros(len(self.places))
-        if len(self.even) != len(self.places):
-            self.even = self.log_weight.copy()
+        if len(self.evidence) != len(self.places):
+            self.evidence = self.log_weight + self.seen[:, 0]
 
     def __len__(self) -> int:
         """Places, the tracked one included."""
@@ -141,7 +141,7 @@ class PlaceBelief:
     def beats_all(self, place: int) -> bool:
         """Whether what was seen is enough for a place without where the robot was before: a stored pose makes some
         e^10 likelier than the rest of a hall, and is a guess for a robot that may be anywhere."""
-        weight = self.even + self.seen[:, 0] + self._of_spot[:, 0]
+        weight = self.evidence + self._of_spot[:, 0]
         rest = np.delete(weight, place) - weight[place]
         return bool(np.sum(np.exp(np.minimum(rest, 0.0))) < EVEN_RATE)
 
@@ -183,7 +183,8 @@ class PlaceBelief:
 
     def tell(self, log_likelihood: Array, unknown: float) -> None:
         """Other senses say (P,) of the places and of unknown ground, in place of what they said before."""
-        self.log_weight, self.even = (a + (log_likelihood - self.told) for a in (self.log_weight, self.even))
+        self.log_weight = self.log_weight + (log_likelihood - self.told)
+        self.evidence = self.evidence + (log_likelihood - self.told)
         self.unknown += unknown - self.told_unknown
         self.told, self.told_unknown = log_likelihood, unknown
 
@@ -202,12 +203,11 @@ class PlaceBelief:
         # What other senses say anew each time is not bounded: only what was seen falls no further.
         self.told = self.told + np.minimum(weight - (raw - top), np.maximum(-self.told, 0.0))
         self.told_unknown += min(self.unknown - (unknown - top), max(-self.told_unknown, 0.0))
+        self.evidence = self.evidence + self._of_spot[:, 0]
         self.seen = self.seen + self._of_spot if len(self) > 1 else np.zeros((1, 2))
         likeliest = self.seen[np.argmax(weight)]
         # One that has fallen no further than LEAST was given some of its weight: not for what it has shown itself.
-        lost = weight <= LEAST
-        self.even[lost] += self.seen[lost, 0] - likeliest[0]
-        self.seen[lost] = likeliest
+        self.seen[weight <= LEAST] = likeliest
         self.log_weight = weight - self.seen[:, 0] + _too_much(likeliest)
         self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self.spot_m = self.spot_rad = 0.0
@@ -220,7 +220,6 @@ class PlaceBelief:
         if not self.at_another_spot:
             self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self._settle()
-        self.even = self.even + self.seen[:, 0]
         self.log_weight, self.seen = self.settled, np.zeros((len(self), 2))
 
     def add(self, places: Array, log_odds: Array, late: bool = False) -> None:
@@ -235,20 +234,19 @@ class PlaceBelief:
         fresh: list[int] = []
         settled = self.settled
         weight = log_odds + settled[0]
-        likeliest, even = self.seen[np.argmax(settled)], self._even_of_new(late)
+        likeliest, evidence = self.seen[np.argmax(settled)], self._of_new(late)
         for n, (g, cell) in enumerate(zip(places, cells(places, _CELL_M).tolist(), strict=True)):
             i = at.get(tuple(cell))
             if i is None:
                 at.update(dict.fromkeys(_near(cell), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
-                self.even[i] = max(self.even[i], even + likeliest[0] - self.seen[i, 0])
+                self.evidence[i] = max(self.evidence[i], evidence)
                 if weight[n] > settled[i]:  # most of its weight is new, and has the same past
-                    self.even[i] += self.seen[i, 0] - likeliest[0]
                     self.places[i] = g
                     self.log_weight[i], self.seen[i] = settled[i] - combined(likeliest), likeliest
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
-        self._append(places[fresh], weight[fresh], even)
+        self._append(places[fresh], weight[fresh], evidence)
         if len(self) > MOST_PLACES:
             self._leave_out(_best(self.settled, MOST_PLACES))
 
@@ -258,14 +256,13 @@ class PlaceBelief:
         One that is there keeps what it has: a way on which nothing tells places apart must not add up to a doubt.
         """
         fresh = places[~np.any(_same(places, self.places), axis=1)]
-        self._append(fresh, np.full(len(fresh), LEAST + self.settled[0]), self._even_of_new(late=True))
+        self._append(fresh, np.full(len(fresh), LEAST + self.settled[0]), self._of_new(late=True))
 
-    def _even_of_new(self, late: bool) -> float:
-        """`even` of a place that is not there yet, with the past of the likeliest: as good as any, or late."""
-        best = float(np.max(self.even + self.seen[:, 0])) + (LEAST if late else 0.0)
-        return best - float(self.seen[np.argmax(self.settled), 0])
+    def _of_new(self, late: bool) -> float:
+        """Evidence of a place that is not there yet: as good as any, unless it comes late."""
+        return float(np.max(self.evidence)) + (LEAST if late else 0.0)
 
-    def _append(self, places: Array, weight: Array, even: float) -> None:
+    def _append(self, places: Array, weight: Array, evidence: float) -> None:
         """Places (N, 3) that are not there yet, with log-weights (N,) and the past of the likeliest."""
         likeliest, count = self.seen[np.argmax(self.settled)], len(places)
         self.places = np.concatenate([self.places, places])
@@ -273,15 +270,14 @@ class PlaceBelief:
         self.seen = np.concatenate([self.seen, np.repeat(likeliest[None], count, axis=0)])
         self.spot = np.concatenate([self.spot, np.full((count, 2), np.nan)])
         self.told = np.concatenate([self.told, np.full(count, self.told[0])])
-        self.even = np.concatenate([self.even, np.full(count, even)])
+        self.evidence = np.concatenate([self.evidence, np.full(count, evidence)])
 
     def again(self, log_odds: float) -> None:
         """The tracked place was found anew, a few centimetres off; log-odds as of add()."""
         settled = self.settled
         weight, likeliest = log_odds + settled[0], self.seen[np.argmax(settled)]
-        self.even[0] = max(self.even[0], self._even_of_new(late=False) + likeliest[0] - self.seen[0, 0])
+        self.evidence[0] = self._of_new(late=False)
         if weight > settled[0]:
-            self.even[0] += self.seen[0, 0] - likeliest[0]
             self.log_weight[0], self.seen[0] = weight - combined(likeliest), likeliest
 
     def _leave_out(self, but: Ints) -> None:
@@ -291,7 +287,7 @@ class PlaceBelief:
     def _keep(self, which: Ints | NDArray[np.bool_]) -> None:
         self.places, self.log_weight = self.places[which], self.log_weight[which]
         self.seen, self.spot, self.told = self.seen[which], self.spot[which], self.told[which]
-        self.even = self.even[which]
+        self.evidence = self.evidence[which]
 
     def doubt_unknown(self, log_odds: float) -> None:
         """Something happened after which the robot may be anywhere, with these log-odds against where it was.
@@ -316,7 +312,7 @@ class PlaceBelief:
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
         self.places = np.asarray(compose(self.places[order], np.broadcast_to(back, self.places.shape)))
         self.places[0], self.log_weight, self.seen = 0.0, self.log_weight[order], self.seen[order]
-        self.told, self.even = self.told[order], self.even[order]
+        self.told, self.evidence = self.told[order], self.evidence[order]
         return there
 
 

@@ -93,9 +93,9 @@ class MapSurvey:
                 out = Surroundings.of(wider, self.coverage, out.chance, out.reach_m, axis_rad, own)
         named = out.landmarks.of(self.index.named(out.landmarks.ids))
         lattice = Lattice.of(out.landmarks, axis_rad)
-        tiled = lattice is not None and lattice.crossing_type == JOINTS
-        shifts = lattice.shifts(MEASURED_M) if lattice is not None and tiled else repeats(named, MEASURED_M)
-        return Chance.measured(named, out.raster, self.coverage, shifts, not tiled)
+        if lattice is not None and lattice.crossing_type == JOINTS:
+            return Chance.measured(named, out.raster, self.coverage, lattice.shifts(MEASURED_M))
+        return Chance.measured(named, out.raster, self.coverage, repeats(named, MEASURED_M), any_name=True)
 
     def watched(self, around: Surroundings, pose: Array, view: Observations) -> Array:
         """(M, 3) rival_from_tracked of where a robot at a sure pose (3,) may have got to without a trace."""

@@ -15,7 +15,7 @@ from ceilvo.bench.place.ceiling.truth import Features
 from ceilvo.calibration import Calibration, visible_polygon
 from ceilvo.config import Features as Settings
 from ceilvo.crossing_types import turned_type
-from ceilvo.se2 import transform
+from ceilvo.se2 import rotation, transform
 from ceilvo.types import Array, Ints, Pose
 
 _SAME_M = 0.05
@@ -23,8 +23,6 @@ _SAME_M = 0.05
 _APART_M = 0.25
 """The ceiling is looked at again after so much of the way; chosen: a tenth of the disc."""
 _TURNS = 4
-_QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""Turns a point by 90 deg."""
 
 
 class Twins:
@@ -60,13 +58,12 @@ class Twins:
         if not len(here):
             return
         self._last = at
-        count = {kind: len(which) for kind, which in self._of.items()}
-        new = np.array(sorted(np.setdiff1d(here, self._seen), key=lambda i: count[int(self._kind[i])]), np.int64)
+        new = sorted(np.setdiff1d(here, self._seen).tolist(), key=lambda i: len(self._of[int(self._kind[i])]))
         self._seen = np.union1d(self._seen, here)
         if self._from is None:
             self._from = at
-            self._begin(int(new[0]))
-        for i in new.tolist():
+            self._begin(new[0])
+        for i in new:
             self._keep(self._has(i))
         self._keep(self._as_many(at))
 
@@ -112,7 +109,7 @@ class Twins:
 
 
 def _turned(xy: Array, turn: int) -> Array:
-    return np.asarray(np.linalg.matrix_power(_QUARTER, turn) @ xy)
+    return np.asarray(rotation(0.5 * np.pi * turn) @ xy)
 
 
 def _type_turned(kind: Ints, turn: int) -> Ints:

@@ -68,8 +68,8 @@ class Tally:
 
     def told(self) -> None:
         """From now on the place can be told."""
-        if self.told_s is None and self.over_s is not None:
-            self.told_s, self.told_m = self.seconds - self.over_s, self.metres - self._over_m
+        assert self.over_s is not None
+        self.told_s, self.told_m = self.seconds - self.over_s, self.metres - self._over_m
 
     def add(self, dt_s: float, state: State, off: tuple[float, float], moved: tuple[float, float], reason: str) -> None:
         """An estimate that held for dt_s, off by (m, rad), while the robot moved by (m, rad)."""

@@ -235,7 +235,7 @@ class KeptMap:
         map_axis_rad: float,
         key_poses: KeyPoses | None,
         refused: int,
-        written: Told = lambda _: None,
+        written: Told,
     ) -> None:
         """Write what changed, after look(). A map that somebody else wrote, or that was given up, becomes a generation
         first.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, commonest
 from ceilvo.daemon.odometry.sight import is_in
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, TypeRaster
@@ -72,7 +72,7 @@ class Chance:
     def unmeasured(landmarks: Landmarks) -> Chance:
         """Of a map that is too small to tell."""
         same = np.full((2, CROSSING_TYPES), UNMEASURED)
-        same[:, np.argmax(np.bincount(landmarks.crossing_type, minlength=CROSSING_TYPES))] = UNMEASURED_COMMON
+        same[:, commonest(landmarks.crossing_type)] = UNMEASURED_COMMON
         return Chance(same, _between(same, same))
 
     @staticmethod
@@ -96,14 +96,14 @@ class Chance:
         anyone = (same | (bits & RARE > 0) & known) @ of
         out, out_any = _rates(landmarks, tried, hits), _rates(landmarks, tried, anyone)
         if any_name:
-            rare = np.arange(CROSSING_TYPES) != np.argmax(np.bincount(landmarks.crossing_type))
+            rare = np.arange(CROSSING_TYPES) != commonest(landmarks.crossing_type)
             out[1, rare] = np.maximum(out[1], NAMED * out_any[1])[rare]
         return Chance(out, _between(out, out_any))
 
 
 def _measured_by(crossing_type: Ints) -> Ints:
     """Which landmarks of types (L,) chance is measured by: of the commonest no more than it takes."""
-    common = crossing_type == np.argmax(np.bincount(crossing_type))
+    common = crossing_type == commonest(crossing_type)
     usual = np.flatnonzero(common)
     few = usual[:: max(1, -(-len(usual) // MOST_COMMON))]
     return np.sort(np.concatenate([np.flatnonzero(~common), few]))

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from beliefs import spot
 
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
-
-
-def spot(belief: PlaceBelief, ratio: list[float]) -> None:
-    """A view from another spot; the same against either kind of wrong place."""
-    belief.moved(0.26, 1.0)
-    belief.leave_spot()
-    belief.weigh(np.repeat(np.array(ratio[: len(belief)])[:, None], 2, axis=1))
 
 
 def test_a_robot_that_may_be_anywhere_is_not_where_it_was_thought_to_be_for_that_alone() -> None:
@@ -54,5 +48,5 @@ def test_with_even_odds_before_both_weights_say_the_same(seed: int) -> None:
             belief.renew()
         if step == 6:
             belief.jump(1, np.zeros(3))
-    apart = (belief.even + belief.seen[:, 0]) - belief.settled
+    apart = belief.evidence - belief.settled
     assert len(belief) == 7 and np.ptp(apart) < 1e-9, f"seed {seed}"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from beliefs import STEP_M, alike, spot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,31 +16,17 @@ from ceilvo.daemon.relocalisation.place_belief import (
     PlaceBelief,
     of_tracked,
 )
-from ceilvo.types import Array
 
 RIVALS = np.array([[0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.3, 0.3, 0.5 * np.pi]])
-STEP_M = 0.26
 LEAD_SPOTS = 1 + int(np.ceil(LEAD_M / STEP_M))
 """The first of them says who leads."""
 TRACKED = np.array([2.0, 1.0, 0.4])
-
-
-def alike(log_ratio: Array) -> Array:
-    """(P, 2) the same against either kind of wrong place."""
-    return np.column_stack([log_ratio, log_ratio])
 
 
 def doubted(odds: float = -2.0) -> PlaceBelief:
     belief = PlaceBelief()
     belief.add(RIVALS, np.full(3, odds))
     return belief
-
-
-def spot(belief: PlaceBelief, ratio: list[float], views: int = 1, way_m: float = STEP_M) -> None:
-    belief.moved(way_m, 1.0)
-    belief.leave_spot()
-    for _ in range(views):
-        belief.weigh(alike(np.array(ratio[: len(belief)])))
 
 
 def test_a_fresh_belief_is_sure_but_for_what_left_no_trace() -> None:

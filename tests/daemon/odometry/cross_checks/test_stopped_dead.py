@@ -14,6 +14,8 @@ from ceilvo.types import Motion, WheelMotion
 
 NOISE_M = 1e-4
 BRAKE_MPS2 = Odometry().max_accel_mps2
+DRIVES = Motion(np.array([0.03, 0.0, 0.0]), np.eye(3), 9, 0.0)
+STANDS = Motion(np.array([1e-4, 0.0, 0.0]), np.eye(3), 9, 0.0)
 
 
 def seen(way_m: np.ndarray, rate_hz: float, seed: int = 0, lost: tuple[int, ...] = ()) -> list[bool]:
@@ -27,6 +29,13 @@ def seen(way_m: np.ndarray, rate_hz: float, seed: int = 0, lost: tuple[int, ...]
         believed += step
         out.append(check.step(motion, None, 1.0 / rate_hz) is not None)
     return out
+
+
+def driven() -> StoppedDead:
+    check = StoppedDead(Odometry())
+    for _ in range(3):
+        assert check.step(DRIVES, None, 1.0 / 30.0) is None
+    return check
 
 
 def stopping(speed_mps: float, brake_mps2: float, rate_hz: float, phase: float) -> np.ndarray:
@@ -55,25 +64,17 @@ def test_a_picture_that_is_frozen_at_speed_is_one(speed_mps: float, rate_hz: flo
 
 
 def test_it_is_over_when_the_picture_moves_and_graver_the_longer_it_lasts() -> None:
-    check = StoppedDead(Odometry())
-    drives = Motion(np.array([0.03, 0.0, 0.0]), np.eye(3), 9, 0.0)
-    stands = Motion(np.array([1e-4, 0.0, 0.0]), np.eye(3), 9, 0.0)
-    for _ in range(3):
-        assert check.step(drives, None, 1.0 / 30.0) is None
-    said = [check.step(stands, None, 1.0 / 30.0) for _ in range(15)]
+    check = driven()
+    said = [check.step(STANDS, None, 1.0 / 30.0) for _ in range(15)]
     assert all(s is not None and s.kind is Kind.STANDS for s in said)
     assert said[0] is not None and said[0].severity is Severity.DEGRADED
     assert said[-1] is not None and said[-1].severity is Severity.IN_DOUBT
     assert abs(said[-1].jump_m - 0.9 * 15 / 30.0) < 0.02
-    assert check.step(drives, None, 1.0 / 30.0) is None and check.step(drives, None, 1.0 / 30.0) is None
+    assert check.step(DRIVES, None, 1.0 / 30.0) is None and check.step(DRIVES, None, 1.0 / 30.0) is None
 
 
 def test_what_the_picture_did_before_wheels_came_and_went_is_forgotten() -> None:
     """The robot braked while the wheels told it."""
-    check = StoppedDead(Odometry())
-    drives = Motion(np.array([0.03, 0.0, 0.0]), np.eye(3), 9, 0.0)
-    stands = Motion(np.array([1e-4, 0.0, 0.0]), np.eye(3), 9, 0.0)
-    for _ in range(3):
-        assert check.step(drives, None, 1.0 / 30.0) is None
-    assert check.step(stands, WheelMotion(np.zeros(3), np.eye(3)), 1.0 / 30.0) is None
-    assert not any(check.step(stands, None, 1.0 / 30.0) for _ in range(5))
+    check = driven()
+    assert check.step(STANDS, WheelMotion(np.zeros(3), np.eye(3)), 1.0 / 30.0) is None
+    assert not any(check.step(STANDS, None, 1.0 / 30.0) for _ in range(5))
