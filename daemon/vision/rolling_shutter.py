@@ -58,7 +58,7 @@ class Readout:
         turned, shift = np.abs(self.rows[:, 1]), np.hypot(self.rows[:, 2], self.rows[:, 3])
         return float(np.max(turned * reach_px + shift))
 
-    def moved_by(self, x: Array32, y: Array32) -> tuple[Array, Array]:
+    def moved_by(self, x: Array32 | Array, y: Array32 | Array) -> tuple[Array, Array]:
         """(P, 3) each: by how much rays (P,), (P,) move in x and y per unit of twist."""
         table = self.delay_s
         i, j = (
@@ -68,6 +68,21 @@ class Readout:
         delay_s, none = table[j, i].astype(np.float64), np.zeros(len(x))
         along = np.column_stack([delay_s, none, -delay_s * (y + self.mount[1])])
         return along, np.column_stack([none, delay_s, delay_s * (x + self.mount[0])])
+
+    def at_one_instant(self, uv_px: Array, row: Array) -> Array:
+        """(N, 2) level pixels that were read in rows (N,), which may lie between two, as the middle's instant has them.
+
+        Pixels count from the principal point.
+        """
+        above = np.clip(np.floor(row).astype(np.int64), 0, len(self.rows) - 2)
+        here = self.rows[above] + (row - above)[:, None] * (self.rows[above + 1] - self.rows[above])
+        c, s, x, y = here.T
+        return np.column_stack([c * uv_px[:, 0] - s * uv_px[:, 1] + x, s * uv_px[:, 0] + c * uv_px[:, 1] + y])
+
+    def cov_of_twist(self, rays: Array) -> Array:
+        """(N, 2, 2) by which the twist's error may have moved rays (N, 2)."""
+        by_twist = np.stack(self.moved_by(rays[:, 0], rays[:, 1]), axis=1)
+        return np.asarray((by_twist / self.twist_info) @ by_twist.transpose(0, 2, 1))
 
 
 class RollingShutter:

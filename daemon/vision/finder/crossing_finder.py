@@ -80,7 +80,7 @@ class CrossingFinder:
         if self._points is not None:
             state, prior = self.state, self._lines.tilt_prior()
             crossings, state.points = self._points(
-                frame.gray, crossings, prior, state.since_detection == 0, state.points
+                frame.gray, crossings, prior, state.since_detection == 0, state.points, self._lines.readout
             )
         if crossings is not None:
             crossings = replace(crossings, sample_gray=frame.gray.take(self._raster))

@@ -79,6 +79,7 @@ class LineFinder:
     Attributes:
         config: the settings for this camera's lens.
         crossed: gives crossings of lines.
+        readout: how the last frame was read, None with a global shutter.
     """
 
     def __init__(self, calibration: Calibration, config: Features) -> None:
@@ -92,6 +93,7 @@ class LineFinder:
         self._faint = FaintLines(calibration, config, self.crossed) if config.faint_lines else None
         self._tracker = EdgeTracker(calibration, config) if config.full_every > 1 else None
         self.state = LineFinderState()
+        self.readout: Readout | None = None
 
     @property
     def rolls(self) -> bool:
@@ -119,7 +121,7 @@ class LineFinder:
             self.state.tilt, self.state.several = TiltState(), True
         s, tilt = self.state, TiltTracker(self.state.tilt)
         s.faint.since_look += 1
-        readout = self._shutter.readout(twist)
+        readout = self.readout = self._shutter.readout(twist)
         prior = tilt.prior()
         found = self._track(gray, prev_from_curr, prior, readout)
         lines: Lines | None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -75,4 +77,4 @@ def _centre(weight: Array, rows: slice, columns: slice, places: Places) -> Found
     diameter = 2.0 * np.sqrt(np.count_nonzero(on) / np.pi)
     sigma_px = float(np.hypot(_SIGMA_PX, _SIGMA_OF_SIZE * diameter))
     at = places.found(middle, sigma_px, LAMP)
-    return Found(centre[None], at.cov, at.kind) if len(at) else None
+    return replace(at, uv=centre[None]) if len(at) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,26 +26,27 @@ class Found:
         uv: (N, 2) in the level view, px from its principal point, the robot's tilt not taken off.
         cov: (N, 2, 2) px^2.
         kind: (N,) LAMP, SPOT or CORNER of ceilvo.crossing_types.
+        row: (N,) of the picture that is looked at.
     """
 
     uv: Array
     cov: Array
     kind: Ints
+    row: Array
 
     def __len__(self) -> int:
         return len(self.kind)
 
     def of(self, which: NDArray[np.bool_] | Ints) -> Found:
-        return Found(self.uv[which], self.cov[which], self.kind[which])
+        return Found(self.uv[which], self.cov[which], self.kind[which], self.row[which])
 
 
-NONE = Found(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, np.int64))
+NONE = Found(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, np.int64), np.zeros(0))
 
 
 def joined(parts: list[Found]) -> Found:
     """All of them, in order."""
-    uv, cov, kind = (np.concatenate([getattr(p, name) for p in parts]) for name in ("uv", "cov", "kind"))
-    return Found(uv, cov, kind)
+    return Found(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Found)))
 
 
 class Places:
@@ -95,4 +96,4 @@ class Places:
         variance = np.broadcast_to(np.asarray(sigma_px, np.float64) ** 2, len(pixels))
         cov = variance[:, None, None] * (change @ change.transpose(0, 2, 1))
         good = np.all(np.isfinite(cov), axis=(1, 2)) & np.all(np.isfinite(uv), axis=1)
-        return Found(uv[good], cov[good], np.full(int(np.count_nonzero(good)), kind, np.int64))
+        return Found(uv[good], cov[good], np.full(int(np.count_nonzero(good)), kind, np.int64), pixels[good, 1])

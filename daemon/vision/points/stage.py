@@ -15,6 +15,7 @@ from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
 from ceilvo.daemon.vision.points.lamps import find_lamps
 from ceilvo.daemon.vision.points.places import Found, Gray, Places, joined
 from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.thinning import ALL_CELLS, ENOUGH, without_cells
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
@@ -44,6 +45,7 @@ class PointFinder:
         prior: TiltPrior | None,
         now_and_then: bool = True,
         left: int = 0,
+        readout: Readout | None = None,
     ) -> tuple[Crossings | None, int]:
         """The crossings of a frame (H, W) with the points that it needs besides, None where there is neither; and in
         how many frames more they are looked for even if lines suffice.
@@ -52,6 +54,7 @@ class PointFinder:
             prior: of the tilt, for frames without lines.
             now_and_then: this is one of the frames in which lamps are looked for on a ceiling that is all cells.
             left: what the last call said.
+            readout: of a rolling shutter.
         """
         if crossings is not None and len(crossings) >= ALL_CELLS and not now_and_then:
             return crossings, left
@@ -68,6 +71,8 @@ class PointFinder:
         found = self._look(view.reduced(gray), self._places, need)
         if not len(found):
             return crossings, left
+        if readout is not None:
+            found = _at_one_instant(found, readout, view.focal_px)
         if crossings is None or not len(crossings):  # lines of one direction tell half of the tilt, and that badly
             crossings = self._without_crossings(crossings, prior)
         return self._with(crossings, found), left
@@ -115,6 +120,12 @@ class PointFinder:
             cov_base_m2=np.concatenate([crossings.cov_base_m2, own + crossings.common_cov_m2]),
             crossing_type=np.concatenate([crossings.crossing_type, found.kind]),
         )
+
+
+def _at_one_instant(found: Found, readout: Readout, focal_px: float) -> Found:
+    """Points that were read row by row, moved by the predicted twist; what that is off by is in their covariance."""
+    uv = readout.at_one_instant(found.uv, found.row)
+    return replace(found, uv=uv, cov=found.cov + focal_px**2 * readout.cov_of_twist(uv / focal_px))
 
 
 def _levelled(uv: Array, tilt_rad: Array, focal_px: float) -> Array:

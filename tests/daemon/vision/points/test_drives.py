@@ -2,25 +2,20 @@
 
 import numpy as np
 import pytest
+from point_ceilings import PLASTER_ROUND, RATE_HZ, followed
 
-from ceilvo import se2
 from ceilvo.config import Config
-from ceilvo.config.reader import replace
-from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Array, Estimate, Frame, State
+from ceilvo.types import Array, Estimate, State
 
 SEED = 22
-RATE_HZ = 15.0
 FRAMES = 75
 START_S = 1.5
 GOOD = (State.TRACKING, State.DEGRADED)
 CEILINGS = {
-    "plaster with round lamps": CeilingSpec(
-        joints=False, tile_spread=0.0, vents=0, spots=0, stains=12, round_lamps=True, lamp_every=(3, 2)
-    ),
+    "plaster with round lamps": PLASTER_ROUND,
     "hexagons": CeilingSpec(pattern="hexagons", vents=0, spots=0, stains=0, round_lamps=True),
     "slats with round lamps": CeilingSpec(
         pattern="slats", vents=0, spots=0, stains=0, round_lamps=True, lamp_every=(3, 2)
@@ -32,18 +27,6 @@ def drive(ceiling: CeilingSpec, *overrides: str) -> tuple[list[Estimate], Array]
     """Estimates of a drive round a bend, and (N,) how far each is from the truth, m."""
     world = World(WorldSpec(seed=SEED, ceiling=ceiling, lap=LapSpec(room_m=4.0, inset_m=1.0, corner_radius_m=0.5)))
     return followed(world, START_S, FRAMES, *overrides)
-
-
-def followed(world: World, start_s: float, frames: int, *overrides: str) -> tuple[list[Estimate], Array]:
-    """The same of a world, from a moment on."""
-    world.start(0)
-    pipeline = Pipeline(world.calibration, replace(Config(), overrides), np.random.default_rng(1))
-    start, out, off = world.truth_at(start_s), [], []
-    for k in range(frames):
-        t_s = start_s + k / RATE_HZ
-        out.append(pipeline.step(Frame(k, round(t_s * 1e9), world.frame_at(t_s))))
-        off.append(float(np.hypot(*(se2.compose(start, out[-1].pose) - world.truth_at(t_s))[:2])))
-    return out, np.array(off)
 
 
 @pytest.mark.parametrize("name", CEILINGS)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from point_ceilings import PLASTER_ROUND, VIEW_DEG, lamps_at, off_m
 
 from ceilvo import se2
 from ceilvo.config import Features
@@ -18,12 +19,10 @@ from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Array, Crossings, Frame
+from ceilvo.types import Array, Frame
 
 SEED = 21
-ROUND = CeilingSpec(joints=False, tile_spread=0.0, vents=0, spots=0, stains=12, round_lamps=True, lamp_every=(3, 2))
 HEXAGONS = CeilingSpec(pattern="hexagons", vents=0, spots=0, stains=0, round_lamps=True)
-VIEW_DEG = Features().max_view_deg
 AT_S = 2.0
 
 
@@ -35,24 +34,7 @@ def world(ceiling: CeilingSpec, seed: int = SEED) -> World:
 
 @pytest.fixture(scope="module")
 def lamps() -> World:
-    return world(ROUND)
-
-
-def lamps_at(room: World, pose: Array, tilt_rad: Array) -> Array:
-    """(N, 2) true centres of lamps in base, of those that a robot at a pose sees as a whole."""
-    calibration, layout = room.calibration, room.ceiling.layout
-    rects = np.array([p.rect for p in layout.lamps])
-    xy = se2.transform(se2.inverse(pose), 0.5 * (rects[:, :2] + rects[:, 2:]))
-    uv = np.column_stack([xy, np.ones(len(xy))]) @ calibration.level_from_ceiling.T
-    raw = calibration.level_view.to_raw(uv[:, :2] / uv[:, 2:])
-    margin = 30.0 + 1.5 * calibration.camera.focal_px * float(np.max(np.abs(tilt_rad)))
-    return np.asarray(xy[np.all((raw > margin) & (raw < np.array([640.0, 480.0]) - margin), axis=1)])
-
-
-def off_m(seen: Crossings, kind: int, at: Array) -> Array:
-    """(N,) distance from each place to the nearest point of a kind."""
-    xy = seen.xy_base_m[seen.crossing_type == kind]
-    return np.asarray(np.min(np.hypot(*(at[:, None] - xy[None]).transpose(2, 0, 1)), axis=1))
+    return world(PLASTER_ROUND)
 
 
 def test_lamps_are_where_they_hang_to_a_millimetre(lamps: World) -> None:
