@@ -7,6 +7,7 @@ run, a replay and a test do the same.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,9 +20,10 @@ from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineS
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
+from ceilvo.daemon.odometry.heights.by_map import SURE_M, MapHere
+from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.slope import SlopeState
-from ceilvo.daemon.odometry.heights.stage import HeightsState
 from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.beacons.lamps.stage import Lamps
@@ -115,7 +117,7 @@ class Pipeline:
         elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)
         usable = self.checks.admit(crossings, wheels, elapsed_s, heard)
         expected = self.odometry.expected(elapsed_s, usable.wheels, usable.turn)
-        placed = self.odometry.placed(usable.crossings, expected)
+        placed = self.odometry.placed(usable.crossings, expected, self._map_here(expected))
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
         placed = self.odometry.learn(motion, placed)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
@@ -143,6 +145,19 @@ class Pipeline:
         on_stage_done("filter")
         seen = 0 if crossings is None else len(crossings)
         return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling, rocking)
+
+    def _map_here(self, expected: Array | None) -> MapHere | None:
+        """The map where the robot should be by now; None where nobody asks, or nobody knows where it is."""
+        axis_rad = self.relocaliser.state.map_axis_rad
+        if not self.odometry.heights.state.asks or axis_rad is None:
+            return None
+        pose, cov, _ = self.filter.estimate()
+        if math.sqrt(max(se2.greatest_variance(cov[:2, :2]), 0.0)) > SURE_M:
+            return None
+        gap = self.dead_reckoning.state.gap
+        for moved in (None if gap is None else gap.prev_from_curr, expected):
+            pose = pose if moved is None else Pose(se2.compose(pose, moved))
+        return MapHere(pose, axis_rad, self.filter.landmarks_near)
 
     def _estimate(
         self,
@@ -268,7 +283,8 @@ class Pipeline:
         tracker.state = FloorTrackerState(tracker.floors if keep_map else Floors())
         self.states.reset("started")
         self.checks.restart()
-        self.odometry.heights.state, self.odometry.slope.state = HeightsState(), SlopeState()
+        self.odometry.heights.know(self.odometry.heights.drops_m if keep_map else ())
+        self.odometry.slope.state = SlopeState()
 
     def set_pose(self, pose: Pose, cov: Array, reason: str, floor: str = "") -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again.
@@ -296,6 +312,7 @@ class Pipeline:
         ago_s: float = math.inf,
         elsewhere: float = 0.0,
         floors: Floors | None = None,
+        drops_m: Sequence[float] = (),
     ) -> None:
         """Start on a map of an earlier run; the pose is to be confirmed.
 
@@ -303,7 +320,9 @@ class Pipeline:
             ago_s: since the pose was stored; inf where nobody knows.
             elsewhere: that run's own.
             floors: of the map, in whose common frame all else is; None for one.
+            drops_m: how much lower than the calibrated height parts of the ceiling are.
         """
+        self.odometry.heights.know(drops_m)
         self.relocaliser.floor_tracker.state = FloorTrackerState(floors or Floors())
         doubt = doubts.of_stored(cov, ago_s, elsewhere)
         self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, doubt)

@@ -182,9 +182,9 @@ class Estimator:
             ago_ns = self._clock() - (0 if state is None else state.stamp_ns)
             of_this_boot = state is not None and ago_ns >= 0  # the clock begins anew with the computer
             ago_s = 1e-9 * ago_ns if of_this_boot else math.inf
-            elsewhere = 0.0 if state is None else state.elsewhere
+            elsewhere, drops_m = (0.0, ()) if state is None else (state.elsewhere, state.drops_m)
             knows = stored_map.landmarks, stored_map.map_axis_rad
-            self._do(LoadMap(*knows, pose, cov, ago_s, elsewhere, floors or Floors()))
+            self._do(LoadMap(*knows, pose, cov, ago_s, elsewhere, floors or Floors(), drops_m))
             if state is None:
                 self._do(Reset(keep_map=True))
 
@@ -203,7 +203,9 @@ class Estimator:
             before = StoredMap(self._pipeline.landmarks(), axis_rad)
             after, pose = moved(before, last.pose)
             cov = last.cov + np.diag(np.square(sigma))
-            self._do(LoadMap(after.landmarks, after.map_axis_rad, pose, cov, JUST_NOW_S, self._pipeline.elsewhere))
+            elsewhere, drops_m = self._pipeline.elsewhere, self._pipeline.odometry.heights.drops_m
+            knows = after.landmarks, after.map_axis_rad
+            self._do(LoadMap(*knows, pose, cov, JUST_NOW_S, elsewhere, drops_m=drops_m))
             return Moved(before, last)
 
     def set_pose(self, pose: Pose, sigma: Array, why: str, floor: str = "") -> None:
@@ -341,3 +343,8 @@ class Estimator:
         """Probability that the robot is at another place than the last estimate says."""
         with self._lock:
             return self._pipeline.elsewhere
+
+    def drops_m(self) -> tuple[float, ...]:
+        """How much lower than the calibrated height parts of the ceiling were found to be."""
+        with self._lock:
+            return self._pipeline.odometry.heights.drops_m

@@ -111,7 +111,7 @@ class Keeper:
             self._store.keep_copy()
         elif last is not None and stands and self._is_news(last):
             self._began = last
-            if self._store.save_pose(last, self._estimator.elsewhere()):
+            if self._store.save_pose(last, self._estimator.elsewhere(), self._estimator.drops_m()):
                 self._kept = last
 
     def save(self) -> bool:
@@ -128,7 +128,7 @@ class Keeper:
         landmarks, axis_rad = self._estimator.map_on(last.floor)
         key_poses, refused = self._estimator.key_poses(last.floor), self._estimator.refused()
         elsewhere, news = self._estimator.elsewhere(), max(refused - self._refused, 0)
-        if not self._store.save(landmarks, axis_rad, last, elsewhere, key_poses, news):
+        if not self._store.save(landmarks, axis_rad, last, elsewhere, key_poses, news, self._estimator.drops_m()):
             return False
         self._estimator.key_poses_kept(key_poses)
         self._kept, self._refused, self._floor = last, refused, last.floor

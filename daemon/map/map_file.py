@@ -7,7 +7,7 @@ running.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,9 +24,10 @@ from ceilvo.types import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID, Landmarks, Pos
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
-MAP_VERSION, STATE_VERSION = 2, 3
+MAP_VERSION, STATE_VERSION = 2, 4
 """docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected. A state of
-version 1 does not say how likely the robot was elsewhere, one of version 2 not which map it is on."""
+version 1 does not say how likely the robot was elsewhere, one of version 2 not which map it is on,
+one of version 3 not at which heights the ceiling hangs."""
 MAX_MAP_BYTES = 256 * 2**20
 """Largest map file that is read; the most that filter.max_landmarks allows take 183 MiB."""
 MAX_STATE_BYTES = 64 * 2**10
@@ -43,8 +44,10 @@ _COLUMNS = {
 }
 """Of a map: type of the numbers and how many a landmark has."""
 _STATE_KEYS = {"pose_map_from_base", "cov", "state", "stamp_ns"}
-_LATER_KEYS = {"elsewhere": 2, "frame": 3}
+_LATER_KEYS = {"elsewhere": 2, "frame": 3, "drops_m": 4}
 """Of a state, and the version that brought them."""
+_MOST_DROPS, _MOST_DROP_M = 100, 100.0
+"""Heights of a ceiling in a state, and by how much one differs from the calibrated one; a dozen are kept."""
 _FRAME_CHARS = 80
 """Of a frame's name; one has some 40."""
 _REMEDY = {
@@ -70,6 +73,7 @@ class StoredState:
     Attributes:
         elsewhere: probability that the robot was at another place.
         frame: of the map that the pose is on, as in MapDatabase; None where that is not known.
+        drops_m: how much lower than the calibrated height parts of the ceiling hang, as far as the robot found out.
     """
 
     pose: Pose
@@ -78,6 +82,7 @@ class StoredState:
     stamp_ns: int
     elsewhere: float = 0.0
     frame: str | None = None
+    drops_m: tuple[float, ...] = ()
 
 
 def save_map(path: Path, landmarks: Landmarks, map_axis_rad: float) -> None:
@@ -111,7 +116,14 @@ def load_map(path: Path) -> StoredMap | None:
 
 
 def save_state(
-    path: Path, pose: Array, cov: Array, state: State, stamp_ns: int, elsewhere: float = 0.0, frame: str | None = None
+    path: Path,
+    pose: Array,
+    cov: Array,
+    state: State,
+    stamp_ns: int,
+    elsewhere: float = 0.0,
+    frame: str | None = None,
+    drops_m: Sequence[float] = (),
 ) -> None:
     """Replace the state file; raises as save_map."""
     content = {
@@ -121,6 +133,7 @@ def save_state(
         "stamp_ns": int(stamp_ns),
         "elsewhere": float(elsewhere),
         "frame": frame,
+        "drops_m": list(drops_m),
     }
     _save(path, _STATE_FORMAT, content, _read_state, MAX_STATE_BYTES)
 
@@ -185,7 +198,11 @@ def _read_state(content: Any, version: int) -> StoredState:
     frame = content.get("frame")
     if frame is not None and not (isinstance(frame, str) and len(frame) <= _FRAME_CHARS):
         raise Damage(f"frame is {shown(frame)}, expected the name of a map's frame")
-    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere, frame)
+    drops = content.get("drops_m", [])
+    if not isinstance(drops, list) or len(drops) > _MOST_DROPS:
+        raise Damage(f"drops_m is {shown(drops)}, expected up to {_MOST_DROPS} numbers")
+    drops_m = tuple(floats(drops, "drops_m", (len(drops),), _MOST_DROP_M).tolist())
+    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere, frame, drops_m)
 
 
 def _as_text(column: NDArray[Any], dtype: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import pytest
 from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
+from ceilvo.daemon.app.estimator import Estimator
+from ceilvo.daemon.map.map_file import StoredMap, load_state, save_state
 from ceilvo.daemon.odometry.heights.slope import HEIGHT_UNKNOWN
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.vision.tilt_prior import TiltTracker
@@ -67,6 +70,52 @@ def test_a_ceiling_of_two_heights_is_as_good_as_a_flat_one(scene: object) -> Non
     assert found.worst_m < 0.010
     assert found.tracking >= 0.9
     assert found.worst_tracked_m < 0.020
+
+
+@pytest.mark.parametrize("at_s", [1.5, 4.5])
+def test_a_robot_that_starts_again_where_the_ceiling_hangs_lower_is_there_at_once(at_s: float, tmp_path: Path) -> None:
+    """Half of the view is lower, or all: the heights go with the stored pose, and the map says which line is where."""
+    world = World(WorldSpec(seed=SEED, lap=LAP, surroundings=scenes.step(LAP.room_m, HIGH_M)))
+    first = Estimator(Pipeline(world.calibration, Config(), np.random.default_rng(SEED)), lambda: 10**9)
+    for k in range(int(7.0 * FPS)):
+        first.frame(Frame(k, 10**9 + round(k * 1e9 / FPS), world.frame_at(k / FPS)))
+    landmarks, axis_rad = first.map()
+    assert axis_rad is not None
+    pose = se2.between(world.truth_at(0.0), world.truth_at(at_s))  # the map begins where the robot did
+    save_state(tmp_path / "state", pose, 1e-6 * np.eye(3), State.TRACKING, 0, drops_m=first.drops_m())
+    again = Estimator(Pipeline(world.calibration, Config(), np.random.default_rng(SEED)), lambda: 10**9)
+    again.load_map(StoredMap(landmarks, axis_rad), load_state(tmp_path / "state"))
+    states, off = [], []
+    for k in range(int(2.0 * FPS)):
+        t_s = at_s + max(0.0, k / FPS - 1.0)  # it stands for a second
+        estimate = again.frame(Frame(k, 10**9 + round(k * 1e9 / FPS), world.frame_at(t_s)))
+        assert estimate is not None
+        states.append(estimate.state)
+        off.append(np.hypot(*(se2.compose(world.truth_at(0.0), estimate.pose) - world.truth_at(t_s))[:2]))
+    print(f"seed {SEED}: {1e3 * max(off):.1f} mm at most, {[s.name for s in states]}, drops {first.drops_m()}")
+    assert states.index(State.TRACKING) / FPS <= 1.0
+    assert all(s is State.TRACKING for s in states[states.index(State.TRACKING) :])
+    assert max(off) < 0.01
+
+
+@pytest.mark.parametrize("scene", [scenes.step, scenes.beams, scenes.coffers])
+def test_a_robot_that_stops_and_starts_at_once_keeps_the_heights(scene: object) -> None:
+    """Somebody stands in its way, four times: it moves 5 cm less than expected in a frame, and then 5 cm more."""
+    surroundings = scene(LAP.room_m, HIGH_M)  # type: ignore[operator]
+    world = World(WorldSpec(seed=SEED, lap=LAP, surroundings=surroundings))
+    pipeline = Pipeline(world.calibration, Config(), np.random.default_rng(SEED))
+    drives_s, t_s, off, tracked = 0.0, 0.0, [], []
+    for k in range(int(9.0 * FPS)):
+        picture = world.renderer.render(world.truth_at(drives_s), np.random.default_rng([SEED, k]))
+        estimate = pipeline.step(Frame(k, 10**9 + round(k * 1e9 / FPS), picture))
+        off.append(np.hypot(*(se2.compose(world.truth_at(0.0), estimate.pose) - world.truth_at(drives_s))[:2]))
+        tracked.append(estimate.state is State.TRACKING)
+        t_s += 1.0 / FPS
+        drives_s += 0.0 if any(at <= t_s < at + 0.5 for at in (2.5, 4.0, 5.5, 7.0)) else 1.0 / FPS
+    print(f"seed {SEED}: {1e3 * max(off):.1f} mm at most, TRACKING {np.mean(tracked):.2f}")
+    assert np.max(np.array(off)[tracked]) < 0.01
+    assert np.mean(tracked) > 0.8
+    assert off[-1] < 0.01
 
 
 @pytest.mark.parametrize("rise", [(STEEP, 0.0), (0.0, STEEP)])

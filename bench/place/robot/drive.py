@@ -119,10 +119,10 @@ class Drive:
     def restart(self) -> None:
         """Another process on what this one would store now, a moment later; without a map it begins anew."""
         landmarks, axis_rad = self.estimator.map()
-        last, elsewhere = self.estimate, self.estimator.elsewhere()
+        last, elsewhere, drops_m = self.estimate, self.estimator.elsewhere(), self.estimator.drops_m()
         self.begin_anew()
         if last is not None and axis_rad is not None and len(landmarks):
-            state = StoredState(last.pose, last.cov, last.state, last.stamp_ns, elsewhere)
+            state = StoredState(last.pose, last.cov, last.state, last.stamp_ns, elsewhere, drops_m=drops_m)
             self.estimator.load_map(StoredMap(landmarks, axis_rad), state)
 
     @property

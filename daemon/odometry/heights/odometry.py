@@ -11,6 +11,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.odometry.course import Course, Found
+from ceilvo.daemon.odometry.heights.by_map import MapHere
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
 from ceilvo.daemon.odometry.points.lean import learn, step_cov, view_cov
@@ -44,10 +45,17 @@ class HeightsOdometry(VisualOdometry):
         sigma_m = 0.0 if lean.told else math.sqrt(float(np.max(view_cov(lean))))
         return f"the robot rocks by {sigma_m:.3f} m under points alone" if sigma_m > ROCKS_M else ""
 
-    def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
-        """The crossings of a frame where they are, and so those of the last one; expected: (3,) motion since then."""
+    def placed(
+        self, crossings: Crossings | None, expected: Array | None, here: MapHere | None = None
+    ) -> Crossings | None:
+        """The crossings of a frame where they are, and so those of the last one.
+
+        Args:
+            expected: (3,) motion since the last frame.
+            here: the map where the robot should be now, when it may be asked for heights.
+        """
         flat = self.slope.placed(crossings, expected)
-        found = self.heights.look(flat, expected)
+        found = self.heights.look(flat, expected, here)
         self.look_again(self.heights.reference() if self.heights.several else self.slope.reference())
         return found
 

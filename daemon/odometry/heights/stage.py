@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import LINE_CROSSINGS
+from ceilvo.daemon.odometry.heights.by_map import MapHere, levels_by_map
+from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN, Bools, Tracks
@@ -28,6 +31,8 @@ _OUTVOTED = 3
 """... or while less than so many are on others: what ends at the edge of a step crosses it; chosen."""
 _FEWEST = 6
 """Crossings of known height that a motion needs; with fewer those of unknown height help; chosen."""
+_ASKS = 0.5
+"""Of the crossings in view, where the heights of fewer are known, the map is asked; chosen."""
 _MOST_SAY = 4
 """Crossings of a line that count in the choice of the calibrated level: a bar across many joints is one bar; chosen."""
 _HIGHEST = 0.6
@@ -42,9 +47,6 @@ _COMPLETE = 0.9
 _STRANGE = 0.05
 """A line is not of the calibrated plane whose ratio differs by so much: 10 cm at 2.2 m; chosen."""
 SLOPES = "the ceiling slopes"
-_SLOPE_LINES, _SLOPE_SIGMA, _SLOPE_RISE, _SLOPE_FITS = 6, 0.02, 0.05, 0.35
-"""Lines that show a slope, how well each must be known, by how much their ratios differ along it, and what a straight
-line may leave of their spread; chosen: 5 deg make 0.13 in a view, and a step of any height leaves more than half."""
 _PARALLAX_M = 0.008
 """A line that founds a level has moved past by so much more or less than one of any other level: single lines, and the
 way of a camera that sees five crossings, were found to be off by 4.5 mm while a robot turned on the spot."""
@@ -59,39 +61,14 @@ _ALIKE = 0.01
 """What the calibrated level's ratio may be off before the lines' measurements are scaled; chosen."""
 
 
-@dataclass(slots=True)
-class HeightsState:
-    """All that the stage remembers.
-
-    Attributes:
-        tracks, levels: the lines, and the heights that there are.
-        camera_m: (2,) way of the camera along two fixed axes, the lines' directions at the start.
-        turned_rad: of base against them.
-        next_name: of the next new track.
-        reference: crossings of the last frame as they were seen, None where it gave no motion; names: (M, 2) of their
-            lines' tracks.
-        slopes: lines move past the faster the further they are in one direction.
-        settled: a second height was found, and lines are measured against a camera that is known to move right.
-    """
-
-    tracks: Tracks = field(default_factory=Tracks)
-    levels: Levels = field(default_factory=Levels)
-    camera_m: Array = field(default_factory=lambda: np.zeros(2))
-    turned_rad: float | None = None
-    next_name: int = 0
-    reference: Crossings | None = None
-    names: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    slopes: bool = False
-    settled: bool = False
-
-
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """A frame: its crossings and lines, and the track of each line, or -1."""
+    """A frame: its crossings and lines; the track of each line, or -1; and the level that the map tells, or UNKNOWN."""
 
     crossings: Crossings
     lines: SeenLines
     track: Ints
+    told: Ints
 
 
 class Heights:
@@ -104,6 +81,7 @@ class Heights:
 
     def __init__(self, calibration: Calibration) -> None:
         self._mount, self._level_from_ceiling = calibration.mount_xy_m, calibration.level_from_ceiling
+        self._height_m = calibration.ceiling_height_m
         self.state = HeightsState()
         self._look: _Look | None = None
         self.misplaced = np.zeros((0, 2))
@@ -121,11 +99,26 @@ class Heights:
         strange = (np.abs(ratio - 1.0) > _STRANGE) & (sigma < _TELLING) & (self.state.tracks.missing == 0)
         return self.several or bool(np.any(strange))
 
-    def look(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
+    def know(self, drops_m: Sequence[float]) -> None:
+        """Begin with heights that an earlier run found, each so much lower than the calibrated one."""
+        remembered = Levels.of_drops(drops_m, self._height_m)
+        self.state = HeightsState(remembered=remembered, asks=len(remembered) > 1)
+
+    @property
+    def drops_m(self) -> tuple[float, ...]:
+        """How much lower than the calibrated height the others are, those that were not met again included."""
+        s = self.state
+        met = s.levels.drops_m(self._height_m)
+        return (*met, *s.remembered.without(s.levels).drops_m(self._height_m))
+
+    def look(
+        self, crossings: Crossings | None, expected: Array | None, here: MapHere | None = None
+    ) -> Crossings | None:
         """The crossings where they are; those whose height is not known are left out, with points if there are several.
 
         Args:
             expected: (3,) motion since the last frame.
+            here: the map where the robot should be now, to ask for heights that its lines do not tell yet.
         """
         s = self.state
         self._look = None
@@ -139,11 +132,27 @@ class Heights:
         lines = SeenLines.of(crossed, self._mount, turned)
         ratio = s.levels.ratio[np.maximum(s.tracks.level, 0)]
         track = s.tracks.followed(lines, s.camera_m + self._way(moved), ratio)
-        self._look = _Look(crossed, lines, track)
+        level, told = np.full(len(lines), UNKNOWN), np.full(len(lines), UNKNOWN)
+        if len(s.tracks):
+            level = np.where(track >= 0, s.tracks.level[track], UNKNOWN)
+        if s.asks and here is not None:
+            told = self._told(crossed, lines, here)
+            level = np.where(level == UNKNOWN, told, level)
+        self._look = _Look(crossed, lines, track, told)
+        return self._placed(crossed, lines.normals, level[lines.of_crossing]) if self.several else crossings
+
+    def _told(self, crossings: Crossings, lines: SeenLines, here: MapHere) -> Ints:
+        """(L,) levels by the map; heights of an earlier run are there again once it shows a line at one of them."""
+        s = self.state
+        levels = s.levels if self.several else s.remembered
+        told = levels_by_map(crossings, lines.of_crossing, self._mount, here, levels.ratio)
         if not self.several:
-            return crossings
-        level = np.where(track >= 0, s.tracks.level[track] if len(s.tracks) else UNKNOWN, UNKNOWN)
-        return self._placed(crossed, lines.normals, level[lines.of_crossing])
+            known = np.count_nonzero(np.all(told[lines.of_crossing] != UNKNOWN, axis=1))
+            if known >= max(_FEWEST, _ASKS * len(crossings)):
+                s.asks = False
+                if np.any(told > 0):
+                    s.levels, s.settled = levels, True
+        return told if self.several else np.full(len(lines), UNKNOWN)
 
     def reference(self) -> Crossings | None:
         """The crossings of the frame that motion is measured against, as their heights are known now."""
@@ -173,10 +182,14 @@ class Heights:
         new = int(np.count_nonzero(track < 0))
         s.tracks, track = s.tracks.seen_again(look.lines, track, s.camera_m, s.next_name)
         s.next_name += new
+        s.tracks.level[track] = np.where(s.tracks.level[track] == UNKNOWN, look.told, s.tracks.level[track])
         if motion.ok or motion.restarted:
             s.tracks.measure(track)
             s.reference, s.names = look.crossings, s.tracks.name[track][look.lines.of_crossing]
         self._assign(look.lines, track)
+        known = np.all(s.tracks.level[track][look.lines.of_crossing] != UNKNOWN, axis=1)
+        if self.several:
+            s.asks = bool(np.count_nonzero(known) < max(_ASKS * len(known), _FEWEST))
         lost = s.tracks.lost()
         if self.several:
             s.levels.refine(np.where(s.tracks.own, s.tracks.level, UNKNOWN), *self._ratios(), lost)
@@ -224,7 +237,7 @@ class Heights:
             return
         known = (crossed >= _CROSSED) & t.steady()
         new = unlisted & known & (s.levels.apart(ratio) * t.ways_m() > _PARALLAX_M)
-        s.slopes = bool(np.any(new)) and self._slopes(ratio, sigma)
+        s.slopes = bool(np.any(new)) and t.slope(ratio, sigma)
         if s.slopes or not np.any(new):
             return
         if not self.several:
@@ -285,20 +298,6 @@ class Heights:
         own = votes[every, np.maximum(t.level, 0)]
         stays = (t.level != UNKNOWN) & ((own >= _MINORITY * total) | (total - own < _OUTVOTED))
         return np.where(stays, t.level, np.where(clear, best, UNKNOWN))
-
-    def _slopes(self, ratio: Array, sigma: Array) -> bool:
-        """Whether the ratios follow a slope better than levels."""
-        t = self.state.tracks
-        for axis in (0, 1):
-            of = (t.axis == axis) & (sigma < _SLOPE_SIGMA) & t.steady()
-            if np.count_nonzero(of) < _SLOPE_LINES:
-                continue
-            at, r = t.apparent_m[of], ratio[of]
-            steep, middle = np.polyfit(at, r, 1)
-            off = float(np.sqrt(np.mean((r - steep * at - middle) ** 2)))
-            if abs(steep) * np.ptp(at) > _SLOPE_RISE and off < _SLOPE_FITS * float(np.std(r)):
-                return True
-        return False
 
     def _factor(self, ratio: Array, sigma: Array, crossed: Ints) -> float:
         """By how much the way was too long while lines of several heights were taken for ones of one height."""

@@ -22,6 +22,11 @@ UNKNOWN = -1
 """In place of a level."""
 _GATE_M = 0.02
 """How far from where it was expected a line may be; chosen: a new one may be a third lower than it is taken for."""
+_MOST_FOUND = 0.8
+"""Of the lines, where fewer are where they were expected, they are looked for further off; chosen."""
+_FURTHER_M, _AS_MANY = 0.28, 0.8
+"""How far at most, less than half a tile of .6 m; and a shift that so many times as many lines share as any other is as
+likely; chosen."""
 _STEP_M = 0.004
 """A line is measured again once the camera has moved so far towards it; chosen: before, the same error is seen."""
 _SIGMA_M, _SIGMA_RATIO = 0.0004, 0.002
@@ -40,6 +45,9 @@ _STRANGE = 3
 """Measurements in a row that are not of the line that was followed: it is another; chosen."""
 _STEADY = 1.5
 """A line moves evenly whose distance scatters by no more than so many times what is usual; chosen."""
+_SLOPE_LINES, _SLOPE_SIGMA, _SLOPE_RISE, _SLOPE_FITS = 6, 0.02, 0.05, 0.35
+"""Lines that show a slope, how well each must be known, by how much their ratios differ along it, and what a straight
+line may leave of their spread; chosen: 5 deg make 0.13 in a view, and a step of any height leaves more than half."""
 _LIMITS = Limits(_OUTLIER_SIGMAS, _OUTLIER_M, FEWEST, _STRANGE)
 
 
@@ -81,15 +89,43 @@ class Tracks:
     def followed(self, seen: SeenLines, camera_m: Array, ratio: Array) -> Ints:
         """(L,) the track of each line seen, or -1.
 
+        Where most of an axis are not where they were expected, all may have moved on alike: after a gap, or when the
+        robot started or stopped at once.
+
         Args:
             camera_m: (2,) where it should be now.
             ratio: (T,) how fast each track moves past, over the camera.
         """
         expected = self.apparent_m - (camera_m[self.axis] - self.camera_m) * ratio
+        found = self._near(seen, expected)
+        for axis in (0, 1):
+            there, of = seen.axis == axis, self.axis == axis
+            had = np.count_nonzero(found[there] >= 0)
+            if had >= _MOST_FOUND * min(np.count_nonzero(there), np.count_nonzero(of)):
+                continue
+            by_m = self._further_m(seen, expected, ratio, axis)
+            further = self._near(seen, expected - by_m * of * ratio)
+            if np.count_nonzero(further[there] >= 0) > had:
+                found = np.where(there, further, found)
+        return found
+
+    def _near(self, seen: SeenLines, expected_m: Array) -> Ints:
         found: Ints = kernel.lines_followed(
-            seen.axis, seen.kind, seen.apparent_m, self.axis, self.kind, expected, _GATE_M
+            seen.axis, seen.kind, seen.apparent_m, self.axis, self.kind, expected_m, _GATE_M
         )
         return found
+
+    def _further_m(self, seen: SeenLines, expected_m: Array, ratio: Array, axis: int) -> float:
+        """How much further the camera is along an axis by most of its lines; the least of those that are as likely."""
+        alike = (seen.axis[:, None] == axis) & (self.axis == axis) & (seen.kind[:, None] == self.kind)
+        further = (expected_m - seen.apparent_m[:, None]) / ratio
+        at = np.sort(further[alike & (np.abs(further) < _FURTHER_M)])
+        if not len(at):
+            return 0.0
+        first, last = (np.searchsorted(at, at + half) for half in (-0.5 * _GATE_M, 0.5 * _GATE_M))
+        likely = np.flatnonzero(last - first >= _AS_MANY * np.max(last - first))
+        best = likely[np.argmin(np.abs(at[likely]))]
+        return float(np.mean(at[first[best] : last[best]]))
 
     def seen_again(self, seen: SeenLines, track: Ints, camera_m: Array, next_name: int) -> tuple[Tracks, Ints]:
         """With the lines of a frame, the camera at (2,), new ones included; and the track of each line."""
@@ -152,6 +188,19 @@ class Tracks:
         """(T,) lines that were measured often and moved evenly: others are two that lie over each other."""
         bent = self._fitted()[2]
         return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= (_STEADY * _SIGMA_M) ** 2))
+
+    def slope(self, ratio: Array, sigma: Array) -> bool:
+        """Whether ratios (T,) follow a slope better than levels."""
+        for axis in (0, 1):
+            of = (self.axis == axis) & (sigma < _SLOPE_SIGMA) & self.steady()
+            if np.count_nonzero(of) < _SLOPE_LINES:
+                continue
+            at, r = self.apparent_m[of], ratio[of]
+            steep, middle = np.polyfit(at, r, 1)
+            off = float(np.sqrt(np.mean((r - steep * at - middle) ** 2)))
+            if abs(steep) * np.ptp(at) > _SLOPE_RISE and off < _SLOPE_FITS * float(np.std(r)):
+                return True
+        return False
 
     def ways_m(self) -> Array:
         """(T,) how far the camera moved towards each line while that was measured, were it evenly."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +38,7 @@ class Robot(Estimator):
     def __init__(self) -> None:
         self.told: Estimate | None = None
         self.doubted = 0.0
+        self.drops: tuple[float, ...] = ()
         self.taken = key_poses("robot", 0)
         self.not_taken = 0
 
@@ -50,6 +51,9 @@ class Robot(Estimator):
 
     def elsewhere(self) -> float:
         return self.doubted
+
+    def drops_m(self) -> tuple[float, ...]:
+        return self.drops
 
     def key_poses(self, floor: str = "") -> KeyPoses:
         return self.taken
@@ -67,9 +71,9 @@ class Writes(Store):
 
     poses = 0
 
-    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0) -> bool:
+    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0, drops_m: Sequence[float] = ()) -> bool:
         self.poses += 1
-        return super().save_pose(estimate, elsewhere)
+        return super().save_pose(estimate, elsewhere, drops_m)
 
 
 class Drive:
@@ -129,6 +133,17 @@ def test_what_becomes_known_of_a_standing_robot_is_stored(drive: Drive) -> None:
     assert state is not None
     assert (state.state, state.elsewhere) == (State.TRACKING, 1e-6)
     assert drive.store.poses == 1
+
+
+@pytest.mark.parametrize("seconds", [3.0, PERIOD_S + 1.0])
+def test_heights_of_the_ceiling_go_with_the_pose(drive: Drive, seconds: float) -> None:
+    """Whether it is stored alone or with the map."""
+    drive.go(3.0, 0.0)
+    drive.robot.drops = (0.4, 0.15)
+    drive.state, drive.robot.doubted = State.RELOCALISING, 0.9
+    drive.go(seconds, 0.0)
+    state = load_state(drive.folder / STATE_NAME)
+    assert state is not None and state.drops_m == (0.4, 0.15)
 
 
 def test_a_camera_that_says_nothing_is_no_standing_robot(drive: Drive) -> None:

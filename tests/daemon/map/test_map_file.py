@@ -65,18 +65,26 @@ def test_a_map_comes_back_bit_for_bit(tmp_path: Path, n: int) -> None:
     st.sampled_from(State),
     st.integers(0, 2**60),
     st.floats(0.0, 1.0),
+    st.lists(st.floats(-10.0, 10.0), max_size=12),
 )
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
 def test_a_state_comes_back_bit_for_bit(
-    tmp_path: Path, pose: tuple[float, ...], sigma: tuple[float, ...], state: State, stamp_ns: int, elsewhere: float
+    tmp_path: Path,
+    pose: tuple[float, ...],
+    sigma: tuple[float, ...],
+    state: State,
+    stamp_ns: int,
+    elsewhere: float,
+    drops_m: list[float],
 ) -> None:
     cov = np.diag(np.square(sigma))
-    save_state(tmp_path / "state", np.array(pose), cov, state, stamp_ns, elsewhere)
+    save_state(tmp_path / "state", np.array(pose), cov, state, stamp_ns, elsewhere, drops_m=drops_m)
     stored = load_state(tmp_path / "state")
     assert stored is not None
     assert np.array_equal(stored.pose, pose)
     assert np.array_equal(stored.cov, cov)
     assert (stored.state, stored.stamp_ns, stored.elsewhere) == (state, stamp_ns, elsewhere)
+    assert stored.drops_m == tuple(drops_m)
 
 
 def test_version_1_files_load(tmp_path: Path) -> None:
@@ -98,6 +106,14 @@ def test_a_state_of_version_2_loads(tmp_path: Path) -> None:
     state = load_state(tmp_path / "state")
     assert state is not None
     assert (state.state, state.stamp_ns, state.elsewhere) == (State.RELOCALISING, 123456789012345, 0.2)
+    assert (state.frame, state.drops_m) == (None, ())
+
+
+@pytest.mark.parametrize("drops_m", [[1e9], [float("nan")], list(range(101))])
+def test_heights_that_no_ceiling_has_are_not_written(tmp_path: Path, drops_m: list[float]) -> None:
+    with pytest.raises(FileFormatError, match="drops_m"):
+        save_state(tmp_path / "state", np.zeros(3), np.eye(3), State.TRACKING, 0, drops_m=drops_m)
+    assert not (tmp_path / "state").exists()
 
 
 def test_no_file_is_no_map(tmp_path: Path) -> None:

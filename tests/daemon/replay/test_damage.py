@@ -87,6 +87,7 @@ def test_maps_that_cannot_be_are_refused(name: str, change: Callable[[Any], Any]
         LoadMap(NOTHING, 1e6, POSE, COV),
         *(LoadMap(NOTHING, 0.1, POSE, COV, ago_s) for ago_s in (-1.0, float("nan"))),
         *(LoadMap(NOTHING, 0.1, POSE, COV, 0.0, elsewhere) for elsewhere in (-0.1, 1.5, float("nan"))),
+        *(LoadMap(NOTHING, 0.1, POSE, COV, drops_m=(0.4, drop)) for drop in (1e9, float("nan"))),
         SetPose(POSE, np.zeros((3, 3)), "no variance"),
         SetPose(Pose(np.full(3, 1e9)), COV, "too far"),
         Sighting(1, None, WheelMotion(Displacement(POSE), -COV)),

@@ -47,7 +47,16 @@ frames = st.builds(Frame, counts, counts, st.just(np.zeros((0, 0), np.uint8)))
 inputs = st.one_of(
     st.builds(FrameInput, frames, wheels, heard),
     st.builds(Silence, counts, texts, wheels, heard),
-    st.builds(LoadMap, landmarks(), floats, poses, covs, floats | st.just(math.inf), floats),
+    st.builds(
+        LoadMap,
+        landmarks(),
+        floats,
+        poses,
+        covs,
+        floats | st.just(math.inf),
+        floats,
+        drops_m=st.lists(floats, max_size=3).map(tuple),
+    ),
     st.builds(SetPose, poses, covs, texts),
     st.builds(Reset, st.booleans()),
 )

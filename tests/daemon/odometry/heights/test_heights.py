@@ -7,52 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from height_drawings import CALIBRATION, HIGH_M, SEED, grid, seen
 
 from ceilvo import se2
-from ceilvo.crossing_types import CORNER, LAMP, crossing_type_of
+from ceilvo.crossing_types import CORNER, LAMP
 from ceilvo.daemon.odometry.heights.stage import Heights
-from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Displacement, Motion
-
-CALIBRATION = simulated_calibration()
-HIGH_M = CALIBRATION.ceiling_height_m
-NOISE_M = 0.0001
-SEED = 5
-
-
-def seen(lines: list[tuple[int, float, float]], pose: Array, rng: np.random.Generator) -> tuple[Crossings, Array]:
-    """Crossings of all lines (axis, place in map, height above the camera) that are alike in height, as a camera at a
-    pose (3,) takes them for ones at the calibrated height; and where they are in base."""
-    camera = se2.transform(pose, CALIBRATION.mount_xy_m[None])[0]
-    error = rng.normal(0.0, NOISE_M, len(lines))
-    apparent = [(at - camera[axis]) * HIGH_M / high for axis, at, high in lines] + error
-    pairs = [
-        (i, j)
-        for i, (a, _, high) in enumerate(lines)
-        for j, (b, _, other) in enumerate(lines)
-        if (a, b) == (0, 1) and high == other
-    ]
-    from_camera = np.array([[apparent[i], apparent[j]] for i, j in pairs])
-    true = np.array([[lines[i][1], lines[j][1]] for i, j in pairs])
-    turn = se2.rotation(float(pose[2]))
-    groove = np.zeros(len(pairs), np.int64)
-    zero = np.zeros(2)
-    crossings = Crossings(
-        uv_px=np.zeros((len(pairs), 2)),
-        xy_base_m=CALIBRATION.mount_xy_m + from_camera @ turn,
-        cov_base_m2=np.broadcast_to(1e-6 * np.eye(2), (len(pairs), 2, 2)),
-        crossing_type=crossing_type_of(groove, groove),
-        psi_rad=-float(pose[2]),
-        psi_sigma_rad=1e-4,
-        tilt_rad=zero,
-        tilt_sigma_rad=zero,
-        common_cov_m2=np.zeros((2, 2)),
-    )
-    return crossings, se2.transform(se2.inverse(pose), true)
-
-
-def grid(high_m: float, first: float, count: int, spacing_m: float = 0.6) -> list[tuple[int, float, float]]:
-    return [(axis, first + k * spacing_m, high_m) for axis in (0, 1) for k in range(count)]
+from ceilvo.daemon.odometry.heights.tracks import UNKNOWN
+from ceilvo.types import NO_DIRECTION_RAD, Displacement, Motion
 
 
 def drive(heights: Heights, lines: list[tuple[int, float, float]], too_long: float = 1.0) -> Iterator[float]:
@@ -160,3 +121,36 @@ def test_a_new_line_across_lines_of_known_height_is_on_theirs() -> None:
     assert len(placed) == len(crossings)
     assert placed.complete
     assert np.max(np.hypot(*(placed.xy_base_m - true).T)) < 0.008
+
+
+@pytest.mark.parametrize("jump", [(0.07, 0.0), (0.0, -0.05), (-0.1, 0.08), (0.2, 0.0)])
+def test_lines_are_followed_though_the_robot_went_another_way_than_expected(jump: tuple[float, float]) -> None:
+    """It started or stopped at once: what was known of its lines stays known, and the new view is put right by it."""
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
+    lines = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
+    list(drive(heights, lines))
+    assert heights.several
+    before, names = np.array([0.03 * 39, 0.012 * 39, 0.005 * 39]), set(heights.state.tracks.name.tolist())
+    known = np.count_nonzero(heights.state.tracks.level != UNKNOWN)
+    pose = se2.compose(before, np.array([*jump, 0.0]))
+    crossings, true = seen(lines, pose, rng)
+    placed = heights.look(crossings, np.zeros(3))
+    assert placed is not None and len(placed) > 0.8 * len(crossings)
+    near = np.min(np.hypot(*(placed.xy_base_m[:, None] - true[None]).transpose(2, 0, 1)), axis=1)
+    print(f"seed {SEED}, {jump} m: {1e3 * np.max(near):.2f} mm off at most, {known} lines known")
+    assert np.max(near) < 0.005
+    heights.learn(Motion(Displacement(se2.between(before, pose)), 1e-6 * np.eye(3), len(placed), 0.0))
+    assert len(set(heights.state.tracks.name.tolist()) - names) <= 1, "of all but one it is known which they are"
+
+
+def test_lines_of_another_view_are_not_followed() -> None:
+    """Where no shift brings most lines together, those are new ones."""
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
+    lines = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
+    list(drive(heights, lines))
+    names = set(heights.state.tracks.name.tolist())
+    other = [(axis, float(at), HIGH_M) for axis in (0, 1) for at in rng.uniform(-1.5, 1.5, 5)]
+    crossings, _ = seen(other, np.array([0.03 * 39, 0.012 * 39, 0.005 * 39]), rng)
+    heights.look(crossings, np.zeros(3))
+    heights.learn(Motion(Displacement(np.zeros(3)), 1e-6 * np.eye(3), len(crossings), 0.0))
+    assert len(set(heights.state.tracks.name.tolist()) - names) >= 6

@@ -1,0 +1,41 @@
+"""What is remembered of the heights of a ceiling from frame to frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ceilvo.daemon.odometry.heights.levels import Levels
+from ceilvo.daemon.odometry.heights.tracks import Tracks
+from ceilvo.types import Array, Crossings, Ints
+
+
+@dataclass(slots=True)
+class HeightsState:
+    """All that the stage remembers.
+
+    Attributes:
+        tracks, levels: the lines, and the heights that there are.
+        camera_m: (2,) way of the camera along two fixed axes, the lines' directions at the start.
+        turned_rad: of base against them.
+        next_name: of the next new track.
+        reference: crossings of the last frame as they were seen, None where it gave no motion; names: (M, 2) of their
+            lines' tracks.
+        slopes: lines move past the faster the further they are in one direction.
+        settled: a second height was found, and lines are measured against a camera that is known to move right.
+        remembered: heights of an earlier run; no line was met at one of them yet, or they are in levels.
+        asks: the heights of too few lines are known, so the map is asked for those of the next frame.
+    """
+
+    tracks: Tracks = field(default_factory=Tracks)
+    levels: Levels = field(default_factory=Levels)
+    camera_m: Array = field(default_factory=lambda: np.zeros(2))
+    turned_rad: float | None = None
+    next_name: int = 0
+    reference: Crossings | None = None
+    names: Ints = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    slopes: bool = False
+    settled: bool = False
+    remembered: Levels = field(default_factory=Levels)
+    asks: bool = False
