@@ -49,6 +49,9 @@ two lines half a pixel apart scatter by four times as much, and what they bent b
 _WEAK_RAD = np.radians(0.014)
 """A tilt known to this has its error doubled, a weaker one more; chosen: with few lines tilt rests on
 what no noise model knows, such as bloom of lamps and remains of the lens."""
+_ANY_TILT_RAD = 1.0
+"""No tilt's standard deviation grows beyond that: it is not known at all, and of squares that are larger a prior leaves
+rounding errors, which may be negative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,8 +320,9 @@ class JointFit:
 
 def _widened(covariance: Array) -> Array:
     """(3, 3) of psi and tilt, with what few lines do not show of the tilt's error."""
-    own = covariance[[1, 2], [1, 2]] / _WEAK_RAD**2
-    grow = np.array([1.0, 1.0 + own[0], 1.0 + own[1]])
+    own = covariance[[1, 2], [1, 2]]
+    most = np.maximum(_ANY_TILT_RAD / np.sqrt(own), 1.0)
+    grow = np.append(1.0, np.minimum(1.0 + own / _WEAK_RAD**2, most))
     return np.asarray(covariance * grow * grow[:, None])
 
 
