@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from ceilvo.bench.data import data_path
 from ceilvo.bench.mrclam import peers
 from ceilvo.bench.mrclam import run as runs
 from ceilvo.bench.mrclam.data import Run, World, read_run, read_world
@@ -83,8 +83,7 @@ def parser() -> argparse.ArgumentParser:
 
 def default_folder() -> Path | None:
     """$CEILVO_DATA, else a folder shared/data beside the repository."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    folder = Path(os.environ.get("CEILVO_DATA") or beside) / DATASET
+    folder = data_path(DATASET)
     return folder if folder.is_dir() else None
 
 

@@ -19,8 +19,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ceilvo.bench.data import data_path
 from ceilvo.bench.vision.conditions import Condition, conditions
 from ceilvo.bench.vision.run import Options, run
+from ceilvo.bench.vision.textures import OFFICE_TEXTURE, PICTURED
 from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.errors import CeilvoError, ConfigError
@@ -97,6 +99,8 @@ def _chosen(names: str | None) -> list[Condition]:
     if names is None:
         return list(known.values())
     for name in names.split(","):
+        if name == PICTURED and name not in known:
+            raise ConfigError(f"condition: {name} needs {data_path(OFFICE_TEXTURE)}, found nothing; set CEILVO_DATA")
         if name not in known:
             raise ConfigError(f"condition: no '{name}'; known are {', '.join(known)}")
     return [known[name] for name in names.split(",")]

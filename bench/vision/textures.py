@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from ceilvo.bench.data import data_path
 from ceilvo.calibration import Calibration
+from ceilvo.sim.ceiling.pictured import Picture
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.gloss import Gloss
 from ceilvo.sim.renderer import RenderSpec
@@ -29,6 +32,8 @@ OPEN_CELLS = CeilingSpec(tile_m=0.1, groove_m=0.012, lip_m=0.0, lamp_every=(18, 
 HEXAGONS = CeilingSpec(pattern="hexagons", tile_m=0.5)
 PLASTER = CeilingSpec(joints=False, vents=0, spots=0, stains=3, tile_spread=0.0)
 """Nothing but lamps and a few stains; chosen."""
+PICTURED, OFFICE_TEXTURE = "office-texture", "textures/OfficeCeiling006_4K_color.png"
+"""ambientCG, CC0: 16 by 16 tiles with joints 11 of 256 px wide and 6.5 % darker, every fourth tile a dark panel."""
 TWO_LAMPS = CeilingSpec(joints=False, vents=0, spots=0, stains=0, tile_spread=0.0, texture=0.0, lamp_every=(4, 3))
 _LIGHTS_EVERY_M, _LIGHTS_BELOW_M, _ROOM_M = 1.7, 1.4, 6.94
 """Lights that a glossy ceiling shows: how far apart, how far below it, and up to where; chosen, as desk lamps stand."""
@@ -69,7 +74,18 @@ def found_ceilings() -> tuple[Found, ...]:
         Found("pools", "pools of glow that slide with the robot", render=_reflecting(_POOL_M, _POOL)),
         Found("glints", "glints that pass for lamps and slide", render=_reflecting(_GLINT_M, _GLINT)),
         Found("off-24-deg", "camera mounted 24 deg off the vertical", true=askew),
+        *_pictured(data_path(OFFICE_TEXTURE)),
     )
+
+
+def _pictured(path: Path) -> list[Found]:
+    """Somebody else's picture of a ceiling, where it is there."""
+    if not path.is_file():
+        return []
+    bare = CeilingSpec(lamp_every=(0, 0), vents=0, spots=0, stains=0, grid_offset_m=(0.0, 0.0), lip_m=0.0)
+    joints = replace(bare, groove_m=11.0 / 256.0 * bare.tile_m, groove_darker=0.065)
+    ceiling = replace(joints, picture=Picture(path, tiles=16, dark_every=4, dark_first=3, dark_inset=12.0 / 256.0))
+    return [Found(PICTURED, "a picture of a ceiling that nobody here drew", ceiling)]
 
 
 def _reflecting(sigma_m: float, radiance: float) -> RenderSpec:

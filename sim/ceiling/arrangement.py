@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.sim.ceiling.layout import Layout
-from ceilvo.sim.ceiling.panels import SPOTS, Panel, PanelKind, Rect, Spot
+from ceilvo.sim.ceiling.panels import SPOTS, Panel, PanelKind, Rect, Spot, grown
 from ceilvo.sim.ceiling.spec import CeilingSpec
 
 Array = NDArray[np.float64]
@@ -39,7 +41,7 @@ def make_layout(spec: CeilingSpec, rng: np.random.Generator) -> Layout:
     nx, ny = (len(g) - 1 for g in grooves)
     free = np.ones((nx, ny), dtype=bool)
     panels = (_strips if spec.strip_lamps else _lamps)(spec, grooves, free, rng)
-    panels += _grilles(spec, grooves, free, rng)
+    panels += _grilles(spec, grooves, free, rng) + _pictured(spec, grooves)
     for i, j in _pick(free, spec.vents, rng):
         kind: PanelKind = "vent" if rng.random() < _VENTS else "diffuser"
         panels.append(Panel(kind, _tiles(spec, grooves, i, j, 1, 1), int(rng.integers(2))))
@@ -139,6 +141,19 @@ def _grilles(
             free[i : i + 2, j] = False
             out.append(Panel("grille", _tiles(spec, grooves, int(i), int(j), 2, 1), 0))
     return out
+
+
+def _pictured(spec: CeilingSpec, grooves: tuple[Array, Array]) -> list[Panel]:
+    """The dark panels of a ceiling that is a picture."""
+    if spec.picture is None:
+        return []
+    inset_m, (along_x, along_y) = spec.picture.dark_inset * spec.tile_m, (g.tolist() for g in grooves)
+    return [
+        Panel("dark", grown((x0, y0, x1, y1), -inset_m), 0)
+        for x0, x1 in pairwise(along_x)
+        for y0, y1 in pairwise(along_y)
+        if spec.picture.is_dark(round(x0 / spec.tile_m), round(y0 / spec.tile_m))
+    ]
 
 
 def _pick(free: NDArray[np.bool_], n: int, rng: np.random.Generator) -> list[tuple[int, int]]:

@@ -14,6 +14,7 @@ from ceilvo.sim.ceiling import board
 from ceilvo.sim.ceiling.arrangement import make_layout
 from ceilvo.sim.ceiling.layout import Layout, TrueLines
 from ceilvo.sim.ceiling.panels import Panel, Rect, Spot, SpotKind, grown
+from ceilvo.sim.ceiling.pictured import albedo_of
 from ceilvo.sim.ceiling.spec import CeilingSpec
 
 Array = NDArray[np.float64]
@@ -134,6 +135,8 @@ class Ceiling:
 
     def _draw(self, rng: np.random.Generator, of_boards: np.random.Generator) -> Array32:
         s = self.spec
+        if s.picture is not None:
+            return albedo_of(s.picture, s.tile_m, self.layout.extent[:2], self._size, s.texel_m, TILE)
         a = self._tiles(rng)
         self._stain(a, rng)
         if s.fibre > 0:

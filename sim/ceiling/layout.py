@@ -102,7 +102,7 @@ class Layout:
                 sides = _outline((x0, y0, x1, y1), LineKind.RISING)
                 middle = (1, 0.5 * (y0 + y1), x0, x1) if x1 - x0 > y1 - y0 else (0, 0.5 * (x0 + x1), y0, y1)
                 found += [*(s for s in sides if s[0] == middle[0]), (*middle, int(LineKind.GROOVE))]
-            if p.kind == "grille":
+            if p.kind in ("grille", "dark"):
                 found += _outline(p.inner, LineKind.FALLING)
             for i, ring in enumerate(p.rings()):
                 found += _outline(ring, LineKind.FALLING if i % 2 == 0 else LineKind.RISING)

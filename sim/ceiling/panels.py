@@ -8,7 +8,8 @@ from typing import Literal
 
 Rect = tuple[float, float, float, float]
 """x0, y0, x1, y1 in metres, in the ceiling's own axes."""
-PanelKind = Literal["lamp", "vent", "diffuser", "grille"]
+PanelKind = Literal["lamp", "vent", "diffuser", "grille", "dark"]
+"""The last is an opening with nothing in it, or a lamp that is off."""
 SpotKind = Literal["sprinkler", "detector", "speaker"]
 SPOTS: tuple[tuple[SpotKind, float], ...] = (("sprinkler", 0.038), ("detector", 0.055), ("speaker", 0.105))
 """Radius m; chosen: about what such things have."""
@@ -48,9 +49,8 @@ class Panel:
 
     @property
     def inner(self) -> Rect:
-        """Luminous field or opening, inside the rim."""
-        x0, y0, x1, y1 = self.rect
-        return (x0 + self.RIM_M, y0 + self.RIM_M, x1 - self.RIM_M, y1 - self.RIM_M)
+        """Luminous field or opening, inside the rim, which a dark panel has not."""
+        return self.rect if self.kind == "dark" else grown(self.rect, -self.RIM_M)
 
     def steps(self) -> list[Rect]:
         """Dark rectangles in a vent's opening: slots between slats, or nothing for a lamp and a diffuser."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from ceilvo.errors import ConfigError
+from ceilvo.sim.ceiling.pictured import Picture
 
 Pattern = Literal["tiles", "hexagons", "slats"]
 
@@ -40,6 +41,8 @@ class CeilingSpec:
         wood: slats of wood, each of its own brightness and grain.
         lamp_every: one lamp in so many tiles along each axis; (0, 0) is none.
         slope: by how much it rises in a metre of the map's x and y; the calibrated height is that of the room's centre.
+        picture: the ceiling is this, with its tiles as large as tile_m, and nothing is drawn; grid_offset_m is 0, and
+            groove_m and groove_darker say what its joints are.
         vents, spots, stains, grilles: how many of each in the room and its margin; a grille is two tiles long.
     """
 
@@ -71,6 +74,7 @@ class CeilingSpec:
     spots: int = 24
     stains: int = 7
     grilles: int = 0
+    picture: Picture | None = None
 
     def __post_init__(self) -> None:
         for name in ("room_m", "tile_m", "groove_m", "slat_m", "texel_m"):
@@ -78,6 +82,11 @@ class CeilingSpec:
                 raise ConfigError(f"ceiling: {name} is {getattr(self, name)}, expected more than 0")
         if self.tile_y_m is not None and not self.tile_y_m > 0:
             raise ConfigError(f"ceiling: tile_y_m is {self.tile_y_m}, expected more than 0")
+        if self.picture is not None and (self.grid_offset_m != (0.0, 0.0) or self.tile_y_m is not None):
+            raise ConfigError(
+                f"ceiling: a picture with grid_offset_m {self.grid_offset_m} and tile_y_m {self.tile_y_m}, expected "
+                "(0, 0) and none"
+            )
         if self.pattern not in get_args(Pattern):
             raise ConfigError(f"ceiling: pattern is {self.pattern!r}, expected one of {', '.join(get_args(Pattern))}")
         if self.groove_m + 2 * self.lip_m > 0.5 * min(self.tile_xy_m):

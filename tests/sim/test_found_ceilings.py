@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from ceilvo.bench.data import data_path
+from ceilvo.bench.vision.textures import OFFICE_TEXTURE, PICTURED, found_ceilings
 from ceilvo.calibration import Calibration
-from ceilvo.errors import ConfigError
-from ceilvo.sim.ceiling.ceiling import RIM, SLOT, Ceiling
+from ceilvo.errors import ConfigError, FileFormatError
+from ceilvo.sim.ceiling.ceiling import RIM, SLOT, TILE, Ceiling
+from ceilvo.sim.ceiling.layout import CrossingType
+from ceilvo.sim.ceiling.pictured import Picture
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.gloss import Gloss
 from ceilvo.sim.renderer import Renderer, RenderSpec
@@ -154,3 +160,66 @@ def test_a_glint_slides_with_its_share_of_the_robots_way(carried: bool, share: f
 def test_a_light_in_the_ceiling_is_refused() -> None:
     with pytest.raises(ConfigError, match="below_m"):
         Gloss((0.0, 0.0), 0.0, 0.02, 1.0)
+
+
+def drawn(path: Path) -> Picture:
+    """Two by two tiles of 20 px with joints of 2 px at their sides; the last is dark but for a rim of 1 px."""
+    grey = np.full((40, 40), 250, np.uint8)
+    for at in (0, 20):
+        grey[[at - 1, at], :] = grey[:, [at - 1, at]] = 200
+    grey[22:38, 22:38] = 50
+    assert cv2.imwrite(str(path), grey)
+    return Picture(path, tiles=2, dark_every=2, dark_first=1, dark_inset=0.1)
+
+
+def test_a_ceiling_may_be_a_picture_that_goes_on_beyond_its_sides(tmp_path: Path) -> None:
+    joints = replace(BARE, grid_offset_m=(0.0, 0.0), groove_m=0.06, groove_darker=0.2, lip_m=0.0)
+    c = Ceiling(replace(joints, picture=drawn(tmp_path / "ceiling.png")))
+    assert np.max(c.albedo) == pytest.approx(TILE)
+
+    def at(x: float, y: float) -> float:
+        i, j = (int((v - c.layout.extent[0]) / c.spec.texel_m) for v in (x, y))
+        return float(c.albedo[j, i] / TILE)
+
+    xy, kinds = c.true_crossings()
+    crossings = xy[kinds == CrossingType.CROSS]
+    assert len(crossings) > 50
+    inside = crossings[np.all((crossings > -0.9) & (crossings < 3.9), axis=1)]
+    np.testing.assert_allclose([at(x, y) for x, y in inside], 200 / 250, atol=0.03)
+    np.testing.assert_allclose([at(x + 0.3, y) for x, y in inside], 200 / 250, atol=0.03)
+    panels = [p for p in c.layout.panels if p.kind == "dark"]
+    assert len(panels) >= 4
+    for p in panels:
+        x, y = 0.5 * (p.rect[0] + p.rect[2]), 0.5 * (p.rect[1] + p.rect[3])
+        assert at(x, y) == pytest.approx(50 / 250, abs=0.02)
+        assert at(x + 0.6, y) == pytest.approx(1.0, abs=0.02)
+    edges = c.layout.lines()
+    assert np.count_nonzero((edges.axis == 0) & (edges.kind != LineKind.GROOVE)) >= 2 * len(panels)
+
+
+def test_what_is_no_picture_is_said(tmp_path: Path) -> None:
+    (tmp_path / "ceiling.png").write_text("nothing")
+    picture = Picture(tmp_path / "ceiling.png", tiles=2, dark_every=2, dark_first=1, dark_inset=0.1)
+    with pytest.raises(FileFormatError, match=r"ceiling\.png: cannot be read as a picture"):
+        Ceiling(replace(BARE, grid_offset_m=(0.0, 0.0), picture=picture))
+    with pytest.raises(ConfigError, match="grid_offset_m"):
+        replace(BARE, picture=picture)
+
+
+def test_the_picture_of_an_office_has_joints_and_panels_where_the_bench_says() -> None:
+    found = [f for f in found_ceilings() if f.name == PICTURED]
+    if not found:
+        pytest.skip(f"{data_path(OFFICE_TEXTURE)} is absent; set CEILVO_DATA to the folder that holds it")
+    c = Ceiling(found[0].ceiling)
+    rows, columns = np.median(c.albedo, axis=1), np.median(c.albedo, axis=0)
+    for axis, profile in ((0, columns), (1, rows)):
+        dark = profile < 0.97 * np.median(profile)
+        begins, ends = (np.flatnonzero(np.diff(dark.astype(int)) == s) + 1 for s in (1, -1))
+        middles = [0.5 * (b + ends[ends > b][0]) for b in begins if np.any(ends > b)]
+        at_m = c.layout.extent[axis] + np.array(middles) * c.spec.texel_m
+        off = np.min(np.abs(at_m[:, None] - c.layout.grooves[axis][None]), axis=1)
+        assert len(at_m) > 10 and np.max(off) < 0.004, f"joints are {np.round(off, 4)} m off"
+    for p in (p for p in c.layout.panels if p.kind == "dark" and min(p.inner) > c.layout.extent[0] + 0.1):
+        x0, y0, x1, y1 = ((np.array(p.inner) - c.layout.extent[0]) / c.spec.texel_m).round().astype(int)
+        inside, around = c.albedo[y0 + 3 : y1 - 3, x0 + 3 : x1 - 3], c.albedo[y0 - 5 : y0 - 3, x0:x1]
+        assert np.max(inside) < 0.5 * np.min(around)
