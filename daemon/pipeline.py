@@ -149,7 +149,7 @@ class Pipeline:
     def _map_here(self, expected: Array | None) -> MapHere | None:
         """The map where the robot should be by now; None where nobody asks, or nobody knows where it is."""
         axis_rad = self.relocaliser.state.map_axis_rad
-        if not self.odometry.heights.state.asks or axis_rad is None:
+        if not self.odometry.heights.asks_the_map or axis_rad is None:
             return None
         pose, cov, _ = self.filter.estimate()
         if math.sqrt(max(se2.greatest_variance(cov[:2, :2]), 0.0)) > SURE_M:

@@ -25,7 +25,7 @@ class HeightsState:
         slopes: lines move past the faster the further they are in one direction.
         settled: a second height was found, and lines are measured against a camera that is known to move right.
         remembered: heights of an earlier run; no line was met at one of them yet, or they are in levels.
-        asks: the heights of too few lines are known, so the map is asked for those of the next frame.
+        asks: none of those was met yet, and the map did not say either that all here is at the calibrated height.
     """
 
     tracks: Tracks = field(default_factory=Tracks)

@@ -93,6 +93,11 @@ class Heights:
         return len(self.state.levels) > 1
 
     @property
+    def asks_the_map(self) -> bool:
+        """Whether look() may want to know where the map has what."""
+        return self.several or self.state.asks
+
+    @property
     def wants_whole_look(self) -> bool:
         """Whether edges are not where those of one plane would be: then predicted ones are not enough."""
         ratio, sigma = self.state.tracks.ratios()
@@ -135,7 +140,7 @@ class Heights:
         level, told = np.full(len(lines), UNKNOWN), np.full(len(lines), UNKNOWN)
         if len(s.tracks):
             level = np.where(track >= 0, s.tracks.level[track], UNKNOWN)
-        if s.asks and here is not None:
+        if here is not None and (s.asks or (self.several and _few(level[lines.of_crossing]))):
             told = self._told(crossed, lines, here)
             level = np.where(level == UNKNOWN, told, level)
         self._look = _Look(crossed, lines, track, told)
@@ -147,11 +152,9 @@ class Heights:
         levels = s.levels if self.several else s.remembered
         told = levels_by_map(crossings, lines.of_crossing, self._mount, here, levels.ratio)
         if not self.several:
-            known = np.count_nonzero(np.all(told[lines.of_crossing] != UNKNOWN, axis=1))
-            if known >= max(_FEWEST, _ASKS * len(crossings)):
-                s.asks = False
-                if np.any(told > 0):
-                    s.levels, s.settled = levels, True
+            s.asks = _few(told[lines.of_crossing])
+            if not s.asks and np.any(told > 0):
+                s.levels, s.settled = levels, True
         return told if self.several else np.full(len(lines), UNKNOWN)
 
     def reference(self) -> Crossings | None:
@@ -187,9 +190,6 @@ class Heights:
             s.tracks.measure(track)
             s.reference, s.names = look.crossings, s.tracks.name[track][look.lines.of_crossing]
         self._assign(look.lines, track)
-        known = np.all(s.tracks.level[track][look.lines.of_crossing] != UNKNOWN, axis=1)
-        if self.several:
-            s.asks = bool(np.count_nonzero(known) < max(_ASKS * len(known), _FEWEST))
         lost = s.tracks.lost()
         if self.several:
             s.levels.refine(np.where(s.tracks.own, s.tracks.level, UNKNOWN), *self._ratios(), lost)
@@ -329,7 +329,8 @@ class Heights:
         if np.count_nonzero(known) < _FEWEST:
             known = np.ones(len(level), bool)
         which = np.flatnonzero(known)
-        at = np.maximum(level[which], 0)
+        usual = int(np.argmax(np.bincount(level[level != UNKNOWN], minlength=1)))  # what is not known is as the rest
+        at = np.where(level[which] == UNKNOWN, usual, level[which])
         part = replace(crossings.of(which), complete=len(which) >= _COMPLETE * len(level), several=True)
         if not np.any(at):
             return part
@@ -341,3 +342,8 @@ class Heights:
         cov = scale @ (part.cov_base_m2 - part.common_cov_m2) @ scale + part.common_cov_m2
         cov += np.einsum("mk,ki,kj->mij", (sigma * from_camera) ** 2, normals, normals)
         return replace(part, xy_base_m=xy, cov_base_m2=cov, uv_px=to_ceiling(self._level_from_ceiling, xy))
+
+
+def _few(level: Ints) -> bool:
+    """Whether of the crossings (M, 2) of two levels too few are known."""
+    return bool(np.count_nonzero(np.all(level != UNKNOWN, axis=1)) < max(_ASKS * len(level), _FEWEST))

@@ -40,7 +40,7 @@ def restarted(drops_m: tuple[float, ...], pose: Array, believed: Array) -> tuple
     landmarks = mapped(STEP)
     for _ in range(3):
         crossings, true = seen(STEP, pose, rng)
-        placed = heights.look(crossings, np.zeros(3), here(believed, landmarks) if heights.state.asks else None)
+        placed = heights.look(crossings, np.zeros(3), here(believed, landmarks) if heights.asks_the_map else None)
         heights.learn(STILL)
     assert placed is not None
     off = np.hypot(*(placed.xy_base_m[:, None] - true[None]).transpose(2, 0, 1))
@@ -103,7 +103,7 @@ def test_a_robot_drives_on_from_there_in_the_right_scale() -> None:
     for k, pose in enumerate(poses):
         crossings, true = seen(lines, pose, rng)
         moved = np.zeros(3) if k == 0 else se2.between(poses[k - 1], pose)
-        placed = heights.look(crossings, moved, here(pose, landmarks) if heights.state.asks else None)
+        placed = heights.look(crossings, moved, here(pose, landmarks) if heights.asks_the_map else None)
         assert placed is not None and len(placed) == len(true)
         assert np.max(np.abs(placed.xy_base_m - true)) < 0.004
         heights.learn(Motion(Displacement(moved), 1e-6 * np.eye(3), len(placed), 0.0, restarted=k == 0))
