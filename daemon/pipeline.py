@@ -20,7 +20,7 @@ from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineS
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
 from ceilvo.daemon.odometry.cross_checks.suspicion import Kind, Severity, Suspicions
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, DeadReckoningState, Track
-from ceilvo.daemon.odometry.heights.by_map import SURE_M, MapHere
+from ceilvo.daemon.odometry.heights.by_map import map_here
 from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.odometry.heights.slope import SlopeState
@@ -81,6 +81,9 @@ class Pipeline:
         self.dead_reckoning = DeadReckoning(process)
         self.relocaliser = BeaconRelocaliser(make_filter(settings, rng), calibration, config)
         self.relocaliser.follow_lamps = Lamps(self.relocaliser, calibration, config).followed
+        self.odometry.ask_map = lambda expected: map_here(
+            self.filter, self.relocaliser.state.map_axis_rad, self.dead_reckoning.state.gap, expected
+        )
         self.states = StateMachine(config.states)
         self.checks = CrossChecks(config)
         self.seq = 0
@@ -117,7 +120,7 @@ class Pipeline:
         elapsed_s = self.dead_reckoning.elapsed_s(stamp_ns)
         usable = self.checks.admit(crossings, wheels, elapsed_s, heard)
         expected = self.odometry.expected(elapsed_s, usable.wheels, usable.turn)
-        placed = self.odometry.placed(usable.crossings, expected, self._map_here(expected))
+        placed = self.odometry.placed(usable.crossings, expected)
         motion = self.odometry.step(placed, elapsed_s, usable.wheels, usable.missing or missing, usable.turn)
         placed = self.odometry.learn(motion, placed)
         suspicions = self.checks.step(stamp_ns, crossings, motion, wheels, elapsed_s, heard)
@@ -145,19 +148,6 @@ class Pipeline:
         on_stage_done("filter")
         seen = 0 if crossings is None else len(crossings)
         return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling, rocking)
-
-    def _map_here(self, expected: Array | None) -> MapHere | None:
-        """The map where the robot should be by now; None where nobody asks, or nobody knows where it is."""
-        axis_rad = self.relocaliser.state.map_axis_rad
-        if not self.odometry.heights.asks_the_map or axis_rad is None:
-            return None
-        pose, cov, _ = self.filter.estimate()
-        if math.sqrt(max(se2.greatest_variance(cov[:2, :2]), 0.0)) > SURE_M:
-            return None
-        gap = self.dead_reckoning.state.gap
-        for moved in (None if gap is None else gap.prev_from_curr, expected):
-            pose = pose if moved is None else Pose(se2.compose(pose, moved))
-        return MapHere(pose, axis_rad, self.filter.landmarks_near)
 
     def _estimate(
         self,

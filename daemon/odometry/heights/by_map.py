@@ -6,9 +6,11 @@ in one view tells that; the map does, for what is there was put where it is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,8 @@ from numpy.typing import NDArray
 from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN
 from ceilvo.daemon.odometry.matching import mutual_nearest
-from ceilvo.se2 import rotation, transform
-from ceilvo.types import Array, Crossings, Ints, Landmarks, Pose
+from ceilvo.se2 import compose, greatest_variance, rotation, transform
+from ceilvo.types import Array, Crossings, Ints, Landmarks, Motion, Pose
 
 SURE_M = 0.1
 """Standard deviation of the pose's position up to which the map is asked: a tenth of what a step of .4 m moves the side
@@ -45,6 +47,30 @@ class MapHere:
     pose: Array
     axis_rad: float
     near: Near
+
+
+class Mapped(Protocol):
+    """What is asked of a PoseFilter."""
+
+    def estimate(self) -> tuple[Array, Array, Any]: ...
+
+    def landmarks_near(self, xy_m: Array, reach_m: float) -> tuple[Ints, Landmarks]: ...
+
+
+def map_here(filter_: Mapped, axis_rad: float | None, gap: Motion | None, expected: Array | None) -> MapHere | None:
+    """The map where the robot should be by now; None where nobody knows that well enough, or there is no map.
+
+    Args:
+        axis_rad: direction in the map of axis 0 of the types.
+        gap: predicted since the filter's pose.
+        expected: (3,) motion since then.
+    """
+    pose, cov, _ = filter_.estimate()
+    if axis_rad is None or math.sqrt(max(greatest_variance(cov[:2, :2]), 0.0)) > SURE_M:
+        return None
+    for moved in (None if gap is None else gap.prev_from_curr, expected):
+        pose = pose if moved is None else compose(pose, moved)
+    return MapHere(np.asarray(pose), axis_rad, filter_.landmarks_near)
 
 
 def levels_by_map(crossings: Crossings, of_crossing: Ints, mount: Array, here: MapHere, ratio: Array) -> Ints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,13 +26,18 @@ ROCKS_M = 0.015
 
 
 class HeightsOdometry(VisualOdometry):
-    """With the heights of the lines that motion is measured by, and how far one from points alone may be off."""
+    """With the heights of the lines that motion is measured by, and how far one from points alone may be off.
+
+    Attributes:
+        ask_map: gives the map where the robot should be after a motion (3,), where lines do not tell their heights.
+    """
 
     def __init__(self, config: Odometry, calibration: Calibration) -> None:
         super().__init__(config)
         self.slope = Slope(calibration)
         self.heights = Heights(calibration)
         self._height_m = calibration.ceiling_height_m
+        self.ask_map: Callable[[Array | None], MapHere | None] = lambda expected: None
 
     @property
     def suspicion(self) -> str:
@@ -45,17 +51,10 @@ class HeightsOdometry(VisualOdometry):
         sigma_m = 0.0 if lean.told else math.sqrt(float(np.max(view_cov(lean))))
         return f"the robot rocks by {sigma_m:.3f} m under points alone" if sigma_m > ROCKS_M else ""
 
-    def placed(
-        self, crossings: Crossings | None, expected: Array | None, here: MapHere | None = None
-    ) -> Crossings | None:
-        """The crossings of a frame where they are, and so those of the last one.
-
-        Args:
-            expected: (3,) motion since the last frame.
-            here: the map where the robot should be now, when it may be asked for heights.
-        """
+    def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
+        """The crossings of a frame where they are, and so those of the last one; expected: (3,) motion since then."""
         flat = self.slope.placed(crossings, expected)
-        found = self.heights.look(flat, expected, here)
+        found = self.heights.look(flat, expected, self.ask_map(expected) if self.heights.asks_the_map else None)
         self.look_again(self.heights.reference() if self.heights.several else self.slope.reference())
         return found
 
