@@ -13,7 +13,9 @@ import math
 import os
 import sys
 import time
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
 
 from rosbags.typesys import Stores, get_typestore
 
@@ -23,8 +25,21 @@ _ANSWER_S = 20.0
 """Wait at most so long for an answer about the graph, which ends when the router has said everything; the SDK's own
 .5 s lose endpoints on a busy computer. Chosen."""
 
-_ASKED = 3
-"""Times that publishers are asked for where there seem to be none: it says so also where its question went astray."""
+_ASKED = 10
+"""Times that the graph is asked for something at most; chosen."""
+
+_T = TypeVar("_T", list[Any], dict[str, Any])
+
+
+def _steady(ask: Callable[[], _T]) -> _T:
+    """What two questions in a row are answered alike: an answer has less in it, or nothing, where a part of it or the
+    question went astray on a busy computer."""
+    before, now = ask(), ask()
+    for _ in range(_ASKED - 2):
+        if now and now == before:
+            break
+        before, now = now, ask()
+    return now
 
 
 class _Kept(logging.Handler):
@@ -82,18 +97,15 @@ class Reader:
 
         router: dict[str, Any] = {"router_port": self._port, "timeout": _ANSWER_S}
         out: dict[str, Any] = {}
-        for topic, kinds in discovery.get_topic_names_and_types(**router):
-            for _ in range(_ASKED):
-                info = discovery.get_topic_info(topic, verbose=True, **router)
-                ends = [] if info is None else info.publishers
-                if ends:
-                    break
-            out[topic] = {"types": kinds, "publishers": [[p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends]}
-        services: dict[str, Any] = {}
-        until = time.monotonic() + _ANSWER_S
-        while not services and time.monotonic() < until:  # it says "none" also where its question went astray
-            services = dict(discovery.get_service_names_and_types(**router))
-        return out | {"services": services}
+
+        def publishers(topic: str) -> list[Any]:
+            info = discovery.get_topic_info(topic, verbose=True, **router)
+            ends = [] if info is None else info.publishers
+            return sorted([p.node_name, p.topic_type, p.type_hash, p.qos] for p in ends)
+
+        for topic, kinds in _steady(lambda: dict(discovery.get_topic_names_and_types(**router))).items():
+            out[topic] = {"types": kinds, "publishers": _steady(partial(publishers, topic))}
+        return out | {"services": _steady(lambda: dict(discovery.get_service_names_and_types(**router)))}
 
     def initial_pose(self, x_m: float, y_m: float, theta_rad: float) -> None:
         from zenoh_ros2_sdk import ROS2Publisher

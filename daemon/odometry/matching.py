@@ -5,15 +5,20 @@ Outliers are rejected by the homography between the frames: least squares of eqs
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.odometry import kernel
+from ceilvo.types import Landmarks
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Near = Callable[[Array, float], tuple[Ints, Landmarks]]
+"""Labels and landmarks within a reach of the box around points (M, 2), see PoseFilter.landmarks_near."""
 _SLACK = 1e-12
 """Of the largest number, for rounding."""
 MOST_PAIRS = 20_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -11,12 +10,10 @@ import numpy as np
 from ceilvo.calibration import NoiseCurves
 from ceilvo.config import Filter
 from ceilvo.crossing_types import quarter_turns, turned_type
-from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.matching import Near, mutual_nearest
 from ceilvo.se2 import rotation, transform, wrap
-from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Ints, Landmarks, Observations, frozen
+from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, Crossings, Ints, Observations, frozen
 
-Near = Callable[[Array, float], tuple[Ints, Landmarks]]
-"""Labels and landmarks within a reach of the box around points (M, 2), see PoseFilter.landmarks_near."""
 SIGMA_FLOOR_M = 1e-4
 """No curve is trusted below this."""
 VAR_FLOOR = 1e-12

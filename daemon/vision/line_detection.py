@@ -129,6 +129,10 @@ class _Problem:
         fit = self.start(tilt_rad)
         return fit, fit.finish()
 
+    def cost(self, found: _Found) -> float:
+        """Of a fit, by all points."""
+        return found[0].cost(len(self.points.x))
+
 
 _Found = tuple[JointFit, TiltPrior]
 
@@ -208,21 +212,17 @@ def _solve_rocking(problem: _Problem, last: LastFit) -> _Found:
     for further in _FURTHER_RAD:
         if best[0].noise_px < _FALSE_RATIO * last.noise_px:
             break
-        best = min(best, problem.solve(last.tilt_rad + further), key=lambda f: f[0].cost(len(problem.points.x)))
+        best = min(best, problem.solve(last.tilt_rad + further), key=problem.cost)
     return best
 
 
 def _best(problem: _Problem, found: list[_Found], other_rad: Array) -> _Found:
     """The cheapest of the fits found, of one that begins at another tilt, and of one that begins where these ended."""
-
-    def cost(candidate: _Found) -> float:
-        return candidate[0].cost(len(problem.points.x))
-
     carried = problem.along_carried()
     if carried is not None:
         found = [*found, carried.solve(other_rad)]
-    best = min((*found, problem.solve(other_rad)), key=cost)
-    return min(best, problem.solve(best[0].tilt), key=cost)
+    best = min((*found, problem.solve(other_rad)), key=problem.cost)
+    return min(best, problem.solve(best[0].tilt), key=problem.cost)
 
 
 def _reach(x: Array32, y: Array32) -> float:

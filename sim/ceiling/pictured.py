@@ -41,6 +41,8 @@ def albedo_of(
 ) -> Array32:
     """(H, W) of size (W, H) texels, the picture's corner at 0, its brightest grey as bright as white paint.
 
+    Greys are taken as they are coded, without the curve of sRGB: dark parts are brighter than what was photographed.
+
     Args:
         tile_m: side of a tile.
         low_m: (2,) where the first texel begins.

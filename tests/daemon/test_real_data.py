@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from itertools import islice
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from ceilvo import se2
+from ceilvo.bench.data import data_path
 from ceilvo.bench.real import command as real
 from ceilvo.bench.real.marked.reading import HERE, read
 from ceilvo.bench.real.marked.standing import SEED, stand
@@ -22,7 +22,7 @@ from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.types import Frame, State
 
-DATA = Path(os.environ.get("CEILVO_DATA", Path(__file__).parents[3] / "shared" / "data"))
+DATA = data_path("")
 THERE_AND_BACK = [*range(0, 100, 2), *range(99, 0, -2)]
 """Every second frame out, the others back: one way twice, and no picture twice."""
 

@@ -41,23 +41,31 @@ class Drive:
     reasons: frozenset[str]
 
 
+def frame(k: int, picture: np.ndarray) -> Frame:
+    return Frame(k, 10**9 + round(k * 1e9 / FPS), picture)
+
+
+def off_m(world: World, pose: np.ndarray, t_s: float) -> float:
+    """How far a pose (3,) is from the truth, in a map that begins where the robot did."""
+    return float(np.hypot(*(se2.compose(world.truth_at(0.0), pose) - world.truth_at(t_s))[:2]))
+
+
 def drive(
     surroundings: SurroundingsSpec, ceiling: CeilingSpec, seconds: float, believed: Calibration | None = None
 ) -> Drive:
     """believed: the calibration, None for the true one."""
     world = World(WorldSpec(seed=SEED, lap=LAP, ceiling=ceiling, surroundings=surroundings))
     pipeline = Pipeline(believed or world.calibration, Config(), np.random.default_rng(SEED))
-    start = world.truth_at(0.0)
-    odom, off, tracked, reasons = start, [], [], set()
+    odom, off, tracked, reasons = world.truth_at(0.0), [], [], set()
     count = int(seconds * FPS)
     for k in range(count):
-        estimate = pipeline.step(Frame(k, 10**9 + round(k * 1e9 / FPS), world.frame_at(k / FPS)))
+        estimate = pipeline.step(frame(k, world.frame_at(k / FPS)))
         true = world.truth_at(k / FPS)
         odom = se2.compose(odom, estimate.motion.prev_from_curr)
         off.append(float(np.hypot(*(odom - true)[:2])))
         reasons.add(estimate.reason)
         if estimate.state == State.TRACKING:
-            tracked.append(float(np.hypot(*(se2.compose(start, estimate.pose) - true)[:2])))
+            tracked.append(off_m(world, estimate.pose, k / FPS))
     path_m = float(world.path.travel_at(seconds))
     found = Drive(max(off), max(off) / path_m, len(tracked) / count, max(tracked), frozenset(reasons))
     print(f"seed {SEED}: {found}, levels {pipeline.odometry.heights.state.levels.ratio}")
@@ -78,7 +86,7 @@ def test_a_robot_that_starts_again_where_the_ceiling_hangs_lower_is_there_at_onc
     world = World(WorldSpec(seed=SEED, lap=LAP, surroundings=scenes.step(LAP.room_m, HIGH_M)))
     first = Estimator(Pipeline(world.calibration, Config(), np.random.default_rng(SEED)), lambda: 10**9)
     for k in range(int(7.0 * FPS)):
-        first.frame(Frame(k, 10**9 + round(k * 1e9 / FPS), world.frame_at(k / FPS)))
+        first.frame(frame(k, world.frame_at(k / FPS)))
     landmarks, axis_rad = first.map()
     assert axis_rad is not None
     pose = se2.between(world.truth_at(0.0), world.truth_at(at_s))  # the map begins where the robot did
@@ -88,10 +96,10 @@ def test_a_robot_that_starts_again_where_the_ceiling_hangs_lower_is_there_at_onc
     states, off = [], []
     for k in range(int(2.0 * FPS)):
         t_s = at_s + max(0.0, k / FPS - 1.0)  # it stands for a second
-        estimate = again.frame(Frame(k, 10**9 + round(k * 1e9 / FPS), world.frame_at(t_s)))
+        estimate = again.frame(frame(k, world.frame_at(t_s)))
         assert estimate is not None
         states.append(estimate.state)
-        off.append(np.hypot(*(se2.compose(world.truth_at(0.0), estimate.pose) - world.truth_at(t_s))[:2]))
+        off.append(off_m(world, estimate.pose, t_s))
     print(f"seed {SEED}: {1e3 * max(off):.1f} mm at most, {[s.name for s in states]}, drops {first.drops_m()}")
     assert states.index(State.TRACKING) / FPS <= 1.0
     assert all(s is State.TRACKING for s in states[states.index(State.TRACKING) :])
@@ -107,8 +115,8 @@ def test_a_robot_that_stops_and_starts_at_once_keeps_the_heights(scene: object) 
     drives_s, t_s, off, tracked = 0.0, 0.0, [], []
     for k in range(int(9.0 * FPS)):
         picture = world.renderer.render(world.truth_at(drives_s), np.random.default_rng([SEED, k]))
-        estimate = pipeline.step(Frame(k, 10**9 + round(k * 1e9 / FPS), picture))
-        off.append(np.hypot(*(se2.compose(world.truth_at(0.0), estimate.pose) - world.truth_at(drives_s))[:2]))
+        estimate = pipeline.step(frame(k, picture))
+        off.append(off_m(world, estimate.pose, drives_s))
         tracked.append(estimate.state is State.TRACKING)
         t_s += 1.0 / FPS
         drives_s += 0.0 if any(at <= t_s < at + 0.5 for at in (2.5, 4.0, 5.5, 7.0)) else 1.0 / FPS

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
+from ceilvo.bench.data import data_path
+from ceilvo.bench.vision.textures import OFFICE_TEXTURE
 from ceilvo.sim.ceiling import board
 from ceilvo.sim.ceiling.ceiling import Ceiling
 from ceilvo.sim.ceiling.spec import CeilingSpec
@@ -31,8 +30,7 @@ def octaves_rms(faces: np.ndarray, mm: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def photographed() -> np.ndarray:
     """(N, 224, 224) faces of plain tiles in linear light, each about 1."""
-    folder = Path(os.environ.get("CEILVO_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    file = folder / "textures" / "OfficeCeiling006_4K_color.png"
+    file = data_path(OFFICE_TEXTURE)
     if not file.exists():
         pytest.skip(f"{file} is not there: a CC0 picture of a ceiling, not part of this repository")
     coded = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE).astype(float) / 255.0

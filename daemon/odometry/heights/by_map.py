@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN
-from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry.matching import Near, mutual_nearest
 from ceilvo.se2 import compose, greatest_variance, rotation, transform
 from ceilvo.types import Array, Crossings, Ints, Landmarks, Motion, Pose
 
-SURE_M = 0.1
-"""Standard deviation of the pose's position up to which the map is asked: a tenth of what a step of .4 m moves the side
-of a view by; chosen."""
-REACH_M = 0.05
-"""A crossing is at a landmark within this, as for all landmarks (filter.association_gate_m)."""
+_SURE_M = 0.1
+"""Standard deviation of the pose's position up to which the map is asked: a fifth of what a step of 0.4 m moves the
+side of a view by; chosen."""
+_REACH_M = 0.05
+"""A crossing is at a landmark within this; chosen, as under several heights landmarks are matched."""
 _FEWEST = 2
 """Crossings of a line at landmarks that tell its height; chosen: one is there by chance."""
 _SHARE = 0.5
@@ -36,10 +36,6 @@ _CLEARLY = 2.0
 """Times as many as at any other height; chosen: near the middle of the view all heights look alike."""
 
 
-Near = Callable[[Array, float], tuple[Ints, Landmarks]]
-"""Labels and landmarks within reach of points (N, 2), as PoseFilter.landmarks_near has it."""
-
-
 @dataclass(frozen=True, slots=True)
 class MapHere:
     """The map about the robot: its pose (3,) there as it is believed, the direction of axis 0 of types, landmarks."""
@@ -47,6 +43,15 @@ class MapHere:
     pose: Array
     axis_rad: float
     near: Near
+
+
+AskMap = Callable[[Array | None], MapHere | None]
+"""The map where the robot should be after a motion (3,); None where that is not known well enough."""
+
+
+def no_map(expected: Array | None) -> MapHere | None:
+    """There is none, or nobody knows where the robot is on it."""
+    return None
 
 
 class Mapped(Protocol):
@@ -66,7 +71,7 @@ def map_here(filter_: Mapped, axis_rad: float | None, gap: Motion | None, expect
         expected: (3,) motion since then.
     """
     pose, cov, _ = filter_.estimate()
-    if axis_rad is None or math.sqrt(max(greatest_variance(cov[:2, :2]), 0.0)) > SURE_M:
+    if axis_rad is None or math.sqrt(max(greatest_variance(cov[:2, :2]), 0.0)) > _SURE_M:
         return None
     for moved in (None if gap is None else gap.prev_from_curr, expected):
         pose = pose if moved is None else compose(pose, moved)
@@ -88,10 +93,10 @@ def levels_by_map(crossings: Crossings, of_crossing: Ints, mount: Array, here: M
     kinds = turned_type(crossings.crossing_type, turns)
     pairs = list(product(range(len(ratio)), repeat=2))
     seen = [transform(Pose(here.pose), mount + (from_camera / ratio[list(pair)]) @ normals) for pair in pairs]
-    _, known = here.near(np.concatenate(seen), REACH_M)
+    _, known = here.near(np.concatenate(seen), _REACH_M)
     there = np.zeros((len(ratio), len(ratio), len(kinds)), np.bool_)
     for (a, b), xy in zip(pairs, seen, strict=True):
-        hit, _ = mutual_nearest(xy, kinds, known.xy_map_m, known.crossing_type, REACH_M)
+        hit, _ = mutual_nearest(xy, kinds, known.xy_map_m, known.crossing_type, _REACH_M)
         there[a, b, hit] = True
     return _with_crossed(_clear(there, of_crossing), there, of_crossing)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from ceilvo.calibration import Calibration
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.odometry.course import Course, Found
-from ceilvo.daemon.odometry.heights.by_map import MapHere
+from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
 from ceilvo.daemon.odometry.points.lean import learn, step_cov, view_cov
@@ -29,7 +28,7 @@ class HeightsOdometry(VisualOdometry):
     """With the heights of the lines that motion is measured by, and how far one from points alone may be off.
 
     Attributes:
-        ask_map: gives the map where the robot should be after a motion (3,), where lines do not tell their heights.
+        ask_map: for the heights of lines that do not tell them.
     """
 
     def __init__(self, config: Odometry, calibration: Calibration) -> None:
@@ -37,7 +36,7 @@ class HeightsOdometry(VisualOdometry):
         self.slope = Slope(calibration)
         self.heights = Heights(calibration)
         self._height_m = calibration.ceiling_height_m
-        self.ask_map: Callable[[Array | None], MapHere | None] = lambda expected: None
+        self.ask_map: AskMap = no_map
 
     @property
     def suspicion(self) -> str:
@@ -54,7 +53,7 @@ class HeightsOdometry(VisualOdometry):
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
         """The crossings of a frame where they are, and so those of the last one; expected: (3,) motion since then."""
         flat = self.slope.placed(crossings, expected)
-        found = self.heights.look(flat, expected, self.ask_map(expected) if self.heights.asks_the_map else None)
+        found = self.heights.look(flat, expected, self.ask_map)
         self.look_again(self.heights.reference() if self.heights.several else self.slope.reference())
         return found
 

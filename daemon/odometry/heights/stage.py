@@ -9,7 +9,7 @@ import numpy as np
 
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import LINE_CROSSINGS
-from ceilvo.daemon.odometry.heights.by_map import MapHere, levels_by_map
+from ceilvo.daemon.odometry.heights.by_map import AskMap, MapHere, levels_by_map, no_map
 from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
@@ -93,11 +93,6 @@ class Heights:
         return len(self.state.levels) > 1
 
     @property
-    def asks_the_map(self) -> bool:
-        """Whether look() may want to know where the map has what."""
-        return self.several or self.state.asks
-
-    @property
     def wants_whole_look(self) -> bool:
         """Whether edges are not where those of one plane would be: then predicted ones are not enough."""
         ratio, sigma = self.state.tracks.ratios()
@@ -116,14 +111,12 @@ class Heights:
         met = s.levels.drops_m(self._height_m)
         return (*met, *s.remembered.without(s.levels).drops_m(self._height_m))
 
-    def look(
-        self, crossings: Crossings | None, expected: Array | None, here: MapHere | None = None
-    ) -> Crossings | None:
+    def look(self, crossings: Crossings | None, expected: Array | None, ask_map: AskMap = no_map) -> Crossings | None:
         """The crossings where they are; those whose height is not known are left out, with points if there are several.
 
         Args:
             expected: (3,) motion since the last frame.
-            here: the map where the robot should be now, to ask for heights that its lines do not tell yet.
+            ask_map: asked only where lines do not tell their heights yet.
         """
         s = self.state
         self._look = None
@@ -140,7 +133,8 @@ class Heights:
         level, told = np.full(len(lines), UNKNOWN), np.full(len(lines), UNKNOWN)
         if len(s.tracks):
             level = np.where(track >= 0, s.tracks.level[track], UNKNOWN)
-        if here is not None and (s.asks or (self.several and _few(level[lines.of_crossing]))):
+        here = ask_map(expected) if s.asks or (self.several and _few(level[lines.of_crossing])) else None
+        if here is not None:
             told = self._told(crossed, lines, here)
             level = np.where(level == UNKNOWN, told, level)
         self._look = _Look(crossed, lines, track, told)
@@ -237,7 +231,7 @@ class Heights:
             return
         known = (crossed >= _CROSSED) & t.steady()
         new = unlisted & known & (s.levels.apart(ratio) * t.ways_m() > _PARALLAX_M)
-        s.slopes = bool(np.any(new)) and t.slope(ratio, sigma)
+        s.slopes = bool(np.any(new)) and t.slopes(ratio, sigma)
         if s.slopes or not np.any(new):
             return
         if not self.several:

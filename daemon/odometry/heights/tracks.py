@@ -189,7 +189,7 @@ class Tracks:
         bent = self._fitted()[2]
         return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= (_STEADY * _SIGMA_M) ** 2))
 
-    def slope(self, ratio: Array, sigma: Array) -> bool:
+    def slopes(self, ratio: Array, sigma: Array) -> bool:
         """Whether ratios (T,) follow a slope better than levels."""
         for axis in (0, 1):
             of = (self.axis == axis) & (sigma < _SLOPE_SIGMA) & self.steady()

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ceilvo.daemon.odometry.matching import Near
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import REACH_M
-from ceilvo.daemon.slam.association import Near
 from ceilvo.se2 import transform
 from ceilvo.types import NO_LANDMARK, Array, Observations, Pose
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ceilvo.bench.data import data_path
 from ceilvo.calib.practice.virtual_bench import VirtualBench
 from ceilvo.calib.practice.virtual_board import BoardRenderer, board_poses
 from ceilvo.calib.session.session import Session
@@ -248,7 +248,7 @@ def test_a_damaged_result_is_named(tmp_path: Path) -> None:
         Session(tmp_path).result("mount")
 
 
-CHESSBOARD = Path(os.environ.get("CEILVO_DATA", Path(__file__).parents[4] / "shared" / "data")) / "chessboard"
+CHESSBOARD = data_path("chessboard")
 
 
 @pytest.mark.skipif(not CHESSBOARD.is_dir(), reason="CEILVO_DATA does not name the recordings")

@@ -15,6 +15,10 @@ from ceilvo.daemon.odometry.heights.stage import Heights
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN
 from ceilvo.types import NO_DIRECTION_RAD, Displacement, Motion
 
+POSES = [np.array([0.03 * k, 0.012 * k, 0.005 * k]) for k in range(40)]
+"""Of a drive in a bend."""
+TWO_HEIGHTS = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
+
 
 def drive(heights: Heights, lines: list[tuple[int, float, float]], too_long: float = 1.0) -> Iterator[float]:
     """Drive in a bend; yields the largest error of a crossing that is handed on, m.
@@ -22,10 +26,9 @@ def drive(heights: Heights, lines: list[tuple[int, float, float]], too_long: flo
     too_long: of the motion that the stage is told, until it knows better.
     """
     rng = np.random.default_rng(SEED)
-    poses = [np.array([0.03 * k, 0.012 * k, 0.005 * k]) for k in range(40)]
-    for k, pose in enumerate(poses):
+    for k, pose in enumerate(POSES):
         crossings, true = seen(lines, pose, rng)
-        moved = np.zeros(3) if k == 0 else se2.between(poses[k - 1], pose)
+        moved = np.zeros(3) if k == 0 else se2.between(POSES[k - 1], pose)
         placed = heights.look(crossings, moved)
         assert placed is not None
         near = np.min(np.hypot(*(placed.xy_base_m[:, None] - true[None]).transpose(2, 0, 1)), axis=1)
@@ -127,13 +130,12 @@ def test_a_new_line_across_lines_of_known_height_is_on_theirs() -> None:
 def test_lines_are_followed_though_the_robot_went_another_way_than_expected(jump: tuple[float, float]) -> None:
     """It started or stopped at once: what was known of its lines stays known, and the new view is put right by it."""
     heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
-    lines = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
-    list(drive(heights, lines))
+    list(drive(heights, TWO_HEIGHTS))
     assert heights.several
-    before, names = np.array([0.03 * 39, 0.012 * 39, 0.005 * 39]), set(heights.state.tracks.name.tolist())
+    before, names = POSES[-1], set(heights.state.tracks.name.tolist())
     known = np.count_nonzero(heights.state.tracks.level != UNKNOWN)
     pose = se2.compose(before, np.array([*jump, 0.0]))
-    crossings, true = seen(lines, pose, rng)
+    crossings, true = seen(TWO_HEIGHTS, pose, rng)
     placed = heights.look(crossings, np.zeros(3))
     assert placed is not None and len(placed) > 0.8 * len(crossings)
     near = np.min(np.hypot(*(placed.xy_base_m[:, None] - true[None]).transpose(2, 0, 1)), axis=1)
@@ -146,11 +148,10 @@ def test_lines_are_followed_though_the_robot_went_another_way_than_expected(jump
 def test_lines_of_another_view_are_not_followed() -> None:
     """Where no shift brings most lines together, those are new ones."""
     heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
-    lines = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
-    list(drive(heights, lines))
+    list(drive(heights, TWO_HEIGHTS))
     names = set(heights.state.tracks.name.tolist())
     other = [(axis, float(at), HIGH_M) for axis in (0, 1) for at in rng.uniform(-1.5, 1.5, 5)]
-    crossings, _ = seen(other, np.array([0.03 * 39, 0.012 * 39, 0.005 * 39]), rng)
+    crossings, _ = seen(other, POSES[-1], rng)
     heights.look(crossings, np.zeros(3))
     heights.learn(Motion(Displacement(np.zeros(3)), 1e-6 * np.eye(3), len(crossings), 0.0))
     assert len(set(heights.state.tracks.name.tolist()) - names) >= 6

@@ -29,7 +29,7 @@ def test_lamps_are_where_they_hang_though_the_robot_turns() -> None:
     """1.5 rad/s at 1 m/s: rows at the picture's side are 15 mrad and 10 mm from the middle's."""
     world = room()
     shutter, finder = RollingShutter(world.calibration, VIEW_DEG), PointFinder(world.calibration, VIEW_DEG)
-    moved, left, of_sigma = [], [], []
+    moved, left = [], []
     for t_s in np.arange(1.0, 12.0, 0.25):
         twist = world.twist_at(np.array([t_s]))[0]
         at = lamps_at(world, world.truth_at(t_s), np.zeros(2))
@@ -41,7 +41,6 @@ def test_lamps_are_where_they_hang_though_the_robot_turns() -> None:
         assert with_it is not None and without is not None
         moved += off_m(with_it, LAMP, at).tolist()
         left += off_m(without, LAMP, at).tolist()
-        of_sigma.append(np.sqrt(np.max(with_it.cov_base_m2[with_it.crossing_type == LAMP, 0, 0])))
     print(f"seed {SEED}: {len(moved)} lamps, at most {1e3 * max(moved):.2f} mm off, {1e3 * max(left):.1f} as read")
     assert len(moved) > 40
     assert max(moved) < 2e-3
