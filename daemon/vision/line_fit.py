@@ -49,6 +49,8 @@ two lines half a pixel apart scatter by four times as much, and what they bent b
 _WEAK_RAD = np.radians(0.014)
 """A tilt known to this has its error doubled, a weaker one more; chosen: with few lines tilt rests on
 what no noise model knows, such as bloom of lamps and remains of the lens."""
+_PIECES_FACTOR = 4.0
+"""On the variance of a tilt by lines that end at their gaps: twice the error, as of weak ones; chosen."""
 _ANY_TILT_RAD = 1.0
 """No tilt's standard deviation grows beyond that: it is not known at all, and of squares that are larger a prior leaves
 rounding errors, which may be negative."""
@@ -112,7 +114,7 @@ class JointFit:
     ) -> None:
         """several: the ceiling has several heights, so that a line may be two."""
         self.psi = psi
-        self._several = several
+        self._several, self._by_pieces = several, False
         self.tilt = tilt_rad
         self.focal_px, self._config, self._readout = focal_px, config, readout
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
@@ -172,15 +174,19 @@ class JointFit:
         return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not self.tilts_for_sure()
 
     def tilts_for_sure(self) -> bool:
-        """Whether a level robot is hardly possible, however little is known of the tilt, by lines without their gaps.
-
-        Edges of two lamps that are taken for one long line tilt the robot by a degree, and are sure of it.
-        """
+        """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""
         if not len(self.line) or not _is_tilt(self.tilt, self.covariance):
             return False
+        if self._by_pieces:
+            return True
+        moved, cov = self._step_by_pieces()
+        return _is_tilt(self.tilt + moved[1:], _widened(cov))
+
+    def _step_by_pieces(self) -> tuple[Array, Array]:
+        """(3,) by how much direction and tilt are off by lines that end at their gaps, and (3, 3) the error of that."""
         pieces, count = self._pieces()
         _, _, moved, cov = self._step(self.rho, self.tangent, pieces, self.ends[2], count, tilt=True)
-        return _is_tilt(self.tilt + moved[1:], _widened(cov))
+        return moved, cov
 
     def _pieces(self) -> tuple[NDArray[np.int32], int]:
         """(P,) the piece of its line that each point is on, where lines end at gaps, and how many pieces there are."""
@@ -283,8 +289,8 @@ class JointFit:
             self._x, self._y, self.line, self.ends[2], self.psi, self.tilt, self.focal_px, self.offset
         )
 
-    def finish(self) -> TiltPrior:
-        """The last round; returns the tilt of this frame alone."""
+    def finish(self, pieces: bool = True) -> TiltPrior:
+        """The last round; returns the tilt of this frame alone; pieces: where it is vague, lines end at their gaps."""
         if self._readout is not None:
             self._unbend()
         self.assign(self.last_gate_px())
@@ -292,7 +298,19 @@ class JointFit:
         if self._several and len(self.line):
             self._leave_out_double()
         self.covariance = _widened(self.covariance)
+        vague = np.max(self.covariance[[1, 2], [1, 2]]) > _VAGUE_RAD**2
+        if vague and pieces and not self._several and self._config.estimate_tilt and len(self.line):
+            self._trust_pieces()
         return TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
+
+    def _trust_pieces(self) -> None:
+        """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt."""
+        moved, cov = self._step_by_pieces()
+        cov = _PIECES_FACTOR * cov
+        if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):
+            self.psi += float(moved[0])
+            self.tilt, self.covariance, self._by_pieces = self.tilt + moved[1:], cov, True
+            self._settle()
 
     def _leave_out_double(self) -> None:
         """Direction and tilt without lines that are two, of different heights, which meet: those seem bent by tilt."""

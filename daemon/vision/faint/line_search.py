@@ -80,7 +80,7 @@ def find_faint(
         if len(seen.line_axis) < 2:
             return None
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
-        free = fit.finish()
+        free = fit.finish(pieces=False)
         if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
             fit.finish_held()

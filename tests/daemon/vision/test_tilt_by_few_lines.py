@@ -1,12 +1,12 @@
-"""Two lamps in view: few lines, and edges of two lamps that may be taken for one long line."""
+"""Lines that end at gaps: edges of two lamps may be taken for one long line, and hexagons have no long ones."""
 
 import numpy as np
 import pytest
 
-from ceilvo.bench.vision.textures import TWO_LAMPS
+from ceilvo.bench.vision.textures import HEXAGONS, TWO_LAMPS
 from ceilvo.config import Features
 from ceilvo.daemon.vision.finder.line_finder import LineFinder
-from ceilvo.sim.motion import LapSpec
+from ceilvo.sim.motion import LapSpec, TiltSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.world import World, WorldSpec
 
@@ -26,3 +26,28 @@ def test_a_robot_that_is_level_under_two_lamps_is_not_said_to_lean(seed: int, be
     leaning = np.count_nonzero(np.array(tilts) > TILTED_RAD)
     print(f"seed {seed}: {leaning} of {len(tilts)} views lean, {np.degrees(max(tilts)):.2f} deg at most")
     assert leaning == 0
+
+
+@pytest.mark.parametrize("seed", [141, 144])
+def test_a_robot_that_rocks_under_hexagons_from_the_start_is_not_taken_for_level(seed: int) -> None:
+    """Until something is known of it. It was for the first seconds, and TRACKING 66 mm off."""
+    world = World(
+        WorldSpec(
+            seed=seed,
+            lap=LapSpec(speed_mps=0.5, rest_s=0.3, ramp_s=1.0),
+            tilt=TiltSpec(float(np.radians(2.0))),
+            ceiling=HEXAGONS,
+        )
+    )
+    world.start(0)
+    finder, off_deg = LineFinder(world.calibration, Features()), []
+    for t_s in np.arange(75) / 15.0:
+        lines = finder(world.frame_at(float(t_s)), None)
+        assert lines is not None
+        off_deg.append(np.degrees(np.abs(lines.tilt_rad - world.tilt_at(float(t_s))).max()))
+    wrong = np.count_nonzero(np.array(off_deg) > 0.5)
+    print(
+        f"seed {seed}: tilt off by {np.median(off_deg):.3f} deg in the median, by more than 0.5 in {wrong} of 75 views"
+    )
+    assert np.median(off_deg) < 0.15
+    assert wrong <= 5
