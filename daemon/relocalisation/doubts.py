@@ -43,6 +43,9 @@ others were bumped into; chosen."""
 MOST_UNTOUCHED = 8.0
 """Log-likelihood ratio at most of tiles that lie exactly as a stored pose says; chosen: of 3000 robots that were
 carried one stands in another dock a whole number of tiles away."""
+CHANGED_OFF, CHANGE_S = 1e-4, 3600.0
+"""Chance that the ceiling above a robot was changed while it was off for so long or longer; chosen: of ten thousand
+nights one, and nobody hangs lamps anew within an hour."""
 UNLIKELY = 0.005
 """A doubt that is less likely is over with the first view that bears the place out; chosen: a frame that was lost while
 driving, whose way may be another one by a whole tile with one chance in a thousand, is no reason to stop for."""
@@ -50,6 +53,8 @@ _SIGMA_2_RAD2 = 0.05**2
 """Added to the variance of a heading that rivals are judged by, rad^2."""
 _SIGMA_2_M2 = 0.05**2
 """The same of a position, m^2."""
+_SIGMA2 = np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
+"""Both, of a pose."""
 MOST_ALIGNED = 6.0
 """Log-likelihood ratio at most of tiles that lie as expected; chosen: a robot is put down along the tiles, too."""
 FEWEST_JUMPED, FEWEST_EVER = 10, 4
@@ -77,6 +82,7 @@ class Doubt:
         reach_m: how far it can have been moved.
         stored: part of `elsewhere` that began when the pose was stored. Nobody who moved the robot since minded the
             tiles, and nobody may have touched it: how they lie speaks against that, also against whole tiles.
+        changed: probability that the ceiling was changed meanwhile, where nobody moved the robot.
         leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
             where there are any, nothing else moved it.
     """
@@ -86,6 +92,7 @@ class Doubt:
     elsewhere: float = 0.0
     reach_m: float = 0.0
     stored: float = 0.0
+    changed: float = 0.0
     leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
@@ -110,7 +117,7 @@ class Doubt:
 
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
-        inverse = np.linalg.inv(self.cov + np.diag([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2]))
+        inverse = np.linalg.inv(self.cov + np.diag(_SIGMA2))
         carried = 0.0 if len(self.leads) else (1.0 - OFF_MAP) * self.elsewhere
         moved = np.log(max(carried, TINY) / (len(off) + 1))
         moved += self._left(0.0, min(max(self.alignment(here, tile_m), 0.0), np.log(STORED_ALIGNED)), here, tile_m)
@@ -126,7 +133,7 @@ class Doubt:
         A robot that was put down anywhere sees the lattice shifted by any part of a tile and turned by any angle; not
         turned: by none, for another ceiling hangs along the same walls.
         """
-        var = np.diagonal(self.cov) + np.array([_SIGMA_2_M2, _SIGMA_2_M2, _SIGMA_2_RAD2])
+        var = np.diagonal(self.cov) + _SIGMA2
         return float(np.clip(_fit(here, var, tile_m, turned), -MOST_ALIGNED, MOST_ALIGNED))
 
     @property
@@ -140,10 +147,26 @@ class Doubt:
         share = 1.0 - self._listed
         return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
 
+    def off_map(self, here: Array, tile_m: Array) -> tuple[float, float]:
+        """`unknown` and log_odds_of_change() once it sees tiles off by `here` (3,); of no size where there are none."""
+        by_tiles = self.unmeasured and bool(np.any(tile_m))
+        unknown = self.unknown_by_tiles(here, tile_m) if by_tiles else self.unknown
+        return unknown, self.log_odds_of_change(here, tile_m)
+
     def unknown_by_tiles(self, here: Array, tile_m: Array) -> float:
         """`unknown` of a robot of unmeasured path once it sees the tiles off by `here` (3,) from the expected pose."""
         aligned = self.alignment(here, tile_m)
         return self.unknown + self._left(aligned, aligned, here, tile_m)
+
+    def log_odds_of_change(self, here: Array, tile_m: Array) -> float:
+        """Log-odds, against the place where it was, of a robot that nobody moved below a ceiling that was changed, once
+        it sees tiles off by `here` (3,): the same ones or others, along the same walls."""
+        if self.changed == 0.0:
+            return -np.inf
+        as_known = ((UNTOUCHED, UNTOUCHED_SIGMA**2), (1.0 - UNTOUCHED, np.diagonal(self.cov) + _SIGMA2))
+        fits = [np.log(0.5 * share) + _fit(here, var, t) for share, var in as_known for t in (tile_m, np.zeros(2))]
+        fit, stayed = np.logaddexp.reduce(fits), max(self.alignment(here, tile_m), self._untouched(here, tile_m))
+        return float(np.log(self.changed) - np.log1p(-self.elsewhere) + min(fit, MOST_UNTOUCHED) - stayed)
 
     def _left(self, before: float, since: float, here: Array, tile_m: Array) -> float:
         """Logarithm of what tiles off by `here` (3,) leave of `elsewhere`: log-likelihood ratios speak against what was
@@ -206,7 +229,8 @@ def of_stored(cov: Array, ago_s: float, before: float) -> Doubt:
     moved = max(LIFTED * ago_s / JUST_NOW_S, STORED_LEAST) if ago_s <= JUST_NOW_S else STORED_WRONG
     before = min(before, RESET_WRONG)
     elsewhere = min(moved + before, RESET_WRONG)
-    return Doubt("stored map and pose", cov, elsewhere, np.inf, elsewhere - before)
+    changed = CHANGED_OFF if ago_s >= CHANGE_S else 0.0
+    return Doubt("stored map and pose", cov, elsewhere, np.inf, elsewhere - before, changed)
 
 
 def of_suspicion(reason: str, reach_m: float, pending: Doubt | None) -> Doubt:
@@ -218,7 +242,8 @@ def of_suspicion(reason: str, reach_m: float, pending: Doubt | None) -> Doubt:
 def both(a: Doubt, b: Doubt) -> Doubt:
     """Of one after the other: the largest of each, and of leads the later ones."""
     elsewhere, reach_m = max(a.elsewhere, b.elsewhere), a.reach_m + b.reach_m
-    return Doubt(b.reason, a.cov + b.cov, elsewhere, reach_m, leads=b.leads if len(b.leads) else a.leads)
+    changed, leads = max(a.changed, b.changed), b.leads if len(b.leads) else a.leads
+    return Doubt(b.reason, a.cov + b.cov, elsewhere, reach_m, changed=changed, leads=leads)
 
 
 def negligible(doubt: Doubt, rate: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.crossing_types import commonest, turned_type
 from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
@@ -25,6 +26,8 @@ differ that are one: a few sigmas. Chosen for time: 4 ms."""
 WATCH_M, WATCH_TILES = 2.0, 3
 """How far those are looked for that a robot may have got to without a trace: three tiles, and no less than three of
 0.6 m; chosen. A robot that was snatched away by two tiles of 1.25 m was never told by what it saw there."""
+CELL_M, _CELLS = 0.05, 2
+"""Places that are no more cells apart are one: 0.1 to 0.15 m, half the smallest tile at most."""
 _QUARTER = 0.5 * np.pi
 
 
@@ -133,6 +136,23 @@ def cells(places: Array, cell_m: float) -> Ints:
     out: Ints = np.round(places / np.array([cell_m, cell_m, _QUARTER])).astype(np.int64)
     out[:, 2] %= 4
     return out
+
+
+def beside(cell: list[int]) -> list[tuple[int, ...]]:
+    """Cells of all transforms that are the same as one in this cell."""
+    x, y, turn = cell
+    return [(x + i, y + j, turn) for i in range(-_CELLS, _CELLS + 1) for j in range(-_CELLS, _CELLS + 1)]
+
+
+def of_tracked(places: Array) -> NDArray[np.bool_]:
+    """(N,) whether places (N, 3) are the tracked one, but for a few centimetres."""
+    return np.asarray(same_places(places, np.zeros((1, 3)))[:, 0])
+
+
+def same_places(a: Array, b: Array) -> NDArray[np.bool_]:
+    """(N, M) whether transforms (N, 3) and (M, 3) are one."""
+    apart = np.abs(cells(a, CELL_M)[:, None] - cells(b, CELL_M))
+    return np.asarray(np.all(apart <= [_CELLS, _CELLS, 0], axis=2))
 
 
 def offset(poses: Array, expected: Array) -> Array:

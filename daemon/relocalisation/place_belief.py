@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.evidence.view_evidence import combined
-from ceilvo.daemon.relocalisation.lattice import cells, rival_poses
+from ceilvo.daemon.relocalisation.lattice import CELL_M, beside, cells, rival_poses, same_places
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array, Ints
 
@@ -32,14 +32,11 @@ SPOT_CAP = 25.0
 LEAD_M = 0.6
 """For so much of the way a place must have been the likeliest to take over; chosen: what people, dirt or a line that is
 called by another type add to it is gone then, and it may be as much as a lamp adds. Turning shows the same ceiling."""
-_CELL_M, _CELLS = 0.05, 2
-"""Places that are no more cells apart are one: 0.1 to 0.15 m, half the smallest tile at most."""
+SAME_LAMP = 0.12
+"""Worth of what tells a place from ground that is alike where a ceiling may have been changed: one in eight, for a lamp
+is seen from some eight spots by several corners, and a new one that happens to hang there is seen as often; chosen."""
 MOST_PLACES = 20_000
 """Places kept: of a hall of 15,000 m^2 whose lamps hang in a pattern some 7,000 look alike; chosen for time."""
-
-
-def _tracked() -> Array:
-    return np.zeros((1, 3))
 
 
 @dataclass(slots=True)
@@ -58,9 +55,10 @@ class PlaceBelief:
         leader, led_m: the likeliest place (3,) but for the tracked one, and for how much of the way it was.
         told, told_unknown: what of log_weight and unknown is of other senses, see tell().
         evidence: (P,) log-likelihoods of all that was seen and told, whatever was likely before; see beats_all().
+        changed: as unknown, of the tracked place below a ceiling that was changed while the robot was off.
     """
 
-    places: Array = field(default_factory=_tracked)
+    places: Array = field(default_factory=lambda: np.zeros((1, 3)))
     log_weight: Array = field(default_factory=lambda: np.zeros(1))
     seen: Array = field(default_factory=lambda: np.zeros((1, 2)))
     unknown: float = LEAST_UNKNOWN
@@ -74,6 +72,7 @@ class PlaceBelief:
     told: Array = field(default_factory=lambda: np.zeros(1))
     told_unknown: float = 0.0
     evidence: Array = field(default_factory=lambda: np.zeros(1))
+    changed: float = -np.inf
 
     def __post_init__(self) -> None:
         """States of older recordings were told nothing, and had one weight of a place."""
@@ -133,10 +132,22 @@ class PlaceBelief:
         """The place but for the tracked one beside which all others together are less likely than the rate."""
         share, unknown = self.shares()
         best = int(np.argmax(share))
-        rest = unknown + float(np.sum(share)) - float(share[best])
+        changed = float(share[best]) * np.exp(min(self.changed_odds, 0.0))
+        rest = unknown + float(np.sum(share)) - float(share[best]) + changed
         if best == 0 or rest >= rate or self.cut or self.led_m < LEAD_M:
             return None
-        return best if _same(self.leader[None], self.places[best, None])[0, 0] else None
+        return best if same_places(self.leader[None], self.places[best, None])[0, 0] else None
+
+    @property
+    def changed_odds(self) -> float:
+        """Log-odds of a changed ceiling against the likeliest place."""
+        return self.changed - self._against_changed
+
+    @property
+    def _against_changed(self) -> float:
+        seen = self.seen + self._of_spot
+        best = int(np.argmax(self.log_weight + seen[:, 0]))
+        return float(self.log_weight[best] + combined(seen[best] * [1.0, SAME_LAMP]))
 
     def beats_all(self, place: int) -> bool:
         """Whether what was seen is enough for a place without where the robot was before: a stored pose makes some
@@ -191,12 +202,13 @@ class PlaceBelief:
     def leave_spot(self) -> None:
         """What this spot says is settled; the next view is from another. Places that have lost are dropped."""
         best = int(np.argmax(self.weights()[0]))
-        same = best > 0 and bool(_same(self.leader[None], self.places[best, None])[0, 0])
+        same = best > 0 and bool(same_places(self.leader[None], self.places[best, None])[0, 0])
         self.leader, self.led_m = self.places[best].copy(), self.led_m + self.spot_m if same else 0.0
         self.forget()
         self._settle()
 
     def _settle(self) -> None:
+        changed = self.changed_odds
         raw = self._weighed(self.seen + self._of_spot)
         top, unknown = max(float(np.max(raw)), self.unknown), self.unknown
         weight, self.unknown = self.weights()
@@ -211,6 +223,7 @@ class PlaceBelief:
         self.log_weight = weight - self.seen[:, 0] + _too_much(likeliest)
         self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self.spot_m = self.spot_rad = 0.0
+        self.changed = changed + self._against_changed
 
     def renew(self) -> None:
         """Something happened: what was seen before says how likely places were, but no longer which are alike.
@@ -220,7 +233,9 @@ class PlaceBelief:
         if not self.at_another_spot:
             self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self._settle()
+        changed = self.changed_odds
         self.log_weight, self.seen = self.settled, np.zeros((len(self), 2))
+        self.changed = changed + self._against_changed
 
     def add(self, places: Array, log_odds: Array, late: bool = False) -> None:
         """More places (N, 3) with log-odds (N,) against the tracked one; of one that is there they are added up. Late:
@@ -229,16 +244,16 @@ class PlaceBelief:
         What this spot has shown before is taken to speak for them as the next view will. What was seen before it made
         unknown ground as likely as it is, beside the likeliest place: so beside them, were they the likeliest.
         """
-        own = cells(self.places, _CELL_M).tolist()
-        at = {key: i for i in range(len(self) - 1, -1, -1) for key in _near(own[i])}
+        own = cells(self.places, CELL_M).tolist()
+        at = {key: i for i in range(len(self) - 1, -1, -1) for key in beside(own[i])}
         fresh: list[int] = []
         settled = self.settled
         weight = log_odds + settled[0]
         likeliest, evidence = self.seen[np.argmax(settled)], self._of_new(late)
-        for n, (g, cell) in enumerate(zip(places, cells(places, _CELL_M).tolist(), strict=True)):
+        for n, (g, cell) in enumerate(zip(places, cells(places, CELL_M).tolist(), strict=True)):
             i = at.get(tuple(cell))
             if i is None:
-                at.update(dict.fromkeys(_near(cell), len(self) + len(fresh)))
+                at.update(dict.fromkeys(beside(cell), len(self) + len(fresh)))
                 fresh.append(n)
             elif 0 < i < len(self):
                 self.evidence[i] = max(self.evidence[i], evidence)
@@ -255,7 +270,7 @@ class PlaceBelief:
 
         One that is there keeps what it has: a way on which nothing tells places apart must not add up to a doubt.
         """
-        fresh = places[~np.any(_same(places, self.places), axis=1)]
+        fresh = places[~np.any(same_places(places, self.places), axis=1)]
         self._append(fresh, np.full(len(fresh), LEAST + self.settled[0]), self._of_new(late=True))
 
     def _of_new(self, late: bool) -> float:
@@ -289,12 +304,16 @@ class PlaceBelief:
         self.seen, self.spot, self.told = self.seen[which], self.spot[which], self.told[which]
         self.evidence = self.evidence[which]
 
-    def doubt_unknown(self, log_odds: float) -> None:
+    def doubt_unknown(self, log_odds: float, changed: float = -np.inf) -> None:
         """Something happened after which the robot may be anywhere, with these log-odds against where it was.
 
         Wherever that was: while another place leads, it is that one which has become doubtful.
+
+        Args:
+            changed: log-odds of another ceiling where the robot stood, against the tracked place.
         """
         self.unknown = float(np.logaddexp(self.unknown, log_odds + np.max(self.settled)))
+        self.changed = float(np.logaddexp(self.changed, changed + self.settled[0]))
 
     def forget(self) -> None:
         """Drop places that have lost; the tracked one alone is left when it is sure."""
@@ -306,7 +325,7 @@ class PlaceBelief:
     def jump(self, winner: int, tracked: Array) -> Array:
         """The winner becomes the tracked place; returns its pose (3,) for the tracked pose (3,)."""
         self._settle()
-        self.led_m = 0.0
+        self.led_m, self.changed = 0.0, -np.inf
         there: Array = rival_poses(self.places[winner : winner + 1], tracked)[0]
         back = inverse(self.places[winner])
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
@@ -326,20 +345,3 @@ def _best(weight: Array, most: int) -> Ints:
     if len(weight) <= most:
         return np.arange(len(weight))
     return np.sort(np.append(0, 1 + np.argsort(-weight[1:], kind="stable")[: most - 1]))
-
-
-def _near(cell: list[int]) -> list[tuple[int, ...]]:
-    """Cells of all transforms that are the same as one in this cell."""
-    x, y, turn = cell
-    return [(x + i, y + j, turn) for i in range(-_CELLS, _CELLS + 1) for j in range(-_CELLS, _CELLS + 1)]
-
-
-def of_tracked(places: Array) -> NDArray[np.bool_]:
-    """(N,) whether places (N, 3) are the tracked one, but for a few centimetres."""
-    return np.asarray(_same(places, _tracked())[:, 0])
-
-
-def _same(a: Array, b: Array) -> NDArray[np.bool_]:
-    """(N, M) whether transforms (N, 3) and (M, 3) are one."""
-    apart = np.abs(cells(a, _CELL_M)[:, None] - cells(b, _CELL_M))
-    return np.asarray(np.all(apart <= [_CELLS, _CELLS, 0], axis=2))

@@ -15,9 +15,9 @@ from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
-from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, of_tracked, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
-from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief, of_tracked
+from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import first_id_after, joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
@@ -251,7 +251,7 @@ class Relocaliser:
             s.belief.renew()
         s.looked, s.spots, s.leads = Coverage(), 0, doubt.leads if len(doubt.leads) else s.leads
         expected = pose = self.filter.estimate()[0]
-        lattice, unknown = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), doubt.unknown
+        lattice, here, tile_m = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), np.zeros(3), np.zeros(2)
         if lattice is not None:
             if doubt.unmeasured:
                 pose = aligned_pose(lattice, expected, view, evidence)
@@ -259,15 +259,14 @@ class Relocaliser:
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, lattice.watched_m), turned=True)
             off = offset(rival_poses(rivals, pose), expected)
-            here = offset(pose, expected)
-            s.belief.add(rivals, doubt.log_odds(off, here, lattice.tile_m))
-            unknown = doubt.unknown_by_tiles(here, lattice.tile_m) if doubt.unmeasured else unknown
+            here, tile_m = offset(pose, expected), lattice.tile_m
+            s.belief.add(rivals, doubt.log_odds(off, here, tile_m))
         if doubt.elsewhere >= doubts.UNLIKELY:
             s.searched = False
             listed_m = max(doubt.search_m, WATCH_M if lattice is None else lattice.watched_m)
             known = float(evidence.known(expected[None])[0])
             self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
-        s.belief.doubt_unknown(unknown)
+        s.belief.doubt_unknown(*doubt.off_map(here, tile_m))
         bounded = lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
         s.listed = bounded and (s.listed or s.began == 0.0)
         s.belief.cut = not (s.searched or s.listed)
@@ -319,6 +318,7 @@ class Relocaliser:
             self._open_submap()
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.grave, s.searched, s.leads = "", 0.0, False, False, np.zeros((0, 3))
+            s.belief.changed = -np.inf
             s.close_submap()
             s.belief.forget()
             self._on_map.end()

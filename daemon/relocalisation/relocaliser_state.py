@@ -111,6 +111,7 @@ class RelocaliserState:
         if self.sure:
             return ""
         why = self.pending.reason if self.pending is not None else self.reason
+        why = f"{why}, or the ceiling was changed meanwhile" if self.belief.changed_odds > 0.0 else why
         why = f"{why}; {MAPPED_APART}" if self.apart else why
         scale = self.not_this_map.scale if self.pending is None else 0.0
         if scale != 0.0:

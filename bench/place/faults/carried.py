@@ -96,7 +96,9 @@ def spun_dark(d: Drive, site: Site) -> Iterator[None]:
     yield from goes_on(d)
 
 
-def restart(elsewhere: bool) -> Script:
+def restart(elsewhere: bool, ago_s: float | None = None) -> Script:
+    """Switched off and on, carried in between or not; ago_s: for how long, else for seconds."""
+
     def script(d: Drive, site: Site) -> Iterator[None]:
         yield from halt(d)
         stored = d.stored()
@@ -104,7 +106,7 @@ def restart(elsewhere: bool) -> Script:
             yield from carry(d, d.driver.start(), 0.1)
         d.begin_anew()
         if stored is not None:
-            d.load(*stored)
+            d.load(*stored, ago_s=ago_s)
         d.tally.effect()
         d.tally.over()
         yield from goes_on(d)

@@ -101,6 +101,7 @@ KINDS: dict[str, Kind] = {
     "reset and restarted": Kind(claims.told_and_restarted(claims.reset_to(claims.elsewhere))),
     "configured elsewhere": Kind(claims.told(claims.started_at(claims.elsewhere))),
     "configured here": Kind(claims.told(claims.started_at(claims.here))),
+    "moved over night": Kind(carried.restart(True, changes.NIGHT_S)),
 }
 CARRIED_KINDS = (
     "carried 1 tile dark",

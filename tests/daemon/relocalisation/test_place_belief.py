@@ -7,14 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo.daemon.relocalisation.evidence.view_evidence import ALIKE
-from ceilvo.daemon.relocalisation.lattice import rival_poses
+from ceilvo.daemon.relocalisation.lattice import of_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import (
     LEAD_M,
     LEAST,
     LEAST_UNKNOWN,
     MOST_PLACES,
     PlaceBelief,
-    of_tracked,
 )
 
 RIVALS = np.array([[0.6, 0.0, 0.0], [0.0, -0.6, 0.0], [0.3, 0.3, 0.5 * np.pi]])
