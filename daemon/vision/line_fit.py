@@ -114,9 +114,9 @@ class JointFit:
     ) -> None:
         """several: the ceiling has several heights, so that a line may be two."""
         self.psi = psi
-        self._several, self._by_pieces = several, False
+        self._tilts: bool | None = None
         self.tilt = tilt_rad
-        self.focal_px, self._config, self._readout = focal_px, config, readout
+        self.focal_px, self._config, self._readout, self._several = focal_px, config, readout, several
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
         self._x, self._y, self.ends = points.x, points.y, points.ends
         self.restart(starts)
@@ -177,8 +177,8 @@ class JointFit:
         """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""
         if not len(self.line) or not _is_tilt(self.tilt, self.covariance):
             return False
-        if self._by_pieces:
-            return True
+        if self._tilts is not None:
+            return self._tilts
         moved, cov = self._step_by_pieces()
         return _is_tilt(self.tilt + moved[1:], _widened(cov))
 
@@ -307,9 +307,10 @@ class JointFit:
         """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt."""
         moved, cov = self._step_by_pieces()
         cov = _PIECES_FACTOR * cov
+        self._tilts = _is_tilt(self.tilt + moved[1:], cov)
         if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):
             self.psi += float(moved[0])
-            self.tilt, self.covariance, self._by_pieces = self.tilt + moved[1:], cov, True
+            self.tilt, self.covariance = self.tilt + moved[1:], cov
             self._settle()
 
     def _leave_out_double(self) -> None:
