@@ -12,7 +12,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.kernel.arguments import Ends, Step
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.daemon.vision.tilt_prior import TiltPrior, widened
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
 
@@ -46,14 +46,8 @@ _DOUBT_SIGMAS = 3.0
 _DOUBLE, _DOUBLE_ROUNDS = 2.0, 3
 """A line is two whose points scatter by so many times what half of the points do; and how often that is asked; chosen:
 two lines half a pixel apart scatter by four times as much, and what they bent by twice at first."""
-_WEAK_RAD = np.radians(0.014)
-"""A tilt known to this has its error doubled, a weaker one more; chosen: with few lines tilt rests on
-what no noise model knows, such as bloom of lamps and remains of the lens."""
 _PIECES_FACTOR = 4.0
 """On the variance of a tilt by lines that end at their gaps: twice the error, as of weak ones; chosen."""
-_ANY_TILT_RAD = 1.0
-"""No tilt's standard deviation grows beyond that: it is not known at all, and of squares that are larger a prior leaves
-rounding errors, which may be negative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +109,7 @@ class JointFit:
         """several: the ceiling has several heights, so that a line may be two."""
         self.psi = psi
         self._tilts: bool | None = None
+        self._whole: tuple[float, Array, Array] | None = None
         self.tilt = tilt_rad
         self.focal_px, self._config, self._readout, self._several = focal_px, config, readout, several
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
@@ -180,7 +175,7 @@ class JointFit:
         if self._tilts is not None:
             return self._tilts
         moved, cov = self._step_by_pieces()
-        return _is_tilt(self.tilt + moved[1:], _widened(cov))
+        return _is_tilt(self.tilt + moved[1:], widened(cov))
 
     def _step_by_pieces(self) -> tuple[Array, Array]:
         """(3,) by how much direction and tilt are off by lines that end at their gaps, and (3, 3) the error of that."""
@@ -266,13 +261,20 @@ class JointFit:
         self.covariance = self.covariance + np.diag([0.0, _HELD_RAD**2, _HELD_RAD**2])
 
     def apply_prior(self, prior: TiltPrior) -> None:
-        """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation."""
+        """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation.
+
+        Blurred pieces are a degree off and sure of it: where they disagree it is by whole lines.
+        """
         (off_x, off_y), cov = (prior.mean_rad - self.tilt).tolist(), self.covariance.tolist()
         sigma_x, sigma_y = prior.sigma_rad.tolist()
         a, b, c, d = cov[1][1] + sigma_x**2, cov[1][2], cov[2][1], cov[2][2] + sigma_y**2
         det = a * d - b * c
         a, b, c, d = d / det, -b / det, -c / det, a / det  # plain numbers: numpy takes longer to be asked
         if (a * off_x + b * off_y) * off_x + (c * off_x + d * off_y) * off_y > _TILT_CHI2:
+            if self._whole is not None:
+                whole, self._whole = self._whole, None
+                self._be(*whole)
+                self.apply_prior(prior)
             return
         gain = [(r[1] * a + r[2] * c, r[1] * b + r[2] * d) for r in cov]
         turn, x, y = (u * off_x + v * off_y for u, v in gain)
@@ -290,18 +292,19 @@ class JointFit:
         )
 
     def finish(self, pieces: bool = True) -> TiltPrior:
-        """The last round; returns the tilt of this frame alone; pieces: where it is vague, lines end at their gaps."""
+        """The last round; returns the tilt by this frame's whole lines; pieces: where vague, use those without gaps."""
         if self._readout is not None:
             self._unbend()
         self.assign(self.last_gate_px())
         self.solve()
         if self._several and len(self.line):
             self._leave_out_double()
-        self.covariance = _widened(self.covariance)
-        vague = np.max(self.covariance[[1, 2], [1, 2]]) > _VAGUE_RAD**2
+        self.covariance = widened(self.covariance)
+        free = TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
+        vague = np.max(free.sigma_rad) > _VAGUE_RAD
         if vague and pieces and not self._several and self._config.estimate_tilt and len(self.line):
             self._trust_pieces()
-        return TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
+        return free
 
     def _trust_pieces(self) -> None:
         """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt."""
@@ -309,9 +312,12 @@ class JointFit:
         cov = _PIECES_FACTOR * cov
         self._tilts = _is_tilt(self.tilt + moved[1:], cov)
         if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):
-            self.psi += float(moved[0])
-            self.tilt, self.covariance = self.tilt + moved[1:], cov
-            self._settle()
+            self._whole = self.psi, self.tilt, self.covariance
+            self._be(self.psi + float(moved[0]), self.tilt + moved[1:], cov)
+
+    def _be(self, psi: float, tilt: Array, covariance: Array) -> None:
+        self.psi, self.tilt, self.covariance = psi, tilt, covariance
+        self._settle()
 
     def _leave_out_double(self) -> None:
         """Direction and tilt without lines that are two, of different heights, which meet: those seem bent by tilt."""
@@ -335,14 +341,6 @@ class JointFit:
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""
         return np.asarray(self.noise_px * np.sqrt(self.correlated / np.maximum(self.support, 1)) + _SIGMA_FLOOR_PX)
-
-
-def _widened(covariance: Array) -> Array:
-    """(3, 3) of psi and tilt, with what few lines do not show of the tilt's error."""
-    own = covariance[[1, 2], [1, 2]]
-    most = np.maximum(_ANY_TILT_RAD / np.sqrt(own), 1.0)
-    grow = np.append(1.0, np.minimum(1.0 + own / _WEAK_RAD**2, most))
-    return np.asarray(covariance * grow * grow[:, None])
 
 
 def _is_tilt(tilt_rad: Array, covariance: Array) -> bool:

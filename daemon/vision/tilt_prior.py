@@ -22,6 +22,12 @@ _FAIR_SIGMA_RAD = np.radians(0.1)
 """A frame that knows the tilt to this counts half; chosen: one lamp counts for little (test_line_detection.py)."""
 _FLOOR_RAD = np.radians(0.0005)
 """Least standard deviation of a prior; chosen: 0.02 mm on a ceiling 2.2 m high; 0 would be certainty."""
+_WEAK_RAD = np.radians(0.014)
+"""A tilt known to this has its error doubled, a weaker one more; chosen: with few lines tilt rests on
+what no noise model knows, such as bloom of lamps and remains of the lens."""
+_ANY_TILT_RAD = 1.0
+"""No tilt's standard deviation grows beyond that: it is not known at all, and of squares that are larger a prior leaves
+rounding errors, which may be negative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,3 +79,11 @@ class TiltTracker:
         own_var_rad2 = np.maximum(s.var_rad2 - s.noise_var_rad2, 0.0)
         mean_var_rad2 = s.noise_var_rad2 / min(s.weight, _MEMORY_FRAMES)
         return TiltPrior(s.mean_rad, np.sqrt(_SPREAD_FACTOR * own_var_rad2 + mean_var_rad2 + _FLOOR_RAD**2))
+
+
+def widened(covariance: Array) -> Array:
+    """(3, 3) of psi and tilt, with what few lines do not show of the tilt's error."""
+    own = covariance[[1, 2], [1, 2]]
+    most = np.maximum(_ANY_TILT_RAD / np.sqrt(own), 1.0)
+    grow = np.append(1.0, np.minimum(1.0 + own / _WEAK_RAD**2, most))
+    return np.asarray(covariance * grow * grow[:, None])
