@@ -145,6 +145,8 @@ class PlaceBelief:
 
     @property
     def _against_changed(self) -> float:
+        if self.changed == -np.inf:  # nobody asks: every frame in doubt would for its reason
+            return 0.0
         seen = self.seen + self._of_spot
         best = int(np.argmax(self.log_weight + seen[:, 0]))
         return float(self.log_weight[best] + combined(seen[best] * [1.0, SAME_LAMP]))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from beliefs import spot
 
+from ceilvo.bench.place.faults.changes import NIGHT_S
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 
 RATE = 1e-4
 TILE_M = np.array([0.6, 0.6])
-NIGHT_S = 8.0 * 3600.0
 FAR = np.array([[40.0, 7.2, 0.0]])
 
 
