@@ -8,6 +8,7 @@ import numpy as np
 
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
 from ceilvo.daemon.odometry.points.lean import LeanState
+from ceilvo.daemon.odometry.points.sliding_state import SlidingState
 from ceilvo.types import Array, Crossings
 
 
@@ -34,6 +35,7 @@ class VisualOdometryState:
         special_disagreeing: the same of those of all types but the commonest.
         twist_change: (3,) [m/s, m/s, rad/s] of the twist from the step before to the last.
         lean: how far a robot that rocks may be off, where only points tell its motion.
+        sliding: features that are followed to see whether they are the ceiling's.
     """
 
     reference: Crossings | None = None
@@ -54,3 +56,4 @@ class VisualOdometryState:
     special_disagreeing: float = 0.2
     twist_change: Array = field(default_factory=lambda: np.zeros(3))
     lean: LeanState = field(default_factory=LeanState)
+    sliding: SlidingState = field(default_factory=SlidingState)

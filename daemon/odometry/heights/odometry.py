@@ -14,7 +14,8 @@ from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
-from ceilvo.daemon.odometry.points.lean import learn, step_cov, view_cov
+from ceilvo.daemon.odometry.points.lean import learn, step_cov, sway_m, view_cov
+from ceilvo.daemon.odometry.points.sliding import Sliding
 from ceilvo.daemon.odometry.registration import points_of
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.types import Array, Crossings, Motion
@@ -35,6 +36,7 @@ class HeightsOdometry(VisualOdometry):
         super().__init__(config)
         self.slope = Slope(calibration)
         self.heights = Heights(calibration)
+        self._sliding = Sliding(calibration.mount_xy_m, calibration.ceiling_height_m)
         self._height_m = calibration.ceiling_height_m
         self.ask_map: AskMap = no_map
 
@@ -55,19 +57,20 @@ class HeightsOdometry(VisualOdometry):
         flat = self.slope.placed(crossings, expected)
         found = self.heights.look(flat, expected, self.ask_map)
         self.look_again(self.heights.reference() if self.heights.several else self.slope.reference())
-        return found
+        return self._sliding.look(self.state.sliding, found, expected)
 
     def learn(self, motion: Motion, placed: Crossings | None) -> Crossings | None:
         """What the motion says about the ceiling; returns the crossings, where they are known to be now."""
         self.heights.learn(motion)
         self.slope.learn(motion)
+        self._sliding.learn(self.state.sliding, motion, sway_m(self.state.lean))
         anew = None if self.heights.several else self.slope.reference()
         return placed if anew is None else anew
 
     @property
     def misplaced(self) -> Array:
         """(N, 2) in base, where crossings of the last frame were taken to be until it told otherwise."""
-        return np.vstack([self.heights.misplaced, self.slope.misplaced])
+        return np.vstack([self.heights.misplaced, self.slope.misplaced, self._sliding.misplaced])
 
     def directed(self, crossings: Crossings) -> Crossings:
         seen = super().directed(crossings)

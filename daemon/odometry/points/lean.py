@@ -82,6 +82,12 @@ def view_cov(state: LeanState) -> Array:
     return _ALIKE * np.diag(np.maximum(np.maximum(state.view_m2, state.last_view_m2), 0.0))
 
 
+def sway_m(state: LeanState) -> float:
+    """Standard deviation by which a lean moves a view, infinite until it was measured for long enough."""
+    known = state.frames >= _FRAMES
+    return float(np.sqrt(np.max(view_cov(state)))) if known else np.inf
+
+
 def _by_lean(ref: Points, curr: Points, ref_from_curr: Array, height_m: float) -> tuple[Array, Array] | None:
     """(2,) m by which the translation differs where a lean is fitted as well, and (2,) the variance of that by the
     points' own error; None where they do not tell."""
