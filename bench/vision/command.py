@@ -47,6 +47,7 @@ COLUMNS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("failed\nrestart", (("failed", ".0f"), ("restarts", ".0f"))),
     ("wrong\n> 20 mm", (("wrong", ".0f"),)),
     ("TRACKING\n% worst mm", (("tracking_pct", ".0f"), ("tracking_worst_mm", ".1f"))),
+    ("usable\n% worst mm", (("usable_pct", ".0f"), ("usable_worst_mm", ".1f"))),
     ("time/Canny\nmed p99", (("time_median", ".2f"), ("time_p99", ".2f"))),
     ("edges lines\ncross. odom.", tuple((f"time_{s}", ".1f") for s in ("edges", "lines", "crossings", "odometry"))),
     ("KLT\n% time", (("klt_drift_pct", ".2f"), ("klt_time", ".1f"))),

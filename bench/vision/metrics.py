@@ -11,7 +11,7 @@ error of the calibration or of the estimated tilt counts as an error of the cros
   lamp saturates the sensor, so its edge is seen more than a pixel outside of where it is.
 - Where the pipeline is given a wrong calibration, all crossings are off by it: `FOUND_WRONG_CALIBRATION_PX` instead.
 - motion: a good motion against the true one since the last good frame; NEES of the same with the motion's covariance.
-- tracking: share of frames in TRACKING, and their worst pose.
+- tracking: share of frames in TRACKING, and their worst pose; usable: the same in TRACKING or DEGRADED.
 - drift: worst position error of the integrated motions over the path's length.
 """
 
@@ -222,18 +222,23 @@ class TrackingScore:
     def __init__(self, start: Array) -> None:
         self._start = np.array(start, np.float64)
         self._frames = 0
-        self._errors_m: list[float] = []
+        self._errors_m: dict[State, list[float]] = {State.TRACKING: [], State.DEGRADED: []}
 
     def add(self, estimate: Estimate, true: Array) -> None:
         """One frame's estimate, which begins at the origin, and the true pose (3,) at its time."""
         self._frames += 1
-        if estimate.state == State.TRACKING:
-            self._errors_m.append(float(np.hypot(*(se2.compose(self._start, estimate.pose) - true)[:2])))
+        if estimate.state in self._errors_m:
+            off = (se2.compose(self._start, estimate.pose) - true)[:2]
+            self._errors_m[estimate.state].append(float(np.hypot(*off)))
 
     def figures(self) -> dict[str, float]:
+        tracking = self._errors_m[State.TRACKING]
+        usable = tracking + self._errors_m[State.DEGRADED]
         return {
-            "tracking_pct": _percent(len(self._errors_m), self._frames - len(self._errors_m)),
-            "tracking_worst_mm": 1e3 * max(self._errors_m, default=0.0),
+            "tracking_pct": _percent(len(tracking), self._frames - len(tracking)),
+            "tracking_worst_mm": 1e3 * max(tracking, default=0.0),
+            "usable_pct": _percent(len(usable), self._frames - len(usable)),
+            "usable_worst_mm": 1e3 * max(usable, default=0.0),
         }
 
 

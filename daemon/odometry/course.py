@@ -26,6 +26,14 @@ JUMPED = 0.5
 """Chance that somebody moved the robot, after a view that does not fit the reference as a robot moves: as likely as
 that it was damaged; chosen."""
 
+CARRIED_PS = 1e-4
+"""Chance per second that somebody moves the robot, or that wheels say something else altogether; chosen: thrice in an
+eight-hour shift. Alternatives beyond all prediction are weighed with it."""
+
+_MISTAKEN, _AGAIN = 1e-3, 0.5
+"""Chance that a view of few lines and points gives no motion, or one that no robot makes; measured on laps under lamps,
+slats and hexagons: 0 to 8 of 1,666 frames. And that the next one does as well; chosen."""
+
 NOWHERE = np.empty((0, 3))
 """No displacements."""
 
@@ -102,6 +110,29 @@ def moved_by_hand(jump: Array | None, course: Course) -> float:
     shift = math.pi * float(off[0] ** 2 + off[1] ** 2) / SMALLEST_TILE_M**2
     turn = abs(se2.wrap(float(off[2]))) / (0.25 * math.pi)
     return JUMPED * min(max(shift, turn), 1.0)
+
+
+def moved_or_mistaken(jump: Array | None, failed: int, course: Course) -> float:
+    """moved_by_hand() of the last of `failed` views in a row where points help out: there views are mistaken so often
+    that one of them tells little of a hand."""
+    mistaken = _MISTAKEN * _AGAIN ** (failed - 1)
+    return moved_by_hand(jump, course) * min(CARRIED_PS * course.elapsed_s / mistaken, 1.0)
+
+
+def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int, elapsed_s: float) -> float:
+    """Probability that somebody moved the robot, of `failed` views in a row that show few points and fit nothing: each
+    point comes and goes by itself, so a few of them do all at once.
+
+    Args:
+        points: of the last view.
+        needed: that must agree.
+        disagreeing: fraction of the points that usually do not.
+        elapsed_s: since the last good view.
+    """
+    stays = 1.0 - disagreeing
+    too_few = sum(math.comb(points, k) * stays**k * disagreeing ** (points - k) for k in range(min(needed, points + 1)))
+    moved = CARRIED_PS * elapsed_s
+    return min(JUMPED, moved / (moved + too_few**failed))
 
 
 def contradicted(found: Registration, config: Odometry, course: Course) -> str:

@@ -10,7 +10,8 @@ import math
 from dataclasses import dataclass, replace
 
 from ceilvo.daemon.odometry.course import DIRECTION_SIGMAS, Course
-from ceilvo.daemon.odometry.registration import Registration, direction_change, has_points
+from ceilvo.daemon.odometry.points.constellation import has_points
+from ceilvo.daemon.odometry.registration import Registration, direction_change
 from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
 from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap
@@ -102,13 +103,15 @@ def with_direction(crossings: Crossings, psi_rad: float) -> Crossings:
 def as_expected(crossings: Crossings, ref: Crossings, course: Course, gate_rad: float) -> Crossings:
     """The crossings with the direction that is predicted where lines tell none, or one that is not the ceiling's.
 
-    Where few lines cross, their direction may be that of other lines than before: hexagons have three.
+    Where few lines cross, their direction may be that of other lines than before: hexagons have three. So it may when
+    lines suffice again after the direction was carried on over points.
     """
     predicted = ref.psi_rad - float(course.guess[2])
     vague = math.hypot(course.carried_rad, math.sqrt(course.cov[2, 2]))
     off = abs(fold_direction(crossings.psi_rad - predicted)[0])
-    few = has_points(crossings) and ref.directed and off > gate_rad + DIRECTION_SIGMAS * vague
-    return with_direction(crossings, predicted) if few else oriented(crossings, predicted)
+    other = off > gate_rad + DIRECTION_SIGMAS * vague
+    few = has_points(crossings) or course.carried_rad > 0.0
+    return with_direction(crossings, predicted) if few and ref.directed and other else oriented(crossings, predicted)
 
 
 def held(

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import LINE_CROSSINGS, commonest, quarter_turns, turned_type
+from ceilvo.crossing_types import LAMP, LINE_CROSSINGS, commonest, quarter_turns, turned_type
 from ceilvo.daemon.odometry import kernel
+from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
 from ceilvo.daemon.odometry.matching import consistent, mutual_nearest
-from ceilvo.daemon.odometry.points.constellation import Points
-from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion
+from ceilvo.daemon.odometry.points.constellation import Points, has_points
+from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
 from ceilvo.robust import median
 from ceilvo.types import Array, Crossings, Ints
+
+Bools = NDArray[np.bool_]
 
 MIN_AGREEING = 1.0 / 3.0
 """Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
@@ -31,6 +35,15 @@ _MOST = 300
 """Crossings of a view that are laid on the other one, which may have more; chosen for time: open cells show 1,100."""
 _MIN_VIEW_M = 1e-9
 """Crossings all in one place: not divided by 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """A rotation that lines tell, its standard deviation, and their direction."""
+
+    rad: float
+    sigma_rad: float
+    axis_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +102,10 @@ def register(
     turn = float(guess[2])
     kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
     i, j = mutual_nearest(se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, radius_m)
-    need = fewest(crossings, config)
-    if narrow and ref.directed and crossings.directed:
+    need, by_lines = fewest(crossings, config), crossings.directed and ref.directed
+    if need < _FEWEST_POINTS and not by_lines:
+        need = _FEWEST_POINTS
+    if narrow and by_lines:
         need = min(need, _FEWEST_POINTS)
     if len(i) < need:
         return None, f"{len(i)} of {len(crossings)} crossings matched, {need} needed"
@@ -106,11 +121,15 @@ def register(
             before,
             config.residual_sigmas,
             config.residual_max_m,
-            need,
+            max(need, _FEWEST_POINTS),
             [median_translation(seen, before, turn, ref.psi_rad)],
             _independent_sigma_m(crossings, i) + _independent_sigma_m(ref, j),
             np.hypot(_own_sigma_m(crossings, i), _own_sigma_m(ref, j)) if by_points else None,
         )
+    if by_points and by_lines and (fit is None or abs(se2.wrap(fit.b_from_a[2] - turn)) > config.heading_gate_rad):
+        told = _Turn(turn, math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad), ref.psi_rad)
+        own_m = np.hypot(_own_sigma_m(crossings, i), _own_sigma_m(ref, j))
+        fit = _turned_as_lines(seen, before, own_m, kinds[i] == LAMP, told, config) or fit
     if fit is None:
         return None, "too few consistent correspondences"
     shown, overlap = min(len(crossings), len(ref)), _overlap(fit, ref)
@@ -118,11 +137,42 @@ def register(
     here, then = kinds != common, ref.crossing_type != common
     special = int(np.count_nonzero(here[i[fit.used]]))
     special_shown = min(np.count_nonzero(here), np.count_nonzero(then))
-    by_lines = crossings.directed and ref.directed
     return (
         Registration(fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap, by_lines),
         "",
     )
+
+
+def _turned_as_lines(
+    seen: Array, before: Array, own_m: Array, lamp: Bools, turn: _Turn, config: Odometry
+) -> RigidFit | None:
+    """The motion by most of a few points and the rotation of the lines, where another rotation fits the points best:
+    of three points one that is mistaken turns the rest. By one lamp where no others agree, for one lamp can only be
+    itself. None where there is neither.
+
+    Args:
+        own_m: (N,) standard deviation of a point's displacement.
+        lamp: (N,) points that are lamps.
+    """
+    near_m = np.maximum(config.residual_sigmas * own_m, config.residual_max_m)
+    way, used = median_translation(seen, before, turn.rad, turn.axis_rad), np.zeros(len(seen), bool)
+    for _ in range(2):  # of those near the median, and of those near that
+        used = np.hypot(*(before - se2.transform(way, seen)).T) <= near_m
+        if np.count_nonzero(used) < max(_FEWEST_POINTS, 0.5 * len(seen)):
+            return _held_by(lamp, seen, before, own_m, turn) if np.count_nonzero(lamp) == 1 else None
+        fit = _held_by(used, seen, before, own_m, turn)
+        way = fit.b_from_a
+    return fit
+
+
+def _held_by(used: Bools, seen: Array, before: Array, own_m: Array, turn: _Turn) -> RigidFit:
+    """The motion by the points that are used, with a known rotation."""
+    weight, theta = 1.0 / np.maximum(own_m, CORNER_SIGMA_M) ** 2, np.array([0.0, 0.0, turn.rad])
+    unsure = RigidFit(theta, used, 0.0, np.zeros((3, 3)), float(np.mean(own_m[used] ** 2)), weight)
+    way = with_known_rotation(unsure, seen, before, turn.rad, turn.sigma_rad).b_from_a
+    off2 = np.sum((before - se2.transform(way, seen))[used] ** 2, axis=1)
+    fit = replace(unsure, rms_m=math.sqrt(np.mean(off2)), variance_m2=max(unsure.variance_m2, 0.5 * np.mean(off2)))
+    return with_known_rotation(fit, seen, before, turn.rad, turn.sigma_rad)
 
 
 def _some(crossings: Crossings) -> Crossings:
@@ -133,11 +183,6 @@ def _some(crossings: Crossings) -> Crossings:
     return crossings.of((np.arange(len(crossings)) % stride == 0) | (crossings.crossing_type >= LINE_CROSSINGS))
 
 
-def has_points(crossings: Crossings) -> bool:
-    """Whether there are other features than crossings of lines."""
-    return int(crossings.crossing_type.max(initial=0)) >= LINE_CROSSINGS
-
-
 def points_of(crossings: Crossings) -> Points:
     """Those features that are no crossings of lines."""
     which = np.flatnonzero(crossings.crossing_type >= LINE_CROSSINGS)
@@ -145,8 +190,12 @@ def points_of(crossings: Crossings) -> Points:
 
 
 def fewest(crossings: Crossings, config: Odometry) -> int:
-    """Correspondences that make a motion: two points do, each of which was seen as a whole."""
-    return min(_FEWEST_POINTS, config.min_inliers) if has_points(crossings) else config.min_inliers
+    """Correspondences that make a motion: of points, each of which was seen as a whole, two, or a lamp where lines tell
+    the direction."""
+    if not has_points(crossings):
+        return config.min_inliers
+    held = crossings.directed and bool(np.any(crossings.crossing_type == LAMP))
+    return min(1 if held else _FEWEST_POINTS, config.min_inliers)
 
 
 def expected_turn(ref: Crossings, crossings: Crossings, predicted_rad: float) -> float:

@@ -18,6 +18,7 @@ from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, goes_on_turning, twist_prior
 from ceilvo.daemon.odometry.course import (
+    CARRIED_PS,
     JUMPED,
     NOWHERE,
     Course,
@@ -26,6 +27,8 @@ from ceilvo.daemon.odometry.course import (
     judged,
     measured_twist,
     moved_by_hand,
+    moved_or_flickered,
+    moved_or_mistaken,
 )
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
@@ -37,12 +40,12 @@ from ceilvo.daemon.odometry.heading_fusion import (
     with_direction,
 )
 from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
-from ceilvo.daemon.odometry.points.constellation import LEANS, laid
+from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
 from ceilvo.daemon.odometry.registration import (
+    MIN_AGREEING,
     Registration,
     expected_turn,
     fewest,
-    has_points,
     points_of,
     register,
     view_size_m,
@@ -58,11 +61,10 @@ _REFINE_M = 0.05
 """Match radius around a displacement that many crossings voted for; chosen: several bins of the votes."""
 _FALSE_RATE = 1e-4
 """Rate at which a displacement may be wrong that is reported without alternatives; the stated one of the daemon."""
-_CARRIED_PS = 1e-4
-"""Chance per second that somebody moves the robot, or that wheels say something else altogether; chosen: thrice in an
-eight-hour shift. Alternatives beyond all prediction are weighed with it."""
 _AS_LIKELY = 0.5
 """Doubt from which a displacement is as likely wrong as right."""
+_MANY = 10
+"""Features of a view that do not all come and go at once; as many as points are looked for below (vision/points)."""
 _USUAL_FRAMES = 45.0
 """Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
 _MOST_USUAL = 0.4
@@ -145,7 +147,7 @@ class VisualOdometry:
         if found.place is None:
             self.state.refused = found.jump
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
-            return self._after_failure(crossings, coasted, found.out_of_view, moved_by_hand(found.jump, course))
+            return self._after_failure(crossings, coasted, found.out_of_view, self._by_hand(crossings, found, course))
         return self._accept(self.state.reference, crossings, course, found, predicted)
 
     def directed(self, crossings: Crossings) -> Crossings:
@@ -191,7 +193,7 @@ class VisualOdometry:
         """The view on the reference: near the prediction where that suffices, else wherever it fits."""
         turn = expected_turn(ref, crossings, float(course.guess[2]))
         guess = np.array([course.guess[0], course.guess[1], turn])
-        carried = max(self.state.by_hand, min(_CARRIED_PS * course.elapsed_s, JUMPED))
+        carried = max(self.state.by_hand, min(CARRIED_PS * course.elapsed_s, JUMPED))
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         carried_s = math.inf if self.state.failed_frames else course.elapsed_s
         prior = Prior(course.guess, course.cov, carried, carried_s, usual[1])
@@ -200,6 +202,8 @@ class VisualOdometry:
         if narrow and not self.state.failed_frames and carried < JUMPED and near is not None and near.is_usual(usual):
             found = judged(Found(near), True, course, self._config)
             return found if found.jump is None else self._by_points(ref, crossings, course) or found
+        if min(len(ref), len(crossings)) == 1:  # a lamp: where it is expected, or nowhere
+            return judged(Found(near if narrow else None, why or _NO_FIT), True, course, self._config)
         alone = self._by_points(ref, crossings, course)
         if alone is not None:
             return alone
@@ -303,6 +307,16 @@ class VisualOdometry:
         if predicted.by_wheels and dt_s > 0.0:  # they also say how it goes on without them
             s.twist, s.twist_span_s, s.since_twist_s = predicted.prev_from_curr / dt_s, dt_s, 0.0
         return replace(predicted, failure=why)
+
+    def _by_hand(self, crossings: Crossings, found: Found, course: Course) -> float:
+        """Probability that somebody moved the robot, of a view that gave no motion."""
+        s, n = self.state, len(crossings)
+        if not has_points(crossings):
+            return moved_by_hand(found.jump, course)
+        if found.jump is not None or n >= _MANY:
+            return moved_or_mistaken(found.jump, s.failed_frames + 1, course)
+        needed = max(fewest(crossings, self._config), math.ceil(MIN_AGREEING * n))
+        return moved_or_flickered(n, needed, s.disagreeing, s.failed_frames + 1, course.elapsed_s)
 
     def _after_failure(self, crossings: Crossings, motion: Motion, out_of_view: bool, by_hand: float) -> Motion:
         """Where the reference is out of view, or several frames did not fit it, go on from here.

@@ -344,5 +344,6 @@ class JointFit:
 
 
 def _is_tilt(tilt_rad: Array, covariance: Array) -> bool:
-    """Whether a level robot would hardly show that; covariance: (3, 3) of psi and tilt."""
-    return float(tilt_rad @ np.linalg.solve(covariance[1:, 1:], tilt_rad)) > _TILT_CHI2
+    """Whether a robot as level as floors are would hardly show that; covariance: (3, 3) of psi and tilt."""
+    level = covariance[1:, 1:] + _HELD_RAD**2 * np.eye(2)
+    return float(tilt_rad @ np.linalg.solve(level, tilt_rad)) > _TILT_CHI2

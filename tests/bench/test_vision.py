@@ -156,13 +156,15 @@ def test_only_poses_in_tracking_are_held_to_what_they_claim() -> None:
     true = drive(2)
     score = TrackingScore(true[0])
     moved = se2.between(true[0], true[1])
-    for state, off_m in ((State.TRACKING, 0.03), (State.LOST, 9.0)):
+    for state, off_m in ((State.TRACKING, 0.03), (State.DEGRADED, 0.07), (State.LOST, 9.0), (State.LOST, 9.0)):
         pose = se2.between(true[0], true[1] + np.array([0.0, off_m, 0.0]))
         assert off_m > 0 < np.hypot(*(pose - moved)[:2])
         score.add(SimpleNamespace(state=state, pose=pose), true[1])
     figures = score.figures()
-    assert figures["tracking_pct"] == 50.0
+    assert figures["tracking_pct"] == 25.0
     assert abs(figures["tracking_worst_mm"] - 30.0) < 1e-6
+    assert figures["usable_pct"] == 50.0
+    assert abs(figures["usable_worst_mm"] - 70.0) < 1e-6
 
 
 @pytest.mark.parametrize("method", [PointTracker, DescriptorMatcher])

@@ -9,11 +9,11 @@ import numpy as np
 
 from ceilvo.calibration import Calibration
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
+from ceilvo.daemon.odometry.points.constellation import has_lines
 from ceilvo.daemon.odometry.points.lean import learn, step_cov, sway_m, view_cov
 from ceilvo.daemon.odometry.points.sliding import Sliding
 from ceilvo.daemon.odometry.registration import points_of
@@ -74,7 +74,7 @@ class HeightsOdometry(VisualOdometry):
 
     def directed(self, crossings: Crossings) -> Crossings:
         seen = super().directed(crossings)
-        self.state.lean.told = _tells_tilt(seen)
+        self.state.lean.told = has_lines(seen)
         if self.state.lean.told:
             return seen
         shared = view_cov(self.state.lean)
@@ -82,15 +82,10 @@ class HeightsOdometry(VisualOdometry):
 
     def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
         motion, lean = super()._accept(ref, crossings, course, found, predicted), self.state.lean
-        if _tells_tilt(ref) or _tells_tilt(crossings) or found.place is None:
+        if has_lines(ref) or has_lines(crossings) or found.place is None:
             return motion
         moved = found.place.fit.b_from_a
         learn(lean, points_of(ref), points_of(crossings), moved, course.elapsed_s, self._height_m)
         cov = motion.cov.copy()
         cov[:2, :2] += step_cov(lean)
         return replace(motion, cov=cov)
-
-
-def _tells_tilt(crossings: Crossings) -> bool:
-    """Whether lines cross there: else the robot was taken to be as level as it was."""
-    return bool(np.any(crossings.crossing_type < LINE_CROSSINGS))

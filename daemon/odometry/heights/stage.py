@@ -14,7 +14,7 @@ from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN, Bools, Tracks
-from ceilvo.daemon.odometry.registration import has_points
+from ceilvo.daemon.odometry.points.constellation import has_points
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints, Motion
 

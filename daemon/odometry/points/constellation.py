@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.types import Array, Ints
+from ceilvo.crossing_types import LINE_CROSSINGS
+from ceilvo.types import Array, Crossings, Ints
 
 FASTEST_MPS, FASTEST_RADPS = 10.0, 10.0
 """Nothing that looks at a ceiling moves faster, driven or carried; chosen, as for robots that are carried
@@ -55,6 +56,16 @@ class Laid:
     ref_from_curr: Array
     met: int
     alone: bool
+
+
+def has_points(crossings: Crossings) -> bool:
+    """Whether there are other features than crossings of lines."""
+    return int(crossings.crossing_type.max(initial=0)) >= LINE_CROSSINGS
+
+
+def has_lines(crossings: Crossings) -> bool:
+    """Whether lines cross there, which tell the tilt: else the robot was taken to be as level as it was."""
+    return bool(np.any(crossings.crossing_type < LINE_CROSSINGS))
 
 
 def laid(ref: Points, curr: Points, guess: Array, elapsed_s: float, config: Odometry) -> Laid | None:

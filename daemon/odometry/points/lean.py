@@ -19,13 +19,16 @@ _FEWEST = 4
 """Points that tell motion and lean, with three equations to spare."""
 _FRAMES = 45.0
 """That mean and variances are taken over, as for the tilt that lines tell: 1.5 s at 30 Hz; chosen."""
+_KNOWN = 40.0
+"""Of which so many tell whether it rocks at all; chosen: 1.3 s at 30 Hz."""
+_STEP_M, _VIEW_M = 0.005, 0.015
+"""What is looked for in a step and in a view: where points tell it with that standard deviation, a frame counts half.
+Chosen: 2 deg at 0.4 Hz move a step of 30 Hz by 6 mm, and from 15 mm on it is said."""
 _SWAY_S = 2.0
 """Time constant in which a lean is taken to be over: bodies sway at 0.3 Hz and faster; chosen."""
 _ALIKE = 4.0
 """Views that err alike while a body sways, which a filter takes to err each on its own; chosen: ten a second, and a
 sway of 0.3 to 0.7 Hz."""
-_SHORTEST_S = 1e-3
-"""Steps are not taken to be shorter."""
 _SIGMAS = 4.0
 """Residual by which a point is left out, of its own standard deviation; as in eq. 16."""
 
@@ -35,20 +38,23 @@ class LeanState:
     """In the steps so far, along base x and y.
 
     Attributes:
-        frames: steps that told, at most those of the mean.
+        frames: steps that told, each by how well, at most those of the mean; view_frames: the same of views.
         mean_m: (2,) by which a lean would change a step, on average.
         step_m2: (2,) variance of that about the mean, what the points' own error makes taken off.
-        sway_m: (2,) the sum of the last seconds.
-        view_m2: (2,) its mean square.
+        sway_m: (2,) the sum of the last seconds; sway_noise_m2: (2,) its variance by the points' own error.
+        view_m2: (2,) its mean square; slow_m2: (2,) the mean of that.
         last_step_m2, last_view_m2: (2,) the squares themselves.
         told: lines told the tilt of the last view.
     """
 
     frames: float = 0.0
+    view_frames: float = 0.0
     mean_m: Array = field(default_factory=lambda: np.zeros(2))
     step_m2: Array = field(default_factory=lambda: np.zeros(2))
     sway_m: Array = field(default_factory=lambda: np.zeros(2))
+    sway_noise_m2: Array = field(default_factory=lambda: np.zeros(2))
     view_m2: Array = field(default_factory=lambda: np.zeros(2))
+    slow_m2: Array = field(default_factory=lambda: np.zeros(2))
     last_step_m2: Array = field(default_factory=lambda: np.zeros(2))
     last_view_m2: Array = field(default_factory=lambda: np.zeros(2))
     told: bool = True
@@ -60,16 +66,28 @@ def learn(state: LeanState, ref: Points, curr: Points, ref_from_curr: Array, ela
     if found is None:
         return
     changed, noise = found
-    state.frames = min(state.frames + 1.0, _FRAMES)
-    rate = 1.0 / state.frames
+    if np.max(noise) > _VIEW_M**2:  # four points close together: one that is a centimetre off leans them by degrees
+        return
+    step = _tells(noise, _STEP_M)
     off = changed - state.mean_m
-    state.mean_m = state.mean_m + rate * off
-    state.last_step_m2 = off**2 - noise
-    state.step_m2 = state.step_m2 + rate * (state.last_step_m2 - state.step_m2)
-    state.sway_m = np.exp(-elapsed_s / _SWAY_S) * state.sway_m + off
-    steps = 0.5 * _SWAY_S / max(elapsed_s, _SHORTEST_S)  # whose noise the sum holds
-    state.last_view_m2 = state.sway_m**2 - steps * noise
-    state.view_m2 = state.view_m2 + rate * (state.last_view_m2 - state.view_m2)
+    state.mean_m = state.mean_m + step / (1.0 + state.frames) * off
+    excess = off**2 - noise
+    state.step_m2 = state.step_m2 + step / (1.0 + state.frames) * (excess - state.step_m2)
+    state.last_step_m2 = step * excess
+    goes_on = np.exp(-elapsed_s / _SWAY_S)
+    state.sway_m = goes_on * state.sway_m + off
+    state.sway_noise_m2 = goes_on**2 * state.sway_noise_m2 + noise
+    view = _tells(state.sway_noise_m2, _VIEW_M)
+    excess = state.sway_m**2 - state.sway_noise_m2
+    state.view_m2 = state.view_m2 + view / (1.0 + state.view_frames) * (excess - state.view_m2)
+    state.slow_m2 = state.slow_m2 + view / (1.0 + state.view_frames) * (state.view_m2 - state.slow_m2)
+    state.last_view_m2 = view * excess
+    state.frames, state.view_frames = min(state.frames + step, _FRAMES), min(state.view_frames + view, _FRAMES)
+
+
+def _tells(noise_m2: Array, sigma_m: float) -> float:
+    """From 0 to 1, how well something of sigma_m shows in noise of a variance (2,)."""
+    return float(sigma_m**2 / (sigma_m**2 + np.max(noise_m2)))
 
 
 def step_cov(state: LeanState) -> Array:
@@ -83,9 +101,10 @@ def view_cov(state: LeanState) -> Array:
 
 
 def sway_m(state: LeanState) -> float:
-    """Standard deviation by which a lean moves a view, infinite until it was measured for long enough."""
-    known = state.frames >= _FRAMES
-    return float(np.sqrt(np.max(view_cov(state)))) if known else np.inf
+    """Standard deviation by which leans moved a view until a second ago, infinite until they were measured for long
+    enough: points that are no part of the ceiling look like a lean at first."""
+    known = state.view_frames >= _KNOWN
+    return float(np.sqrt(_ALIKE * max(np.max(state.slow_m2), 0.0))) if known else np.inf
 
 
 def _by_lean(ref: Points, curr: Points, ref_from_curr: Array, height_m: float) -> tuple[Array, Array] | None:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.crossing_types import LAMP, LINE_CROSSINGS
-from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.odometry import kernel
+from ceilvo.daemon.odometry.points.constellation import has_lines, has_points
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
-from ceilvo.daemon.odometry.registration import has_points
 from ceilvo.types import Array, Crossings, Ints, Motion
 
 Bools = NDArray[np.bool_]
@@ -104,7 +104,7 @@ class Sliding:
         s.xy[track], s.camera[track] = xy, camera
         far = track[~(np.hypot(*(camera - s.measured[track]).T) < _STEP_M)]
         s.measured[far] = camera
-        s.sums[far] += _sums(s.xy[far], camera, 0.0 if _has_lines(crossings) else self._height_m**-2)
+        s.sums[far] += _sums(s.xy[far], camera, 0.0 if has_lines(crossings) else self._height_m**-2)
         before = s.slides.copy()
         _judge(s, sway_m)
         found = np.flatnonzero((s.slides & ~before)[track])
@@ -116,9 +116,8 @@ class Sliding:
         if len(s):
             share, sigma = _shares(s)[:2]
             moved = np.where(sigma < _KNOWN, share, 0.0)[:, None] * (self._camera(pose) - s.camera)
-            i, j = mutual_nearest(
-                se2.transform(pose, crossings.xy_base_m), _kind(crossings), s.xy + moved, s.kind, _GATE_M
-            )
+            seen = se2.transform(pose, crossings.xy_base_m)
+            i, j = kernel.mutual_nearest(seen, _kind(crossings), s.xy + moved, s.kind, _GATE_M)
             track[i] = j
         return track
 
@@ -129,10 +128,6 @@ class Sliding:
 def _of(which: Bools, track: Ints) -> Bools:
     """(N,) those of tracks (T,) that features have whose tracks are (N,), or -1."""
     return np.append(which, False)[track]
-
-
-def _has_lines(crossings: Crossings) -> bool:
-    return bool(np.any(crossings.crossing_type < LINE_CROSSINGS))
 
 
 def _kind(crossings: Crossings) -> Ints:
@@ -195,7 +190,7 @@ def _judge(s: SlidingState, sway_m: float) -> None:
     slides = even & (beyond > np.maximum(_SLIDES, unsure)) & (s.kind >= LINE_CROSSINGS)
     stays = even & (beyond + unsure < _SLIDES)
     s.slides, s.stays = slides | s.slides & ~stays, stays | s.stays & ~slides
-    s.glossy |= bool(np.any(slides))
+    s.glossy |= bool(np.any(slides & (s.kind == LAMP)))
 
 
 def _ceilings_share(s: SlidingState, share: Array, sigma: Array, even: Bools) -> tuple[float, float]:

@@ -23,7 +23,7 @@ class SlidingState:
             in m; and how far from the middle, over the height squared, in frames whose tilt no line told.
         missing: frames since each was seen.
         slides, stays: what it was found to do; neither while that is not known.
-        glossy: some slid, so that a lamp counts only once it is known to stay.
+        glossy: a lamp slid, so that a lamp counts only once it is known to stay.
     """
 
     pose: Array = field(default_factory=lambda: np.zeros(3))

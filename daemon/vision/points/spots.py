@@ -75,7 +75,7 @@ def find_spots(gray: Gray, places: Places, free: Gray) -> Found:
 def _extrema(octave: Floats, usable: Gray) -> tuple[Array, Array]:
     """(N, 2) places in an octave that stand out in all directions, and (N,) by how many grey levels."""
     off = cv2.GaussianBlur(octave, (0, 0), _INNER_PX) - cv2.GaussianBlur(octave, (0, 0), _OUTER_PX)
-    size = np.abs(off) * (usable > 0)
+    size = np.abs(off)
     seen = size[usable > 0]
     if len(seen) < _APART**2:
         return np.zeros((0, 2)), np.zeros(0)
@@ -110,9 +110,9 @@ def find_corners(gray: Gray, places: Places, free: Gray) -> Found:
     if brightest - darkest < CORNER_LEVELS:
         return NONE
     strong = np.asarray(cv2.cornerMinEigenVal(smooth, CORNER_BLOCK), np.float32)
-    strong *= free > 0
-    least = max(_CORNER_QUALITY * float(np.max(strong)), CORNER_LEAST)
-    row, column = np.nonzero((strong >= least) & (strong >= cv2.dilate(strong, _CORNER_AROUND)))
+    least = max(_CORNER_QUALITY * float(np.max(strong * (free > 0))), CORNER_LEAST)
+    # beside a lamp it rises up to the lamp's edge: that is no corner, wherever the search ends
+    row, column = np.nonzero((strong >= least) & (strong >= cv2.dilate(strong, _CORNER_AROUND)) & (free > 0))
     first = np.argsort(-strong[row, column], kind="stable")[:_MOST_CORNERS]
     if not len(first):
         return NONE

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ceilvo.daemon.odometry.course import JUMPED, Course, moved_by_hand
+from ceilvo.daemon.odometry.course import CARRIED_PS, JUMPED, Course, moved_by_hand, moved_or_flickered
 from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 
 SEED, TIMES = 5, 500
@@ -41,3 +41,26 @@ def test_a_hand_that_moves_a_robot_by_a_tile_is_seen_on_its_way(tile_m: float, d
         missed += max(chance(float(off), 0.0) for off in off_m) < UNLIKELY
     print(f"seed {SEED}: {missed} of {TIMES} unseen")
     assert missed == 0
+
+
+def test_a_few_points_that_come_and_go_are_no_hand_but_many_or_view_after_view_are() -> None:
+    one = moved_or_flickered(4, 2, 0.25, 1, 1 / 30)
+    again = moved_or_flickered(4, 2, 0.25, 5, 5 / 30)
+    many = moved_or_flickered(9, 3, 0.1, 1, 1 / 30)
+    print(
+        f"four points that fit nothing: {one:.1e}, five times in a row {again:.3f}; nine of ten that stay: {many:.3f}"
+    )
+    assert one < 1e-4 < again
+    assert many > UNLIKELY
+    assert moved_or_flickered(9, 3, 0.1, 8, 8 / 30) == JUMPED
+
+
+@pytest.mark.parametrize(("points", "needed", "disagreeing"), [(3, 2, 0.3), (5, 2, 0.4), (8, 3, 0.2)])
+def test_the_chance_that_a_few_points_flicker_alone_is_counted(points: int, needed: int, disagreeing: float) -> None:
+    stay = np.random.default_rng(SEED).random((200_000, points)) > disagreeing
+    counted = float(np.mean(np.count_nonzero(stay, axis=1) < needed))
+    elapsed_s = 0.01
+    said = moved_or_flickered(points, needed, disagreeing, 1, elapsed_s)
+    expected = CARRIED_PS * elapsed_s / (CARRIED_PS * elapsed_s + counted)
+    print(f"seed {SEED}: too few agree in {counted:.4f}")
+    assert said == pytest.approx(expected, rel=0.1)

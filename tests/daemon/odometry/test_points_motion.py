@@ -6,8 +6,9 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import JOINTS, LAMP
+from ceilvo.crossing_types import CORNER, JOINTS, LAMP
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
+from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
 
@@ -130,3 +131,85 @@ def test_lines_of_something_else_do_not() -> None:
     for psi, sigma in ((0.3, 1e-3), (0.01, 0.02)):
         other = replace(seen(np.zeros(3), TILES[:0], JOINTS, rng, psi), psi_sigma_rad=sigma)
         assert abs(odometry.step(other, STEP_S).prev_from_curr[2]) < 1e-3
+
+
+CORNERS = np.array([[0.52, -0.28], [0.52, -0.41], [0.52, -0.15], [0.83, 0.29]])
+FLICKERS = np.array([[0.0, 0.0], [0.0, 0.0], [-0.010, 0.0], [0.0, 0.021]])
+"""How far corners between slats were off from one frame to the next, m; the first is a lamp."""
+
+
+def _of_slats(pose: Array, rng: np.random.Generator, off: Array, count: int = 4) -> Crossings:
+    view = seen(pose, CORNERS[:count], CORNER, rng, fold_direction(-pose[2])[0])
+    return replace(
+        view, xy_base_m=view.xy_base_m + off[:count], crossing_type=np.array([LAMP, *[CORNER] * (count - 1)])
+    )
+
+
+def test_of_four_points_two_that_are_mistaken_do_not_turn_the_rest_against_the_lines() -> None:
+    """The view was said to have jumped: together with one that was mistaken the others fit another rotation best."""
+    off, failed = [], 0
+    for seed in range(30):
+        rng, odometry = np.random.default_rng(seed), VisualOdometry(Odometry())
+        for k in range(4):
+            motion = odometry.step(_of_slats(k * MOTION, rng, FLICKERS if k == 3 else 0.0 * FLICKERS), STEP_S)
+        failed += not motion.ok
+        off.append(np.abs(se2.between(se2.between(2 * MOTION, 3 * MOTION), motion.prev_from_curr)))
+    worst = np.max(off, axis=0)
+    print(f"seeds 0 to 29: {failed} failed, {1e3 * worst[:2].max():.1f} mm, {worst[2]:.4f} rad off at most")
+    assert failed == 0
+    assert worst[:2].max() < 0.006 and worst[2] < 0.002
+
+
+def test_one_lamp_and_the_lines_direction_give_the_motion_and_say_how_well() -> None:
+    """One lamp can only be itself; what it may be off by in a turn is the direction's part."""
+    rng, odometry, pose = np.random.default_rng(7), VisualOdometry(Odometry()), np.zeros(3)
+    errors, nees = [], []
+    for k in range(60):
+        count = 4 if k < 20 else 1
+        motion = odometry.step(_of_slats(pose, rng, 0.0 * FLICKERS, count), STEP_S)
+        if k > 20:
+            assert motion.ok and motion.inliers == 1, motion.failure
+            off = se2.between(MOTION, motion.prev_from_curr)
+            errors.append(np.abs(off[:2]))
+            nees.append(float(off @ np.linalg.solve(motion.cov, off)) / 3.0)
+        pose = se2.compose(pose, MOTION)
+    print(f"seed 7: {1e3 * np.max(errors):.2f} mm off at most, NEES/3 {np.mean(nees):.2f}")
+    assert np.max(errors) < 6.0 * SIGMA_M
+    assert 0.05 < np.mean(nees) < 2.0
+
+
+def test_one_lamp_that_is_another_one_is_no_motion() -> None:
+    rng, odometry = np.random.default_rng(8), VisualOdometry(Odometry())
+    for k in range(10):
+        odometry.step(_of_slats(k * MOTION, rng, 0.0 * FLICKERS, 1), STEP_S)
+    assert not odometry.step(_of_slats(10 * MOTION, rng, FLICKERS + 0.09, 1), STEP_S).ok
+
+
+def test_lines_of_another_direction_that_suffice_again_are_laid_on_what_was_seen_before() -> None:
+    """Hexagons show 40 crossings of another of their directions, with corners; then the crossings alone."""
+    rng, odometry, pose = np.random.default_rng(9), VisualOdometry(Odometry()), np.zeros(3)
+    for k in range(60):
+        other = np.radians(30.0) if k >= 10 else 0.0
+        view = seen(pose, TILES, JOINTS, rng, fold_direction(other - pose[2])[0])
+        if 5 <= k < 40:
+            corners = seen(pose, TILES + 0.2, CORNER, rng)
+            names = ("uv_px", "xy_base_m", "cov_base_m2", "crossing_type")
+            view = replace(view, **{n: np.concatenate([getattr(view, n), getattr(corners, n)]) for n in names})
+        motion = odometry.step(view, STEP_S)
+        assert k == 0 or motion.ok, f"frame {k}: {motion.failure}"
+        if k:
+            assert np.abs(se2.between(MOTION, motion.prev_from_curr)).max() < 3e-3
+        pose = se2.compose(pose, MOTION)
+
+
+def test_points_of_another_place_are_not_taken_for_those_that_were_there() -> None:
+    rng, taken = np.random.default_rng(4), 0
+    for _ in range(300):
+        odometry = VisualOdometry(Odometry())
+        for k in range(3):
+            odometry.step(_of_slats(k * MOTION, rng, 0.0 * FLICKERS), STEP_S)
+        elsewhere = rng.uniform(-0.8, 0.8, (4, 2))
+        motion = odometry.step(seen(3 * MOTION, elsewhere, CORNER, rng, fold_direction(-3 * MOTION[2])[0]), STEP_S)
+        taken += motion.ok
+    print(f"seed 4: {taken} of 300 taken")
+    assert taken <= 3

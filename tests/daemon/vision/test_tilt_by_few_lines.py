@@ -1,9 +1,11 @@
 """Lines that end at gaps: edges of two lamps may be taken for one long line, and hexagons have no long ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ceilvo.bench.vision.textures import HEXAGONS, TWO_LAMPS
+from ceilvo.bench.vision.textures import HEXAGONS, TWO_LAMPS, WOOD
 from ceilvo.config import Features
 from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.sim.motion import LapSpec, TiltSpec
@@ -25,6 +27,20 @@ def test_a_robot_that_is_level_under_two_lamps_is_not_said_to_lean(seed: int, be
         tilts.append(np.abs(lines.tilt_rad).max())
     leaning = np.count_nonzero(np.array(tilts) > TILTED_RAD)
     print(f"seed {seed}: {leaning} of {len(tilts)} views lean, {np.degrees(max(tilts)):.2f} deg at most")
+    assert leaning == 0
+
+
+def test_slats_that_tell_one_half_of_the_tilt_to_a_hundredth_of_a_degree_do_not_make_up_the_other() -> None:
+    """A floor is not that level. Half of the views leant by a degree along the slats, and steps were 8 cm off."""
+    spec = WorldSpec(seed=153, lap=LAP, ceiling=replace(WOOD, round_lamps=True), render=RenderSpec(footprint=True))
+    world = World(spec)
+    finder, tilts = LineFinder(world.calibration, Features()), []
+    for t_s in np.arange(21.3, 22.2, 1.0 / 15.0):
+        lines = finder(world.frame_at(float(t_s)), None)
+        assert lines is not None
+        tilts.append(np.abs(lines.tilt_rad).max())
+    leaning = np.count_nonzero(np.array(tilts) > 0.5 * TILTED_RAD)
+    print(f"seed 153: {leaning} of {len(tilts)} views lean, {np.degrees(max(tilts)):.2f} deg at most")
     assert leaning == 0
 
 

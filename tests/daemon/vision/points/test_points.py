@@ -1,5 +1,7 @@
 """Lamps, corners and spots against where they hang."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from point_ceilings import PLASTER_ROUND, VIEW_DEG, lamps_at, off_m
 
 from ceilvo import se2
+from ceilvo.bench.vision.textures import WOOD
 from ceilvo.config import Features
 from ceilvo.crossing_types import CORNER, LAMP, LINE_CROSSINGS, SPOT
 from ceilvo.daemon.odometry.matching import mutual_nearest
@@ -18,6 +21,7 @@ from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec
+from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Array, Frame
 
@@ -137,3 +141,19 @@ def test_what_is_dark_or_bright_all_over_has_no_corner_and_is_not_searched(gray:
     strongest = float(np.max(cv2.cornerMinEigenVal(flat, spots.CORNER_BLOCK)))
     assert strongest <= (np.ptp(flat) / 255.0) ** 2 * (1.0 + 1e-4) + 1e-9
     assert pytest.approx(255.0 * np.sqrt(spots.CORNER_LEAST)) == spots.CORNER_LEVELS
+
+
+def test_where_the_glow_of_a_lamp_ends_the_search_is_no_corner() -> None:
+    """Between slats the picture is the more of a corner the nearer a lamp is, up to where nothing is looked for."""
+    slats = replace(WOOD, round_lamps=True)
+    out = World(WorldSpec(seed=152, ceiling=slats, lap=LapSpec(room_m=6.94), render=RenderSpec(footprint=True)))
+    finder, beside, corners = PointFinder(out.calibration, VIEW_DEG), 0, 0
+    for t_s in np.arange(9.0, 10.2, 0.1):
+        seen, _ = finder(out.frame_at(float(t_s)), None, None)
+        assert seen is not None
+        lamp, corner = (seen.xy_base_m[seen.crossing_type == kind] for kind in (LAMP, CORNER))
+        assert len(lamp)
+        far_m = np.min(np.hypot(*(corner[:, None] - lamp[None]).transpose(2, 0, 1)), axis=1)
+        beside, corners = beside + int(np.count_nonzero(far_m < 0.18)), corners + len(corner)
+    print(f"seed 152: {beside} of {corners} corners within 18 cm of a lamp")
+    assert beside <= 2
