@@ -311,7 +311,7 @@ class VisualOdometry:
     def _by_hand(self, crossings: Crossings, found: Found, course: Course) -> float:
         """Probability that somebody moved the robot, of a view that gave no motion."""
         s, n = self.state, len(crossings)
-        if not has_points(crossings):
+        if not has_points(crossings) and not s.sliding.glossy:  # there, all points in view may have been left out
             return moved_by_hand(found.jump, course)
         if found.jump is not None or n >= _MANY:
             return moved_or_mistaken(found.jump, s.failed_frames + 1, course)

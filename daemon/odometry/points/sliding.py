@@ -31,17 +31,23 @@ _STEP_M = 0.004
 _SIGMA_M, _INDEPENDENT = 0.001, 8.0
 """Of a point's place over some centimetres, and measurements that err on their own, at most; chosen: twice what lines
 have, for a blob's middle is less well defined."""
-_FEWEST = 3
-"""Measurements that tell how a feature moves."""
+_FEWEST = 5
+"""Measurements that tell how a feature moves; chosen: edges of lamps in a row, taken for each other, made three alike.
+"""
 _STEADY_M = 0.003
 """It moves evenly whose places scatter by no more about a straight share; chosen: else two are followed by turns."""
-_SLIDES, _SIGMAS = 0.12, 4.0
-"""Share of the camera's way from which a point is an image, and standard deviations that it must be above the
-ceiling's; chosen: of a light more than 0.3 m below a ceiling of 2.2 m. A nearer one errs by less than a lens does."""
+_SLIDES, _MOST, _SIGMAS = 0.12, 0.7, 4.0
+"""Share of the camera's way from which a point is an image, up to which it is, and standard deviations that it must be
+above the ceiling's; chosen: of a light more than 0.3 m below a ceiling of 2.2 m, for a nearer one errs by less than a
+lens does; and one that stands on the floor, 2.7 m below, goes 0.55."""
+_CARRIED_M, _STAYS_M = 0.5, 0.01
+"""Way on which the image of a light on the robot itself stays where it was in base, within the latter; chosen."""
 _KNOWN = 0.04
 """Standard deviation of a share that is known; chosen: a third of what is looked for."""
 _SWAYS = 2.0
 """Standard deviations of a sway that the way may be; chosen."""
+_LEAST_TOLD = 0.2
+"""Part of its own way that odometry tells at least; chosen, not to divide by 0."""
 _REFERENCES = 3
 """Features other than lamps that tell how the ceiling itself moves; chosen."""
 
@@ -96,12 +102,12 @@ class Sliding:
     def _see(self, s: SlidingState, crossings: Crossings, track: Ints, sway_m: float) -> None:
         kind, xy, camera = _kind(crossings), se2.transform(s.pose, crossings.xy_base_m), self._camera(s.pose)
         new = np.flatnonzero(track < 0)
-        _grow(s, kind[new], xy[new], camera)
+        _grow(s, kind[new], xy[new], camera, crossings.xy_base_m[new])
         track = track.copy()
         track[new] = np.arange(len(s) - len(new), len(s))
         s.missing += 1
         s.missing[track] = 0
-        s.xy[track], s.camera[track] = xy, camera
+        s.xy[track], s.camera[track], s.last[track] = xy, camera, crossings.xy_base_m
         far = track[~(np.hypot(*(camera - s.measured[track]).T) < _STEP_M)]
         s.measured[far] = camera
         s.sums[far] += _sums(s.xy[far], camera, 0.0 if has_lines(crossings) else self._height_m**-2)
@@ -140,13 +146,15 @@ def _keep(s: SlidingState, which: Ints) -> None:
             setattr(s, name, getattr(s, name)[which])
 
 
-def _grow(s: SlidingState, kind: Ints, xy: Array, camera: Array) -> None:
+def _grow(s: SlidingState, kind: Ints, xy: Array, camera: Array, base: Array) -> None:
     n = len(kind)
     more = SlidingState(
         kind=kind,
         xy=xy,
         camera=np.tile(camera, (n, 1)),
         measured=np.full((n, 2), np.nan),
+        first=base,
+        last=base,
         sums=np.zeros((n, 9)),
         missing=np.zeros(n, np.int64),
         slides=np.zeros(n, bool),
@@ -186,8 +194,12 @@ def _judge(s: SlidingState, sway_m: float) -> None:
     """Say which ones slide and which stay."""
     share, sigma, even = _shares(s)
     ceiling, own = _ceilings_share(s, share, sigma, even)
-    beyond, unsure = share - ceiling, _SIGMAS * np.hypot(sigma, own) + _by_leans(s, sway_m)
-    slides = even & (beyond > np.maximum(_SLIDES, unsure)) & (s.kind >= LINE_CROSSINGS)
+    told = max(1.0 - ceiling, _LEAST_TOLD)  # of the camera's way, by what it sees: the rest is what images did to it
+    beyond = (share - ceiling) / told
+    unsure = _SIGMAS * np.hypot(sigma, own) / told + _by_leans(s, sway_m)
+    carried = np.isfinite(own) & (_way_m(s) > _CARRIED_M) & (np.hypot(*(s.last - s.first).T) < _STAYS_M)
+    image = even & (beyond > np.maximum(_SLIDES, unsure)) & (beyond < _MOST)
+    slides = (image | carried) & (s.kind >= LINE_CROSSINGS)
     stays = even & (beyond + unsure < _SLIDES)
     s.slides, s.stays = slides | s.slides & ~stays, stays | s.stays & ~slides
     s.glossy |= bool(np.any(slides & (s.kind == LAMP)))
@@ -203,7 +215,12 @@ def _ceilings_share(s: SlidingState, share: Array, sigma: Array, even: Bools) ->
     known = np.isfinite(sigma)
     others = known & (s.kind != LAMP) & ~s.slides
     if np.count_nonzero(others) >= _REFERENCES:
-        return float(np.median(share[others])), float(np.median(sigma[others]))
+        of = others & even
+        ceiling = float(np.median(share[of])) if np.any(of) else np.inf
+        alike = of & (np.abs(share - ceiling) < _SLIDES)
+        if np.count_nonzero(alike) < max(_REFERENCES, 0.5 * np.count_nonzero(others)):  # nothing to hold on to
+            return 0.0, np.inf
+        return ceiling, float(np.median(sigma[alike]))
     if s.glossy:
         stays = known & s.stays
         return (float(np.median(share[stays])), float(np.median(sigma[stays]))) if np.any(stays) else (0.0, 0.0)
@@ -215,6 +232,11 @@ def _ceilings_share(s: SlidingState, share: Array, sigma: Array, even: Bools) ->
 
 def _by_leans(s: SlidingState, sway_m: float) -> Array:
     """(T,) what leans of a robot whose tilt nothing tells may add to a share."""
+    rim = np.max(s.sums[:, 8] / _moved(s)[0], initial=0.0)
+    return rim * np.minimum(_SWAYS * sway_m / np.maximum(_way_m(s), _STEP_M), 1.0)
+
+
+def _way_m(s: SlidingState) -> Array:
+    """(T,) how far the camera moved while each was measured, were it evenly."""
     n, way2 = _moved(s)
-    way_m = np.sqrt(12.0 * way2 / n)  # were it even
-    return np.max(s.sums[:, 8] / n, initial=0.0) * np.minimum(_SWAYS * sway_m / np.maximum(way_m, _STEP_M), 1.0)
+    return np.sqrt(12.0 * way2 / n)

@@ -19,6 +19,7 @@ class SlidingState:
         kind: as crossings have it, all kinds of crossings of lines as one.
         xy: (T, 2) where each was last, and camera: (T, 2) the camera then, m.
         measured: (T, 2) the camera at the last measurement.
+        first, last: (T, 2) in base, where each was seen first and last.
         sums: (T, 9) of the measurements: 1, camera x, y, place x, y, camera squared, camera times place, place squared,
             in m; and how far from the middle, over the height squared, in frames whose tilt no line told.
         missing: frames since each was seen.
@@ -31,6 +32,8 @@ class SlidingState:
     xy: Array = field(default_factory=lambda: np.zeros((0, 2)))
     camera: Array = field(default_factory=lambda: np.zeros((0, 2)))
     measured: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    first: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    last: Array = field(default_factory=lambda: np.zeros((0, 2)))
     sums: Array = field(default_factory=lambda: np.zeros((0, 9)))
     missing: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     slides: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
