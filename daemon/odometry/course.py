@@ -9,15 +9,13 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.daemon.odometry.registration import MIN_AGREEING, Registration
+from ceilvo.daemon.odometry.registration import DIRECTION_SIGMAS, MIN_AGREEING, Registration
 from ceilvo.daemon.odometry.rigid import RigidFit
 from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
 from ceilvo.types import Array
 
 _COURSE_SIGMAS = 5.0
 """Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
-DIRECTION_SIGMAS = 5.0
-"""Of a direction that is predicted or carried on, by which that of the lines may be off; chosen, as above."""
 _WHEELS_CHI2 = 21.1
 """Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from ceilvo.daemon.odometry.course import DIRECTION_SIGMAS, Course
+from ceilvo.daemon.odometry.course import Course
 from ceilvo.daemon.odometry.points.constellation import has_points
-from ceilvo.daemon.odometry.registration import Registration, direction_change
+from ceilvo.daemon.odometry.registration import DIRECTION_SIGMAS, Registration, direction_change
 from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
 from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap

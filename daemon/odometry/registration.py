@@ -23,6 +23,9 @@ Bools = NDArray[np.bool_]
 
 MIN_AGREEING = 1.0 / 3.0
 """Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
+DIRECTION_SIGMAS = 5.0
+"""Of a direction that is predicted or carried on, by which that of the lines may be off; chosen: noise alone exceeds it
+in 4 of 10 million."""
 _UNUSUAL_SIGMAS = 3.0
 """Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
 are looked at; chosen: half a per cent of a lap's frames cost the look."""
@@ -126,8 +129,9 @@ def register(
             _independent_sigma_m(crossings, i) + _independent_sigma_m(ref, j),
             np.hypot(_own_sigma_m(crossings, i), _own_sigma_m(ref, j)) if by_points else None,
         )
-    if by_points and by_lines and (fit is None or abs(se2.wrap(fit.b_from_a[2] - turn)) > config.heading_gate_rad):
-        told = _Turn(turn, math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad), ref.psi_rad)
+    told = _Turn(turn, math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad), ref.psi_rad)
+    most_rad = config.heading_gate_rad + DIRECTION_SIGMAS * told.sigma_rad
+    if by_points and by_lines and (fit is None or abs(se2.wrap(fit.b_from_a[2] - turn)) > most_rad):
         own_m = np.hypot(_own_sigma_m(crossings, i), _own_sigma_m(ref, j))
         fit = _turned_as_lines(seen, before, own_m, kinds[i] == LAMP, told, config) or fit
     if fit is None:
