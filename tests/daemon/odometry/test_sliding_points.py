@@ -99,22 +99,14 @@ def _corners(seed: int, every_m: float) -> Array:
     return grid + np.random.default_rng(seed).uniform(-0.2 * every_m, 0.2 * every_m, grid.shape)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_more_glints_than_corners_do_not_carry_the_motion(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "kind", "every_m"), [(1, CORNER, 1.3), (2, CORNER, 1.3), (3, CORNER, 1.3), (4, LAMP, 1.2), (5, LAMP, 1.2)]
+)
+def test_more_images_than_corners_or_lamps_do_not_carry_the_motion(seed: int, kind: int, every_m: float) -> None:
+    """Of lamps alone the images are those that move past slower."""
     calibration = simulated_calibration()
-    corners = _corners(seed, 1.3)
-    room = Room(calibration, corners, np.full(len(corners), CORNER), LIGHTS, 1.4, seed)
-    off, images = _drive(room, calibration, 240)
-    print(f"{1e3 * off:.1f} mm off after 4 m, {100 * images:.1f} % of what was used were images")
-    assert off < 0.03
-    assert images < 0.02
-
-
-@pytest.mark.parametrize("seed", [4, 5])
-def test_of_lamps_alone_the_images_are_those_that_move_past_slower(seed: int) -> None:
-    calibration = simulated_calibration()
-    lamps = _corners(seed, 1.2)
-    room = Room(calibration, lamps, np.full(len(lamps), LAMP), LIGHTS, 1.4, seed)
+    at = _corners(seed, every_m)
+    room = Room(calibration, at, np.full(len(at), kind), LIGHTS, 1.4, seed)
     off, images = _drive(room, calibration, 240)
     print(f"{1e3 * off:.1f} mm off after 4 m, {100 * images:.1f} % of what was used were images")
     assert off < 0.03
