@@ -130,7 +130,7 @@ def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int
     stays = 1.0 - disagreeing
     too_few = sum(math.comb(points, k) * stays**k * disagreeing ** (points - k) for k in range(min(needed, points + 1)))
     moved = CARRIED_PS * elapsed_s
-    return min(JUMPED, moved / (moved + too_few**failed))
+    return min(JUMPED, moved / (moved + too_few**failed)) if moved > 0.0 else 0.0
 
 
 def contradicted(found: Registration, config: Odometry, course: Course) -> str:

@@ -25,7 +25,7 @@ MIN_AGREEING = 1.0 / 3.0
 """Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
 DIRECTION_SIGMAS = 5.0
 """Of a direction that is predicted or carried on, by which that of the lines may be off; chosen: noise alone exceeds it
-in 4 of 10 million."""
+in 6 of 10 million."""
 _UNUSUAL_SIGMAS = 3.0
 """Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
 are looked at; chosen: half a per cent of a lap's frames cost the look."""

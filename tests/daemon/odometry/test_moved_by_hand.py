@@ -53,6 +53,7 @@ def test_a_few_points_that_come_and_go_are_no_hand_but_many_or_view_after_view_a
     assert one < 1e-4 < again
     assert many > UNLIKELY
     assert moved_or_flickered(9, 3, 0.1, 8, 8 / 30) == JUMPED
+    assert moved_or_flickered(4, 2, 0.0, 1, 0.0) == 0.0, "in no time nobody moves it"
 
 
 @pytest.mark.parametrize(("points", "needed", "disagreeing"), [(3, 2, 0.3), (5, 2, 0.4), (8, 3, 0.2)])
