@@ -6,20 +6,17 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import LAMP, LINE_CROSSINGS, commonest, quarter_turns, turned_type
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
-from ceilvo.daemon.odometry.matching import consistent, mutual_nearest
+from ceilvo.daemon.odometry.matching import Bools, consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points, has_points
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
 from ceilvo.robust import median
 from ceilvo.types import Array, Crossings, Ints
-
-Bools = NDArray[np.bool_]
 
 MIN_AGREEING = 1.0 / 3.0
 """Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""

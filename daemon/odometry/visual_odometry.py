@@ -51,6 +51,7 @@ from ceilvo.daemon.odometry.registration import (
     view_size_m,
 )
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
+from ceilvo.daemon.vision.thinning import ENOUGH
 from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
 _MAX_FAILED_FRAMES = 8
@@ -63,8 +64,6 @@ _FALSE_RATE = 1e-4
 """Rate at which a displacement may be wrong that is reported without alternatives; the stated one of the daemon."""
 _AS_LIKELY = 0.5
 """Doubt from which a displacement is as likely wrong as right."""
-_MANY = 10
-"""Features of a view that do not all come and go at once; as many as points are looked for below (vision/points)."""
 _USUAL_FRAMES = 45.0
 """Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
 _MOST_USUAL = 0.4
@@ -313,7 +312,7 @@ class VisualOdometry:
         s, n = self.state, len(crossings)
         if not has_points(crossings) and not s.sliding.glossy:  # there, all points in view may have been left out
             return moved_by_hand(found.jump, course)
-        if found.jump is not None or n >= _MANY:
+        if found.jump is not None or n >= ENOUGH:  # so many do not all come and go at once
             return moved_or_mistaken(found.jump, s.failed_frames + 1, course)
         needed = max(fewest(crossings, self._config), math.ceil(MIN_AGREEING * n))
         return moved_or_flickered(n, needed, s.disagreeing, s.failed_frames + 1, course.elapsed_s)

@@ -29,8 +29,8 @@ _PATIENCE = 4
 _STEP_M = 0.004
 """It is measured again once the camera has moved so far, as for lines."""
 _SIGMA_M, _INDEPENDENT = 0.001, 8.0
-"""Of a point's place over some centimetres, and measurements that err on their own, at most; chosen: twice what lines
-have, for a blob's middle is less well defined."""
+"""Of a point's place over some centimetres, and measurements that err on their own, at most; chosen: more than lines
+have (0.4 mm), for a blob's middle is less well defined."""
 _FEWEST = 5
 """Measurements that tell how a feature moves; chosen: edges of lamps in a row, taken for each other, made three alike.
 """
@@ -43,7 +43,7 @@ lens does; and one that stands on the floor, 2.7 m below, goes 0.55."""
 _CARRIED_M, _STAYS_M = 0.5, 0.01
 """Way on which the image of a light on the robot itself stays where it was in base, within the latter; chosen."""
 _KNOWN = 0.04
-"""Standard deviation of a share that is known; chosen: a third of what is looked for."""
+"""Standard deviation of a share by which it is expected to have moved; chosen: a third of what is looked for."""
 _SWAYS = 2.0
 """Standard deviations of a sway that the way may be; chosen."""
 _LEAST_TOLD = 0.2
@@ -88,8 +88,10 @@ class Sliding:
         Args:
             sway_m: standard deviation by which leans move the view where no lines tell them: its rim moves further.
         """
-        s.pose = se2.compose(s.pose, motion.prev_from_curr)
         self.misplaced = np.zeros((0, 2))
+        if self._look is None and not len(s):
+            return
+        s.pose = se2.compose(s.pose, motion.prev_from_curr)
         if motion.restarted:
             _keep(s, np.zeros(0, np.int64))
         if self._look is None:
@@ -215,19 +217,29 @@ def _ceilings_share(s: SlidingState, share: Array, sigma: Array, even: Bools) ->
     known = np.isfinite(sigma)
     others = known & (s.kind != LAMP) & ~s.slides
     if np.count_nonzero(others) >= _REFERENCES:
-        of = others & even
-        ceiling = float(np.median(share[of])) if np.any(of) else np.inf
-        alike = of & (np.abs(share - ceiling) < _SLIDES)
-        if np.count_nonzero(alike) < max(_REFERENCES, 0.5 * np.count_nonzero(others)):  # nothing to hold on to
-            return 0.0, np.inf
-        return ceiling, float(np.median(sigma[alike]))
-    if s.glossy:
-        stays = known & s.stays
-        return (float(np.median(share[stays])), float(np.median(sigma[stays]))) if np.any(stays) else (0.0, 0.0)
-    lamps = np.flatnonzero(known & even & (s.kind == LAMP))
-    lamps = lamps[np.argsort(share[lamps], kind="stable")]
-    alike = np.flatnonzero(np.diff(share[lamps]) < np.hypot(sigma[lamps[1:]], sigma[lamps[:-1]]))
-    return (float(share[lamps[alike[0]]]), float(sigma[lamps[alike[0]]])) if len(alike) else (0.0, np.inf)
+        return _share_of_most(share, sigma, others & even, int(np.count_nonzero(others)))
+    if not s.glossy:
+        return _share_of_fastest(share, sigma, known & even & (s.kind == LAMP))
+    stays = known & s.stays
+    return (float(np.median(share[stays])), float(np.median(sigma[stays]))) if np.any(stays) else (0.0, 0.0)
+
+
+def _share_of_most(share: Array, sigma: Array, even: Bools, count: int) -> tuple[float, float]:
+    """By those that move evenly (T,), where half of all `count` do, and alike; else not known."""
+    if not np.any(even):
+        return 0.0, np.inf
+    middle = float(np.median(share[even]))
+    alike = even & (np.abs(share - middle) < _SLIDES)
+    enough = np.count_nonzero(alike) >= max(_REFERENCES, 0.5 * count)
+    return (middle, float(np.median(sigma[alike]))) if enough else (0.0, np.inf)
+
+
+def _share_of_fastest(share: Array, sigma: Array, lamps: Bools) -> tuple[float, float]:
+    """By the two lamps (T,) that move past fastest of those that move alike."""
+    order = np.flatnonzero(lamps)
+    order = order[np.argsort(share[order], kind="stable")]
+    alike = np.flatnonzero(np.diff(share[order]) < np.hypot(sigma[order[1:]], sigma[order[:-1]]))
+    return (float(share[order[alike[0]]]), float(sigma[order[alike[0]]])) if len(alike) else (0.0, np.inf)
 
 
 def _by_leans(s: SlidingState, sway_m: float) -> Array:
