@@ -162,8 +162,7 @@ class Motion:
     Attributes:
         prev_from_curr: (3,) [m, m, rad]; maps static points seen now to where they were seen before, which is the
             robot's own displacement in its previous base frame.
-        cov: (3, 3).
-        inliers, rms_m: correspondences used, and their residual of eq. 16.
+        cov: (3, 3); inliers, rms_m: correspondences used, and their residual of eq. 16.
         failure: None, or why there is no motion (prev_from_curr is then a prediction).
         restarted: odometry goes on from this frame without having tied it to the last good one, so what was
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
@@ -174,7 +173,7 @@ class Motion:
         log_ratio: (A,) logarithm of how much likelier the view is at each of them than at prev_from_curr; what the
             prediction thinks of them is not in it.
         doubt: probability that the displacement is another, such as one too long for the views to be compared, or that
-            somebody moved the robot; 0 where nothing gave reason to look.
+            somebody moved the robot; 0: no reason to look. doubt_left: part left of what failed frames before it said.
     """
 
     prev_from_curr: Displacement
@@ -189,6 +188,7 @@ class Motion:
     alternatives: Array = field(default_factory=lambda: np.empty((0, 3)))
     log_ratio: Array = field(default_factory=lambda: np.empty(0))
     doubt: float = 0.0
+    doubt_left: float = 1.0
 
     @property
     def ok(self) -> bool:

@@ -134,6 +134,12 @@ class Candidates:
         against = float(np.sum(np.exp(np.minimum(others, 50.0))))
         return against / (1.0 + against)
 
+    def carried(self) -> float:
+        """Probability that somebody moved the robot: to one of these, or to where the views share too little."""
+        log_weight = np.append(self.log_weight, [self.log_elsewhere, self.log_carried])
+        weight = np.exp(log_weight - np.max(log_weight))
+        return float(np.append(self.unpredicted, [0.0, 1.0]) @ weight / np.sum(weight))
+
 
 def find_candidates(
     ref: Crossings, curr: Crossings, turn_rad: float, prior: Prior, known: Array | None = None

@@ -75,6 +75,7 @@ class Found:
         unpredicted: probability that somebody moved the robot, or that what predicts its motion is wrong.
         jump: the displacement that no robot makes, where that is why.
         out_of_view: the robot is likelier to have left the reference's view than to be anywhere in it.
+        doubt_left: as in Motion.
     """
 
     place: Registration | None
@@ -85,6 +86,7 @@ class Found:
     unpredicted: float = 0.0
     jump: Array | None = None
     out_of_view: bool = False
+    doubt_left: float = 1.0
 
 
 def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:

@@ -247,7 +247,10 @@ class VisualOdometry:
             return Found(None, "several displacements fit the last good view alike")
         others = found.others(_FALSE_RATE) if doubt >= _FALSE_RATE else np.zeros(0, np.int64)
         ratio = found.log_ratio[others] - found.log_ratio[0]
-        return Found(place, "", found.ref_from_curr[others], ratio, doubt, float(found.unpredicted[0]))
+        by_hand = self.state.by_hand
+        left = min(found.carried() / by_hand, 1.0) if by_hand > 0.0 else 1.0
+        at, unpredicted = found.ref_from_curr[others], float(found.unpredicted[0])
+        return Found(place, "", at, ratio, doubt, unpredicted, doubt_left=left)
 
     def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
         s, place = self.state, found.place
@@ -276,6 +279,7 @@ class VisualOdometry:
             alternatives=alternatives,
             log_ratio=found.log_ratio,
             doubt=max(found.doubt, JUMPED * found.unpredicted),
+            doubt_left=found.doubt_left,
         )
 
     def _set_reference(self, crossings: Crossings) -> None:

@@ -134,16 +134,16 @@ class Relocaliser:
             s.gapped, s.jumped = True, max(s.jumped, jumped)
         else:
             s.shown(crossings)
-        if track.final is None:
+        if (final := track.final) is None:
             return
-        self.filter.predict(track.final)
+        self.filter.predict(final)
         gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
-        if self.sure and not gapped and self._rate <= track.final.doubt < doubts.UNLIKELY:
+        if self.sure and not gapped and self._rate <= final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
-        if gapped or track.final.doubt > 0.0:
-            bridged = track.final.ok and not track.final.restarted and track.final.doubt == 0.0
-            cov = track.final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
-            self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped, track.final.doubt, track.watched))
+        if gapped or final.doubt > 0.0:
+            bridged = final.ok and not final.restarted and final.doubt == 0.0
+            cov = final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
+            self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped * final.doubt_left, final.doubt, track.watched))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far since that began."""
@@ -175,7 +175,7 @@ class Relocaliser:
             self.filter.update(admitted)
             s.apart |= s.submap_from is not None and bool(np.any(admitted.label < 0))
             if self.sure and not self.state.surprised and len(self._sharp.visible_m):
-                s.survey.learnt(self.filter, self._sharp.shown(crossings, view))
+                s.survey.learnt(self.filter, self._sharp.shown(crossings, view), view.crossing_type)
         return view
 
     def tells(self, crossings: Crossings) -> Crossings:
@@ -241,7 +241,7 @@ class Relocaliser:
     def _worth(self, view: Observations) -> Array:
         """(K,) of features; on new ground of a sure place they say nothing: rivals on old ground would gain."""
         at, s = transform(Pose(self.filter.estimate()[0]), view.xy_base_m), self.state
-        known = np.minimum(s.survey.coverage.views(at) / VIEWS, 1.0) if self.sure else 1.0
+        known = np.minimum(s.survey.coverage.views(at, view.crossing_type) / VIEWS, 1.0) if self.sure else 1.0
         return np.asarray(known / (1.0 + s.looked.views(at)))
 
     def _instantiate(self, doubt: Doubt, view: Observations, around: Surroundings, evidence: ViewEvidence) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.crossing_types import JOINTS
+from ceilvo.crossing_types import JOINTS, LINE_CROSSINGS
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
@@ -16,7 +16,7 @@ from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.se2 import transform
-from ceilvo.types import Array, Landmarks, Observations, Pose
+from ceilvo.types import Array, Ints, Landmarks, Observations, Pose
 
 MEASURED_M = 6.0
 """How often chance explains a feature is measured on the map so far around the robot; chosen."""
@@ -45,7 +45,7 @@ class MapSurvey:
         watched_m: how far off rivals of a sure place are at most.
     """
 
-    coverage: Coverage = field(default_factory=Coverage)
+    coverage: Coverage = field(default_factory=lambda: Coverage(of_points=Coverage()))
     index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Chance | None = None
     measured_m: float = np.inf
@@ -123,11 +123,12 @@ class MapSurvey:
 
         return weigh
 
-    def learnt(self, filter_: PoseFilter, visible_m: Array) -> None:
-        """The filter has learnt from a view that showed all there is in a polygon (V, 2) in base, (0, 2) for none."""
+    def learnt(self, filter_: PoseFilter, visible_m: Array, kind: Ints) -> None:
+        """The filter has learnt from a view of features of types (K,), that showed all there is in a polygon (V, 2) in
+        base, (0, 2) for none; points are looked for where it shows some."""
         pose = Pose(filter_.estimate()[0])
         if len(visible_m):
-            self.coverage.show(transform(pose, visible_m))
+            self.coverage.show(transform(pose, visible_m), bool(np.any(kind >= LINE_CROSSINGS)))
         reach_m = max(INDEXED_M, float(np.max(np.hypot(*visible_m.T), initial=0.0)))
         near = filter_.landmarks_near(pose[None, :2], reach_m)[1]
         self.index.sync(near)

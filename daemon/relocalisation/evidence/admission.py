@@ -32,7 +32,7 @@ def of_sure_place(view: Observations, pose: Array, coverage: Coverage, near: Nea
     Args:
         near: of the map; None: whatever is labelled is matched.
     """
-    known = coverage.knows(transform(Pose(pose), view.xy_base_m))
+    known = coverage.knows(transform(Pose(pose), view.xy_base_m), view.crossing_type)
     count = int(np.count_nonzero(known))
     matched = view.label >= 0
     if near is not None and np.any(matched):
@@ -66,7 +66,7 @@ def of_doubtful_place(
     convincing = np.count_nonzero(matched) >= CONVINCING * len(view)
     if convincing and not led:
         return replace(view.of(matched), visible_m=np.empty((0, 2)))
-    known = coverage.knows(transform(Pose(pose), view.xy_base_m))
+    known = coverage.knows(transform(Pose(pose), view.xy_base_m), view.crossing_type)
     if not submap or np.count_nonzero(known) >= FEWEST_KNOWN:
         return None
     return replace(view.of(~known), visible_m=np.empty((0, 2)))

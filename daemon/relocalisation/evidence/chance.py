@@ -88,7 +88,7 @@ class Chance:
             return Chance.unmeasured(landmarks)
         some = landmarks.of(_measured_by(landmarks.crossing_type))
         at = some.xy_map_m + shifts[:, None]
-        known = coverage.knows(at)
+        known = coverage.knows(at, some.crossing_type)
         bits = raster.at(at)
         same = is_in(bits, np.broadcast_to(some.crossing_type, at.shape[:2])) & known
         of = np.eye(CROSSING_TYPES)[some.crossing_type]

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.evidence.type_raster import REACH_M
 from ceilvo.daemon.relocalisation.kernel.arguments import COVERAGE_OFFSET as OFFSET
@@ -43,10 +44,13 @@ class Coverage:
     Attributes:
         block: (B,) numbers of the blocks there are, rising.
         shown: (B, 32, 32) views of each cell.
+        of_points: the same of the views in which points were looked for, as they are where lines do not suffice; None:
+            in all of them.
     """
 
     block: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     shown: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, SIDE, SIDE), np.uint8))
+    of_points: Coverage | None = None
 
     @staticmethod
     def of(landmarks: Landmarks, tile_m: float) -> Coverage:
@@ -54,6 +58,12 @@ class Coverage:
 
         Each landmark says how often it should have been seen; tile_m: side of a tile, 0 where there are none.
         """
+        out = Coverage._between(landmarks, tile_m)
+        out.of_points = Coverage._between(landmarks.of(landmarks.crossing_type >= LINE_CROSSINGS), 0.0)
+        return out
+
+    @staticmethod
+    def _between(landmarks: Landmarks, tile_m: float) -> Coverage:
         out = Coverage()
         if not len(landmarks):
             return out
@@ -64,10 +74,12 @@ class Coverage:
             out._add(cell[own], views[own])
         return out
 
-    def show(self, corners_m: Array) -> None:
-        """One more view of the convex polygon (V, 2) in map."""
+    def show(self, corners_m: Array, points: bool = True) -> None:
+        """One more view of the convex polygon (V, 2) in map, in which points were looked for, or lines alone."""
         if len(corners_m) < 3:
             return
+        if points and self.of_points is not None:
+            self.of_points.show(corners_m)
         low = np.floor(np.min(corners_m, axis=0) / CELL_M).astype(np.int64)
         high = np.floor(np.max(corners_m, axis=0) / CELL_M).astype(np.int64)
         picture = np.zeros((high - low + 1)[::-1], np.uint8)
@@ -75,14 +87,20 @@ class Coverage:
         row, column = np.nonzero(picture)
         self._add(np.column_stack([column, row]) + low, 1)
 
-    def views(self, xy_m: Array) -> Ints:
-        """(...,) views that showed the ground at points (..., 2)."""
+    def views(self, xy_m: Array, kind: Ints | None = None) -> Ints:
+        """(...,) views that showed the ground at (..., 2), and where a feature is said, would have shown its type."""
         out: Ints = kernel.views(Ground(self.block, self.shown, CELL_M), xy_m.reshape(-1, 2))
-        return out.reshape(xy_m.shape[:-1])
+        out = out.reshape(xy_m.shape[:-1])
+        if kind is None or self.of_points is None:
+            return out
+        points = np.broadcast_to(kind >= LINE_CROSSINGS, out.shape)
+        if np.any(points):
+            out[points] = self.of_points.views(xy_m[points])
+        return out
 
-    def knows(self, xy_m: Array) -> NDArray[np.bool_]:
-        """(...,) whether the map should know what is at points (..., 2)."""
-        return self.views(xy_m) >= VIEWS
+    def knows(self, xy_m: Array, kind: Ints | None = None) -> NDArray[np.bool_]:
+        """(...,) whether the map should know what is at (..., 2), or a feature there of a type."""
+        return self.views(xy_m, kind) >= VIEWS
 
     @property
     def area_m2(self) -> float:

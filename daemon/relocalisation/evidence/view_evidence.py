@@ -155,12 +155,13 @@ class ViewEvidence:
     def unmapped(self, poses: Array, best: Array, grid: TypeGrid) -> Array:
         """(M,) share of what speaks for a pose (3,) that poses (M, 3) see on ground of which the map knows nothing."""
         speaks = self._speaks_for(best[None], grid)
-        views = self._around.coverage.views(_moved(poses, self._view.xy_base_m))
+        views = self._around.coverage.views(_moved(poses, self._view.xy_base_m), self._view.crossing_type)
         return np.asarray((1.0 - np.minimum(views / VIEWS, 1.0)) @ speaks / max(float(np.sum(speaks)), _TINY))
 
     def known(self, poses: Array) -> Array:
         """(M,) share of what is weighed that poses (M, 3) see on ground that the map knows."""
-        return np.asarray(np.mean(self._around.coverage.knows(_moved(poses, self._view.xy_base_m)), axis=1))
+        at = _moved(poses, self._view.xy_base_m)
+        return np.asarray(np.mean(self._around.coverage.knows(at, self._view.crossing_type), axis=1))
 
     def matches(self, poses: Array) -> Ints:
         """(M,) of what is weighed, how many poses (M, 3) see where a landmark of their type is."""
@@ -170,7 +171,7 @@ class ViewEvidence:
     def lacking(self, pose: Array) -> tuple[float, float]:
         """Rare features without any landmark on known ground, seen from a pose (3,), and how many are usual."""
         at, types = _moved(pose[None], self._view.xy_base_m)[0], self._types[self._turns(pose)]
-        bits, views = self._around.raster.at(at), self._around.coverage.views(at)
+        bits, views = self._around.raster.at(at), self._around.coverage.views(at, types)
         known = (views >= VIEWS) & (self._rare >> types.astype(np.uint16) & 1 > 0)
         nothing = known & ~is_in(bits, types) & (bits & RARE == 0)
         return float(np.count_nonzero(nothing)), float(np.sum(_unmapped(views[known])))
@@ -179,7 +180,7 @@ class ViewEvidence:
         """(K,) by how much each feature makes a pose (1, 3) anywhere on the map likelier."""
         at, types = _moved(pose, self._view.xy_base_m), self._types[self._turns(pose)]
         matched, other = self._found_in(grid, at, types)
-        views = self._around.coverage.views(at)
+        views = self._around.coverage.views(at, types)
         each = kernel.each_of(self._ratios, views, types, matched, other, self._lines)
         return np.asarray(np.maximum(each[0, :, 0] * self._any, 0.0))
 
@@ -222,7 +223,7 @@ class ViewEvidence:
 
     def _scored(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
         """(M, R) of features (M, K) seen at (M, K, 2): whether a landmark of their type is there, or one beside."""
-        views, worth = self._around.coverage.views(at), _by_kind(self._any, self._alike)
+        views, worth = self._around.coverage.views(at, types), _by_kind(self._any, self._alike)
         score: Array = kernel.scored(self._ratios, views, types, matched, other, worth, self._lines)
         return score
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from ceilvo import se2
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
 from ceilvo.daemon.odometry.registration import direction_change
+from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.types import Crossings
 
@@ -147,6 +148,24 @@ def test_the_chance_of_being_carried_brings_in_what_the_prediction_excludes() ->
         k = np.flatnonzero(is_at(found.ref_from_curr, true))[0]
         shares.append(found.log_weight[k] - found.log_ratio[k])
     assert shares[0] - shares[1] == pytest.approx(np.log(1e-4 / 1e-2), abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["lamps", "grid"])
+def test_after_a_view_that_fitted_nothing_the_next_one_tells_whether_somebody_moved_the_robot(name: str) -> None:
+    """As likely as not it was moved, by a tile or two or anywhere: the lamps tell, bare tiles do not."""
+    sigma, stayed, moved = np.array([0.003, 0.003, 0.004]), [], []
+    for k in range(60):
+        rng = np.random.default_rng(1900 + k)
+        here, way = somewhere(rng), np.array([0.02, 0.0, 0.01])
+        axes = se2.rotation(-float(here[2]))  # of the grid, in base
+        tiles = rng.permutation(np.array([[1, 0], [0, -1], [-1, 1], [2, 0], [0, 2]]))[0]
+        by_hand = np.array([*(way[:2] + axes @ (TILE_M * tiles)), way[2]]) if k % 3 else rng.normal(size=3)
+        for true, chances in ((way, stayed), (by_hand, moved)):
+            views = camera(name).sees(here, k), camera(name).sees(se2.compose(here, true), 100 + k)
+            chances.append(compared(*views, way, sigma, carried=0.5).carried())
+    print(name, "stayed", np.quantile(stayed, [0.1, 0.5, 0.9]), "moved", np.quantile(moved, [0.0, 0.02, 0.1, 0.5]))
+    assert min(moved) > UNLIKELY
+    assert np.median(stayed) < 0.05 if name == "lamps" else np.median(stayed) > 0.1
 
 
 def test_cells_of_a_tenth_of_a_metre_are_not_taken_for_each_other_in_a_motion_that_is_foreseen() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ceilvo.crossing_types import CORNER, JOINTS, LAMP
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.types import Landmarks
 
@@ -18,6 +19,34 @@ def test_ground_is_known_once_enough_views_have_shown_it() -> None:
     assert coverage.views(points).tolist() == [VIEWS, VIEWS, 0, VIEWS]
     assert abs(coverage.area_m2 - 4.0) < 1.5
     assert coverage.knows(points.reshape(2, 2, 2)).shape == (2, 2)
+
+
+def test_ground_that_views_of_lines_showed_is_not_known_for_its_points() -> None:
+    coverage = Coverage(of_points=Coverage())
+    for k in range(3 * VIEWS):
+        coverage.show(SQUARE, points=k < VIEWS)
+    kinds = np.array([JOINTS, CORNER, LAMP, CORNER])
+    at = np.array([[0.2, 0.3], [0.2, 0.3], [-0.4, 0.1], [9.0, 9.0]])
+    assert coverage.views(at, kinds).tolist() == [3 * VIEWS, VIEWS, VIEWS, 0]
+    assert coverage.views(at).tolist() == [3 * VIEWS, 3 * VIEWS, 3 * VIEWS, 0]
+    assert coverage.views(np.tile(at, (2, 1, 1)), kinds).tolist() == [[3 * VIEWS, VIEWS, VIEWS, 0]] * 2
+    lines_alone = Coverage(of_points=Coverage())
+    lines_alone.show(SQUARE, points=False)
+    assert lines_alone.views(at, kinds).tolist() == [1, 0, 0, 0]
+
+
+def test_of_a_map_that_came_without_points_nothing_is_known_for_them() -> None:
+    known, at = Coverage.of(tiles(), 0.6), np.array([[3.1, 2.2], [3.1, 2.2]])
+    assert known.knows(at, np.array([JOINTS, CORNER])).tolist() == [True, False]
+    landmarks = tiles()
+    corners = Landmarks(
+        landmarks.ids,
+        landmarks.xy_map_m,
+        landmarks.cov_m2,
+        np.full(len(landmarks), CORNER),
+        np.full(len(landmarks), 20),
+    )
+    assert Coverage.of(corners, 0.0).knows(corners.xy_map_m, corners.crossing_type).all()
 
 
 def test_blocks_are_kept_apart_however_far_they_are() -> None:
