@@ -170,10 +170,10 @@ class Motion:
         by_wheels, watched: as of WheelMotion, where the prediction is the wheels'.
         alternatives: (A, 3) other displacements prev_from_curr that this view fits too: whole tiles or quarter turns
             off. Those are left out that are less likely than the rate of error that odometry may have.
-        log_ratio: (A,) logarithm of how much likelier the view is at each of them than at prev_from_curr; what the
-            prediction thinks of them is not in it.
+        log_ratio: (A,) logarithm of how much likelier the view is at each than at prev_from_curr, but for predictions.
         doubt: probability that the displacement is another, such as one too long for the views to be compared, or that
-            somebody moved the robot; 0: no reason to look. doubt_left: part left of what failed frames before it said.
+            somebody moved the robot; 0 where nothing gave reason to look.
+        doubt_left: part that this view leaves of what frames without a motion before it said of a hand.
     """
 
     prev_from_curr: Displacement

@@ -64,6 +64,7 @@ class Coverage:
 
     @staticmethod
     def _between(landmarks: Landmarks, tile_m: float) -> Coverage:
+        """The same of one kind of features: lines and points are not told apart."""
         out = Coverage()
         if not len(landmarks):
             return out
