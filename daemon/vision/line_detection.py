@@ -16,7 +16,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.angles import pixels
 from ceilvo.daemon.vision.edges import Edges
-from ceilvo.daemon.vision.line_fit import JointFit, Points
+from ceilvo.daemon.vision.line_fit import LAST_GATE_PX, JointFit, Points
 from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
@@ -59,6 +59,11 @@ def dominant_direction(phi_deg: Array32) -> float | None:
         return None
     found_deg = kernel.direction(phi_deg, _DIRECTION_REACH_DEG, 1 + len(phi_deg) // _START_POINTS)
     return fold_direction(float(np.radians(found_deg)))[0]
+
+
+def cost_px2(fitting: int, noise_px: float, points: int) -> float:
+    """Squared residuals, px^2, of points of which some fit lines: each of the others counts with the gate."""
+    return fitting * noise_px**2 + (points - fitting) * LAST_GATE_PX[0] ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +136,7 @@ class _Problem:
 
     def cost(self, found: _Found) -> float:
         """Of a fit, by all points."""
-        return found[0].cost(len(self.points.x))
+        return cost_px2(len(found[0].line), found[0].noise_px, len(self.points.x))
 
 
 _Found = tuple[JointFit, TiltPrior]

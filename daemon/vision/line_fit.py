@@ -18,7 +18,7 @@ from ceilvo.types import Array, Ints
 
 Array32 = NDArray[np.float32]
 
-_LAST_GATE_PX = (0.8, 2.0)
+LAST_GATE_PX = (0.8, 2.0)
 """Bounds of the last gate; 0.8 from the prototype's gates of 2.2, 1.2 and 0.8, 2 for jagged edges: chosen."""
 _LAST_GATE_SIGMAS = 3.0
 """Between the bounds, in standard deviations of the points: 99.7 % of normal noise."""
@@ -200,7 +200,7 @@ class JointFit:
     def last_gate_px(self) -> float:
         """A few standard deviations of the points that fit, in bounds: jagged edges need more than clean ones."""
         sigma = MAD_TO_SIGMA * kernel.spread(self.rho, self.line, self.offset, self.focal_px, _SPREAD_STRIDE)
-        return min(max(_LAST_GATE_SIGMAS * sigma, _LAST_GATE_PX[0]), _LAST_GATE_PX[1])
+        return min(max(_LAST_GATE_SIGMAS * sigma, LAST_GATE_PX[0]), LAST_GATE_PX[1])
 
     def solve(self, tilt: bool = True) -> None:
         """One Gauss-Newton step on (psi, tilt); the offsets are eliminated by centring every line.
@@ -333,10 +333,6 @@ class JointFit:
             half = int(np.count_nonzero(of[: self.ends[2]]))
             self._solve(rho, tangent, line, half, tilt=True)
         self.support = np.bincount(self.line, minlength=len(self.offset))
-
-    def cost(self, points: int) -> float:
-        """Squared residuals, px^2, of so many points that were there: those that fit no line count with the gate."""
-        return len(self.line) * self.noise_px**2 + (points - len(self.line)) * _LAST_GATE_PX[0] ** 2
 
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""

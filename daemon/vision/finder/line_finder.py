@@ -16,7 +16,7 @@ from ceilvo.daemon.vision.edges import EdgeDetector
 from ceilvo.daemon.vision.faint.level_picture import STEEPEST_DEG
 from ceilvo.daemon.vision.faint.stage import FaintLines, FaintState
 from ceilvo.daemon.vision.lens import for_lens
-from ceilvo.daemon.vision.line_detection import LastFit, detect
+from ceilvo.daemon.vision.line_detection import LastFit, cost_px2, detect
 from ceilvo.daemon.vision.line_pairing import EdgeSet
 from ceilvo.daemon.vision.rolling_shutter import Readout, RollingShutter, TwistPrior
 from ceilvo.daemon.vision.tilt_prior import TiltPrior, TiltState, TiltTracker
@@ -179,10 +179,12 @@ class LineFinder:
 
         lines = along(None)
         if s.detections <= _FIRST_LOOKS and (lines is None or _is_vague(lines)):
-            as_level = lines, s.edges
+            as_level, misfit_px2 = (lines, s.edges), _misfit_px2(lines, s.edges, len(edges.uv_px))
             for lean in _LEANS_RAD:
                 lines = along(None, LastFit(lean, s.best_noise_px))
-                if lines is not None and not _is_vague(lines) and LastFit(lines.tilt_rad, 0.0).leans:
+                # rings of vents side by side are lines under 4 deg, too, but then some are left over
+                fits = _misfit_px2(lines, s.edges, len(edges.uv_px)) <= misfit_px2
+                if lines is not None and fits and _slopes(lines):
                     break
             else:
                 lines, s.edges = as_level
@@ -217,6 +219,18 @@ def _is_doubtful(lines: Lines, carried_rad: float) -> bool:
 def _is_vague(lines: Lines) -> bool:
     """Whether the lines of a frame leave its tilt open."""
     return bool(np.max(lines.free_tilt_sigma_rad) > _VAGUE_TILT_RAD)
+
+
+def _slopes(lines: Lines) -> bool:
+    """Whether lines tell a tilt, that no robot has."""
+    return not _is_vague(lines) and LastFit(lines.tilt_rad, 0.0).leans
+
+
+def _misfit_px2(lines: Lines | None, edges: EdgeSet | None, points: int) -> float:
+    """How badly lines fit so many points that they were looked for among."""
+    if lines is None or edges is None:
+        return np.inf
+    return cost_px2(int(np.sum(lines.support)), edges.noise_px, points)
 
 
 def _stays(free: Lines, carried: Lines) -> bool:

@@ -44,6 +44,26 @@ def test_slats_that_tell_one_half_of_the_tilt_to_a_hundredth_of_a_degree_do_not_
     assert leaning == 0
 
 
+@pytest.mark.parametrize("slope_deg", [(0.0, 0.0), (5.0, 0.0), (0.0, 5.0)])
+def test_the_first_look_at_slats_tells_a_slope_from_vents_side_by_side(slope_deg: tuple[float, float]) -> None:
+    """Rings of two vents are lines of a ceiling of 4 deg as well, but fewer of their edges lie on them."""
+    slope = (float(np.tan(np.radians(slope_deg[0]))), float(np.tan(np.radians(slope_deg[1]))))
+    looks = []
+    for seed, times_s, round_lamps in ((161, [0.0], True), (163, np.arange(1.0, 31.0, 2.0), False)):
+        ceiling = replace(WOOD, round_lamps=round_lamps, slope=slope)
+        world = World(WorldSpec(seed=seed, lap=LAP, ceiling=ceiling, render=RenderSpec(footprint=True)))
+        world.start(0)
+        for t_s in times_s:
+            lines = LineFinder(world.calibration, Features())(world.frame_at(float(t_s)), None)
+            assert lines is not None
+            looks.append(np.degrees(np.hypot(*lines.tilt_rad)))
+    print(f"seeds 161 and 163, slope {slope_deg}: {np.round(looks, 2)}")
+    if any(slope_deg):
+        assert min(looks) > 2.5
+    else:
+        assert max(looks) < 0.3
+
+
 @pytest.mark.parametrize("seed", [141, 144])
 def test_a_robot_that_rocks_under_hexagons_from_the_start_is_not_taken_for_level(seed: int) -> None:
     """Until something is known of it. It was for the first seconds, and TRACKING 66 mm off."""
