@@ -23,6 +23,10 @@ UNNOTICED = 1e-3
 CARRY_MPS = 4.0
 """How fast a hand moves it at most, as standing.py has it: at 2.0, a walk, a robot that was swung further than it was
 listed had e^-8 of the chance of its twins under a raster of lamps, and never caught up (tuning seed 700 number 2)."""
+TURN_RADPS, PUT_DOWN_RAD = 5.0, 0.5
+"""How fast a hand turns a robot at most, and how much more while it puts it down; chosen."""
+BESIDE_M = 1.0
+"""Besides how far a robot was moved: what its pose may have been off by; chosen."""
 ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
 OFF_MAP = 0.05
@@ -69,6 +73,8 @@ LED = 0.95
 """Of the robots that may have changed floors, how many come out where a transition leads to; chosen."""
 LED_M, LED_RAD = 1.0, 0.5
 """Around there: where a robot stands in a cabin, and how it stands, is not known better; chosen."""
+MOST_DOUBTS = 64
+"""More than so many doubts are no single ones any more, and the robot may be anywhere; for time."""
 
 
 @dataclass(slots=True)
@@ -85,6 +91,7 @@ class Doubt:
         changed: probability that the ceiling was changed meanwhile, where nobody moved the robot.
         leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
             where there are any, nothing else moved it.
+        reach_rad: how far it can have been turned.
     """
 
     reason: str
@@ -94,6 +101,7 @@ class Doubt:
     stored: float = 0.0
     changed: float = 0.0
     leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    reach_rad: float = np.inf
 
     @property
     def unmeasured(self) -> bool:
@@ -114,6 +122,13 @@ class Doubt:
         drift_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(self.cov[:2, :2])[-1], 0.0)))
         carried_m = self.reach_m if self.elsewhere > 0.0 and not len(self.leads) else 0.0
         return min(max(drift_m, carried_m), ANYWHERE_M)
+
+    def beyond(self, off: Array) -> bool:
+        """Whether nobody who moved the robot then can have brought it off by (3,); False where that is not known."""
+        if self.elsewhere == 0.0 or len(self.leads) or self.anywhere:
+            return False
+        turned_rad = self.reach_rad + 4.0 * float(np.sqrt(max(self.cov[2, 2], 0.0)))
+        return bool(np.hypot(off[0], off[1]) > self.search_m + BESIDE_M or abs(off[2]) > turned_rad)
 
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
@@ -184,6 +199,27 @@ class Doubt:
         return min(float(np.log(UNTOUCHED) + _fit(here, UNTOUCHED_SIGMA**2, tile_m)), MOST_UNTOUCHED)
 
 
+@dataclass(slots=True)
+class Reach:
+    """Where hands can have brought the robot since its place was sure: by doubts (D,), that came at poses (D, 3)."""
+
+    doubts: list[Doubt] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+
+    def take(self, doubt: Doubt, pose: Array) -> None:
+        """One more doubt came at a pose (3,)."""
+        if len(self.doubts) <= MOST_DOUBTS:
+            self.doubts.append(doubt)
+            self.poses.append(pose)
+
+    def beyond(self, place: Array) -> bool:
+        """Whether no single doubt explains that the robot is at a place (3,), place_from_tracked in map."""
+        if not 0 < len(self.doubts) <= MOST_DOUBTS:
+            return False
+        there = [offset(rival_poses(place[None], pose)[0], pose) for pose in self.poses]
+        return all(doubt.beyond(off) for doubt, off in zip(self.doubts, there, strict=True))
+
+
 def _fit(here: Array, var: Array, tile_m: Array, turned: bool = True) -> float:
     """Log-likelihood ratio of tiles that lie off by `here` (3,) with variances (3,), against tiles that lie anyhow; not
     turned: along the same walls."""
@@ -214,7 +250,8 @@ def of_gap(blind_cov: Array, blind_s: float, jumped: float, other: float, watche
     lifted *= UNNOTICED if watched else 1.0
     elsewhere = max(jumped, lifted, min(other, JUMPED))
     why = "the picture jumped" if jumped > lifted else f"{blind_s:.1f} s without vision"
-    return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + 1.0)
+    reach_rad = TURN_RADPS * blind_s + PUT_DOWN_RAD
+    return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + BESIDE_M, reach_rad=reach_rad)
 
 
 def of_stored(cov: Array, ago_s: float, before: float) -> Doubt:
@@ -243,7 +280,8 @@ def both(a: Doubt, b: Doubt) -> Doubt:
     """Of one after the other: the largest of each, and of leads the later ones."""
     elsewhere, reach_m = max(a.elsewhere, b.elsewhere), a.reach_m + b.reach_m
     changed, leads = max(a.changed, b.changed), b.leads if len(b.leads) else a.leads
-    return Doubt(b.reason, a.cov + b.cov, elsewhere, reach_m, changed=changed, leads=leads)
+    reach_rad = sum(d.reach_rad for d in (a, b) if d.elsewhere > 0.0)
+    return Doubt(b.reason, a.cov + b.cov, elsewhere, reach_m, changed=changed, leads=leads, reach_rad=reach_rad)
 
 
 def negligible(doubt: Doubt, rate: float) -> bool:

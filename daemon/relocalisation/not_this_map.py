@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE, combined
+from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE
+from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.lattice import FEWEST_PAIRS, Lattice, cells, offset, rival_from_tracked, rival_poses
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Observations, Pose

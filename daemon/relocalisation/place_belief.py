@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.evidence.view_evidence import combined
+from ceilvo.daemon.relocalisation.evidence.wrong_places import combined, guessed, too_much
 from ceilvo.daemon.relocalisation.lattice import CELL_M, beside, cells, rival_poses, same_places
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array, Ints
@@ -110,7 +110,7 @@ class PlaceBelief:
         seen there. The likeliest is compared with unknown ground, which may be alike.
         """
         weight = self.log_weight + seen[:, 0]
-        return np.asarray(weight - _too_much(seen[np.argmax(weight)]))
+        return np.asarray(weight - too_much(seen[np.argmax(weight)]))
 
     def shares(self) -> tuple[Array, float]:
         """(P,) probabilities of the places, and that of the unknown one."""
@@ -172,9 +172,10 @@ class PlaceBelief:
     def at_another_spot(self) -> bool:
         return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
 
-    def weigh(self, log_ratio: Array, unmapped: Callable[[int], Array] | None = None) -> None:
+    def weigh(self, log_ratio: Array, unmapped: Callable[[int], tuple[Array, bool]] | None = None) -> None:
         """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known, and what says
-        (P,) how much of what speaks for one of them lies on ground that is not known at each (None: nothing).
+        (P,) how much of what speaks for one of them lies on ground that is not known at each (None: nothing), and
+        whether nobody can have brought the robot to that one.
 
         What the likeliest other place than the tracked one explains so well may be because ceilings are alike: then
         new ground would show the same, so it is no worse for that: any, or while the tracked place leads, only its own.
@@ -183,7 +184,10 @@ class PlaceBelief:
             weight = self.log_weight + self.seen[:, 0] + log_ratio[:, 0]
             best = 1 + int(np.argmax(weight[1:]))
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
-            share = max(_too_much(self.seen[best] + view) - _too_much(self.seen[best]), 0.0) * unmapped(best)
+            on_new, beyond = unmapped(best)
+            alike = guessed if beyond else np.asarray
+            by_chance = too_much(alike(self.seen[best] + view)) - too_much(alike(self.seen[best]))
+            share = max(by_chance, 0.0) * on_new
             share[best] = 0.0
             if weight[best] < weight[0]:
                 share[1:] = 0.0
@@ -222,7 +226,7 @@ class PlaceBelief:
         likeliest = self.seen[np.argmax(weight)]
         # One that has fallen no further than LEAST was given some of its weight: not for what it has shown itself.
         self.seen[weight <= LEAST] = likeliest
-        self.log_weight = weight - self.seen[:, 0] + _too_much(likeliest)
+        self.log_weight = weight - self.seen[:, 0] + too_much(likeliest)
         self.spot, self.spot_views = np.zeros((len(self), 2)), 0
         self.spot_m = self.spot_rad = 0.0
         self.changed = changed + self._against_changed
@@ -335,11 +339,6 @@ class PlaceBelief:
         self.places[0], self.log_weight, self.seen = 0.0, self.log_weight[order], self.seen[order]
         self.told, self.evidence = self.told[order], self.evidence[order]
         return there
-
-
-def _too_much(seen: Array) -> float:
-    """By how much a place (2,) seems likelier against any wrong place than it is against all."""
-    return float(seen[0] - combined(seen))
 
 
 def _best(weight: Array, most: int) -> Ints:

@@ -13,13 +13,14 @@ from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
-from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
+from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, of_tracked, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
-from ceilvo.daemon.relocalisation.submap import first_id_after, joined
+from ceilvo.daemon.relocalisation.submap import joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
@@ -223,7 +224,7 @@ class Relocaliser:
         evidence.take(self._worth(view))
         poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
         ratio = s.survey.log_ratio(evidence, poses, pose)
-        s.belief.weigh(ratio, lambda best: evidence.unmapped(poses, poses[best], grid))
+        s.belief.weigh(ratio, lambda i: (evidence.unmapped(poses, poses[i], grid), s.reach.beyond(s.belief.places[i])))
         s.views += 1
         return self._decided(pose) or bool(np.any(pose != before))
 
@@ -251,6 +252,7 @@ class Relocaliser:
             s.belief.renew()
         s.looked, s.spots, s.leads = Coverage(), 0, doubt.leads if len(doubt.leads) else s.leads
         expected = pose = self.filter.estimate()[0]
+        s.reach.take(doubt, expected)
         lattice, here, tile_m = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), np.zeros(3), np.zeros(2)
         if lattice is not None:
             if doubt.unmeasured:
@@ -274,7 +276,7 @@ class Relocaliser:
         s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0 if doubt.elsewhere >= doubts.UNLIKELY else FEWEST_VIEWS - 1
-            self._open_submap()
+            s.open_submap(self.filter.landmarks)
 
     def _search(self, view: Observations, pose: Array, evidence: ViewEvidence) -> Array:
         """List places of the map that this view can be from; the tracked pose (3,), moved onto its own where near."""
@@ -315,7 +317,7 @@ class Relocaliser:
             self._put(s.belief.jump(winner, pose))
         if s.belief.doubt() >= self._rate or refused:
             s.reason = s.reason or CONTRADICTION
-            self._open_submap()
+            s.open_submap(self.filter.landmarks)
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.grave, s.searched, s.leads = "", 0.0, False, False, np.zeros((0, 3))
             s.belief.changed = -np.inf
@@ -323,10 +325,6 @@ class Relocaliser:
             s.belief.forget()
             self._on_map.end()
         return winner is not None
-
-    def _open_submap(self) -> None:
-        if self.state.submap_from is None:
-            self.state.submap_from = first_id_after(self.filter.landmarks())
 
     def _put(self, found: Array) -> None:
         """The robot is at a pose (3,); what was learnt in doubt comes along."""

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.relocalisation.doubts import Doubt
+from ceilvo.daemon.relocalisation.doubts import Doubt, Reach
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.unmapped import Unmapped
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
-from ceilvo.daemon.relocalisation.submap import turned_cov
+from ceilvo.daemon.relocalisation.submap import first_id_after, turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.schedule import ScheduleState
-from ceilvo.types import Array
+from ceilvo.types import Array, Landmarks
 
 USUAL_WEIGHT = 0.05
 """Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
@@ -71,6 +72,7 @@ class RelocaliserState:
         searched: since the doubt a view told all places of the map that it can be from, and all of them were listed.
         unmapped: what the map lacks while the place is sure.
         search: the last one of this doubt.
+        reach: where hands can have brought the robot since the place was sure.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -99,6 +101,7 @@ class RelocaliserState:
     searched: bool = False
     unmapped: Unmapped = field(default_factory=Unmapped)
     search: PlaceSearch | None = None
+    reach: Reach = field(default_factory=Reach)
 
     @property
     def sure(self) -> bool:
@@ -125,9 +128,15 @@ class RelocaliserState:
             return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
         return f"to be confirmed by landmarks: {why}"
 
+    def open_submap(self, landmarks: Callable[[], Landmarks]) -> None:
+        """What is learnt from now on, besides these landmarks, is apart."""
+        if self.submap_from is None:
+            self.submap_from = first_id_after(landmarks())
+
     def close_submap(self) -> None:
         """The place is another one or sure: what is learnt from now on is of the map, and no search is asked for."""
         self.submap_from, self.apart, self.gap_cov, self.search = None, False, np.zeros((3, 3)), None
+        self.reach = Reach()
 
     def gap_opens(self, pose: Array, cov: Array) -> None:
         """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""

@@ -9,7 +9,8 @@ import numpy as np
 from ceilvo.crossing_types import JOINTS, LINE_CROSSINGS
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
+from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, repeats
 from ceilvo.daemon.relocalisation.not_this_map import Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex

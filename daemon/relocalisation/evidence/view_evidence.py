@@ -25,6 +25,7 @@ from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, REACH_M, VISIBLE, TypeRaster
 from ceilvo.daemon.relocalisation.evidence.worth import of_lamp, of_place, telling
+from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.kernel.arguments import LINE_FEATURES, Ratios
 from ceilvo.daemon.relocalisation.place_index.blocks import FINE_M, fine
 from ceilvo.daemon.relocalisation.place_index.type_grid import TypeGrid
@@ -48,8 +49,6 @@ CHANGED_CHANCE = np.array([0.9, 0.08, 0.015, 0.005])
 """How likely each of those is; chosen: ceilings change seldom and mostly little."""
 INDEPENDENCE = 0.5
 """Worth of a feature in those of a view: crossings share lines; chosen."""
-ALIKE = 0.1
-"""Of wrong places, how many are as like this one as any: lamps hang in a pattern, and go on so; chosen."""
 MOST_VISIBLE = 0.8
 """A landmark's own visibility is believed up to here: it was counted from other spots."""
 CLOSE = 15.0
@@ -61,11 +60,6 @@ _TURNED = np.array([turned_type(np.arange(CROSSING_TYPES), t) for t in range(4)]
 """(4, T) every type, named by axes that are so many quarter turns further."""
 _TINY = 1e-12
 """In place of a sum that is zero."""
-
-
-def combined(log_ratio: Array) -> Array:
-    """(...,) log-likelihood ratio against all wrong places, of (..., 2) against any and against one that is alike."""
-    return np.asarray(-np.logaddexp(np.log(1.0 - ALIKE) - log_ratio[..., 0], np.log(ALIKE) - log_ratio[..., 1]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from ceilvo.crossing_types import CROSSING_TYPES, LAMP, turned_type
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import TypeRaster
-from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence, combined
+from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
+from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.se2 import inverse, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations

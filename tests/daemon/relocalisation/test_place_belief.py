@@ -6,7 +6,7 @@ from beliefs import STEP_M, alike, spot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ceilvo.daemon.relocalisation.evidence.view_evidence import ALIKE
+from ceilvo.daemon.relocalisation.evidence.wrong_places import ALIKE
 from ceilvo.daemon.relocalisation.lattice import of_tracked, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import (
     LEAD_M,
@@ -237,7 +237,7 @@ def test_new_ground_is_no_worse_for_what_a_place_that_is_alike_explains(unmapped
     for _ in range(6):
         belief.moved(STEP_M, 1.0)
         belief.leave_spot()
-        belief.weigh(np.array([[0.0, 0.0], [3.0, 0.05]]), lambda best: np.array([unmapped, unmapped])[: best + 1])
+        belief.weigh(np.array([[0.0, 0.0], [3.0, 0.05]]), lambda _: (np.array([unmapped, unmapped]), False))
     odds = float(np.log(belief.shares()[0][1] / belief.shares()[0][0]))
     gained = -9.0 + 6 * 0.05 - np.log(ALIKE) if unmapped else -9.0 + 6 * 3.0
     assert odds == pytest.approx(gained, abs=0.2)

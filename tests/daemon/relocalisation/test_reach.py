@@ -1,0 +1,102 @@
+"""Where hands can have brought the robot, and what a place that is alike gains on new ground beyond that."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ceilvo.daemon.odometry.course import JUMPED
+from ceilvo.daemon.relocalisation import doubts
+from ceilvo.daemon.relocalisation.doubts import MOST_DOUBTS, Reach
+from ceilvo.daemon.relocalisation.evidence.wrong_places import guessed, too_much
+from ceilvo.daemon.relocalisation.lattice import rival_from_tracked
+from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+
+POSE = np.array([3.0, -2.0, 0.7])
+HALF_TURN_BESIDE = rival_from_tracked((POSE + np.array([0.4, 0.2, np.pi]))[None], POSE)[0]
+"""A place half a turn from where the robot stands: transforms in map leave it there as the robot drives on."""
+
+
+def gap(blind_s: float, jumped: float = JUMPED) -> doubts.Doubt:
+    return doubts.of_gap(1e-6 * np.eye(3), blind_s, jumped, 0.0)
+
+
+def reached(*all_doubts: doubts.Doubt) -> Reach:
+    reach = Reach()
+    for doubt in all_doubts:
+        reach.take(doubt, POSE)
+    return reach
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(0.03, 1.0), st.floats(0.0, 0.99), st.floats(-np.pi, np.pi), st.floats(-0.99, 0.99))
+def test_what_a_hand_does_in_a_gap_is_within_its_reach(blind_s: float, speed: float, way: float, turn: float) -> None:
+    """Moved at up to 4 m/s in any direction and turned at up to 5 rad/s, anywhere on the map."""
+    moved_m, turned_rad = doubts.CARRY_MPS * speed * blind_s, doubts.TURN_RADPS * turn * blind_s
+    there = POSE + np.array([moved_m * np.cos(way), moved_m * np.sin(way), turned_rad])
+    assert not reached(gap(blind_s)).beyond(rival_from_tracked(there[None], POSE)[0])
+
+
+@pytest.mark.parametrize(
+    ("all_doubts", "beyond"),
+    [
+        ((), False),
+        ((gap(0.1),), True),
+        ((gap(0.1), gap(0.2), gap(0.3)), True),
+        ((gap(0.1), gap(0.6)), False),
+        ((gap(0.1), doubts.of_gap(1e-6 * np.eye(3), 0.1, 0.0, 0.0)), False),
+        ((gap(0.1), doubts.of_gap(np.diag([0.1, 0.1, 1.0]), 0.1, JUMPED, 0.0)), False),
+        ((gap(0.1), doubts.of_stored(1e-4 * np.eye(3), np.inf, 0.0)), False),
+        ((gap(0.1), doubts.of_suspicion("wheels turn, the picture stands", 1.0, None)), False),
+        ((doubts.both(gap(0.1), gap(0.2)),), True),
+        ((doubts.both(gap(0.3), gap(0.3)),), False),
+        ((gap(0.1),) * (MOST_DOUBTS + 1), False),
+    ],
+    ids=[
+        "nothing happened",
+        "a short gap",
+        "short gaps, each by itself",
+        "one of them was long",
+        "a gap in which nobody lifted it, but something else may have",
+        "a gap in which its own turn is not known",
+        "a restart",
+        "senses that contradict each other",
+        "two before one view, short together",
+        "two before one view, long together",
+        "more than are told apart",
+    ],
+)
+def test_half_a_turn_takes_a_hand_its_time(all_doubts: tuple[doubts.Doubt, ...], beyond: bool) -> None:
+    assert reached(*all_doubts).beyond(HALF_TURN_BESIDE) == beyond
+
+
+def test_reach_is_counted_from_where_the_robot_was_when_the_doubt_came() -> None:
+    """A quarter turn about a point 8 m away is 11 m from there, and none at all at that point."""
+    quarter_about = rival_from_tracked(np.array([[0.0, 0.0, 0.5 * np.pi]]), np.zeros(3))[0]
+    near, far = Reach(), Reach()
+    near.take(gap(0.3), np.array([0.1, 0.0, 0.2]))
+    far.take(gap(0.3), np.array([8.0, 0.0, 0.2]))
+    assert not near.beyond(quarter_about) and far.beyond(quarter_about)
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+def test_a_twin_that_no_hand_can_have_reached_gains_nothing_on_new_ground(beyond: bool) -> None:
+    """Lamps of new ground hang as they do half a turn away on the map. As far as the map says how alike its ground is,
+    six of them prove the twin; where nobody can have turned the robot so, they say that ceilings are alike."""
+    belief = PlaceBelief()
+    belief.add(np.array([[0.0, 0.0, np.pi]]), np.array([-5.0]))
+    for _ in range(6):
+        belief.moved(0.3, 0.0)
+        belief.leave_spot()
+        belief.weigh(np.array([[0.0, 0.0], [5.0, 1.4]]), lambda _: (np.ones(2), beyond))
+    share, _ = belief.shares()
+    print(f"beyond reach {beyond}: tracked place {share[0]:.3f}, twin {share[1]:.3f}")
+    assert (share[0] > 0.1) if beyond else (share[1] > 0.9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(-20, 60), st.floats(-20, 30))
+def test_a_guess_of_likeness_never_says_more_than_what_is_known_of_it(any_: float, alike: float) -> None:
+    seen = np.array([any_, alike])
+    assert guessed(seen)[0] == any_ and guessed(seen)[1] <= alike
+    assert too_much(guessed(seen)) >= too_much(seen) - 1e-9
