@@ -25,8 +25,9 @@ CARRY_MPS = 4.0
 listed had e^-8 of the chance of its twins under a raster of lamps, and never caught up (tuning seed 700 number 2)."""
 TURN_RADPS, PUT_DOWN_RAD = 5.0, 0.5
 """How fast a hand turns a robot at most, and how much more while it puts it down; chosen."""
-BESIDE_M = 1.0
-"""Besides how far a robot was moved: what its pose may have been off by; chosen."""
+BESIDE_M, BESIDE_RAD = 1.0, 0.25 * np.pi
+"""Besides how far a robot was moved and turned: its pose was put onto the nearest tiles, and turned onto them; half a
+tile of 1.25 m either way."""
 ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
 OFF_MAP = 0.05
@@ -91,7 +92,7 @@ class Doubt:
         changed: probability that the ceiling was changed meanwhile, where nobody moved the robot.
         leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
             where there are any, nothing else moved it.
-        reach_rad: how far it can have been turned.
+        reach_rad: how far it can have been turned; inf where it may have gone on before or after.
     """
 
     reason: str
@@ -125,9 +126,9 @@ class Doubt:
 
     def beyond(self, off: Array) -> bool:
         """Whether nobody who moved the robot then can have brought it off by (3,); False where that is not known."""
-        if self.elsewhere == 0.0 or len(self.leads) or self.anywhere:
+        if self.elsewhere == 0.0 or len(self.leads) or self.anywhere or np.isinf(self.reach_rad):
             return False
-        turned_rad = self.reach_rad + 4.0 * float(np.sqrt(max(self.cov[2, 2], 0.0)))
+        turned_rad = max(self.reach_rad, 4.0 * float(np.sqrt(max(self.cov[2, 2], 0.0)))) + BESIDE_RAD
         return bool(np.hypot(off[0], off[1]) > self.search_m + BESIDE_M or abs(off[2]) > turned_rad)
 
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
@@ -236,7 +237,9 @@ def shows_a_jump(crossings: int, usual: float) -> bool:
     return crossings >= min(FEWEST_JUMPED, max(0.5 * usual, FEWEST_EVER))
 
 
-def of_gap(blind_cov: Array, blind_s: float, jumped: float, other: float, watched: bool = False) -> Doubt:
+def of_gap(
+    blind_cov: Array, blind_s: float, jumped: float, other: float, watched: bool = False, bridged: bool = False
+) -> Doubt:
     """After a stretch without motions from vision.
 
     Args:
@@ -245,12 +248,13 @@ def of_gap(blind_cov: Array, blind_s: float, jumped: float, other: float, watche
         jumped: probability that somebody moved the robot, where pictures did not fit; else 0.
         other: probability that the motion which ended it is another one that fits as well.
         watched: a gyro bears out that the robot stood on its wheels.
+        bridged: the view that ended it shows what the one before it showed, so that nobody went on moving the robot.
     """
     lifted = LIFTED * min(1.0, (blind_s / CARRY_S) ** 2) if blind_s > LIFT_S else 0.0
     lifted *= UNNOTICED if watched else 1.0
     elsewhere = max(jumped, lifted, min(other, JUMPED))
     why = "the picture jumped" if jumped > lifted else f"{blind_s:.1f} s without vision"
-    reach_rad = TURN_RADPS * blind_s + PUT_DOWN_RAD
+    reach_rad = TURN_RADPS * blind_s + PUT_DOWN_RAD if bridged else np.inf
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + BESIDE_M, reach_rad=reach_rad)
 
 

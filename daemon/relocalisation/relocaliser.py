@@ -142,9 +142,9 @@ class Relocaliser:
         if self.sure and not gapped and self._rate <= final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
         if gapped or final.doubt > 0.0:
-            bridged = final.ok and not final.restarted and final.doubt == 0.0
-            cov = final.cov if bridged else track.blind_cov  # odometry weighed all in the latter
-            self.raise_doubt(doubts.of_gap(cov, track.blind_s, jumped * final.doubt_left, final.doubt, track.watched))
+            bridged, left = final.ok and not final.restarted, jumped * final.doubt_left
+            cov = final.cov if bridged and final.doubt == 0.0 else track.blind_cov  # odometry weighed all in the latter
+            self.raise_doubt(doubts.of_gap(cov, track.blind_s, left, final.doubt, track.watched, bridged))
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far since that began."""

@@ -17,8 +17,8 @@ HALF_TURN_BESIDE = rival_from_tracked((POSE + np.array([0.4, 0.2, np.pi]))[None]
 """A place half a turn from where the robot stands: transforms in map leave it there as the robot drives on."""
 
 
-def gap(blind_s: float, jumped: float = JUMPED) -> doubts.Doubt:
-    return doubts.of_gap(1e-6 * np.eye(3), blind_s, jumped, 0.0)
+def gap(blind_s: float, bridged: bool = True) -> doubts.Doubt:
+    return doubts.of_gap(1e-6 * np.eye(3), blind_s, JUMPED, 0.0, bridged=bridged)
 
 
 def reached(*all_doubts: doubts.Doubt) -> Reach:
@@ -44,11 +44,12 @@ def test_what_a_hand_does_in_a_gap_is_within_its_reach(blind_s: float, speed: fl
         ((gap(0.1),), True),
         ((gap(0.1), gap(0.2), gap(0.3)), True),
         ((gap(0.1), gap(0.6)), False),
-        ((gap(0.1), doubts.of_gap(1e-6 * np.eye(3), 0.1, 0.0, 0.0)), False),
-        ((gap(0.1), doubts.of_gap(np.diag([0.1, 0.1, 1.0]), 0.1, JUMPED, 0.0)), False),
+        ((gap(0.1), doubts.of_gap(1e-6 * np.eye(3), 0.1, 0.0, 0.0, bridged=True)), False),
+        ((gap(0.1), doubts.of_gap(np.diag([0.1, 0.1, 1.0]), 0.1, JUMPED, 0.0, bridged=True)), False),
+        ((gap(0.1), gap(0.2, bridged=False)), False),
         ((gap(0.1), doubts.of_stored(1e-4 * np.eye(3), np.inf, 0.0)), False),
         ((gap(0.1), doubts.of_suspicion("wheels turn, the picture stands", 1.0, None)), False),
-        ((doubts.both(gap(0.1), gap(0.2)),), True),
+        ((doubts.both(gap(0.1), gap(0.1)),), True),
         ((doubts.both(gap(0.3), gap(0.3)),), False),
         ((gap(0.1),) * (MOST_DOUBTS + 1), False),
     ],
@@ -59,6 +60,7 @@ def test_what_a_hand_does_in_a_gap_is_within_its_reach(blind_s: float, speed: fl
         "one of them was long",
         "a gap in which nobody lifted it, but something else may have",
         "a gap in which its own turn is not known",
+        "a gap that no view bridged, so that the robot may have been carried on",
         "a restart",
         "senses that contradict each other",
         "two before one view, short together",
