@@ -297,7 +297,8 @@ class Relocaliser:
         own = np.flatnonzero(of_tracked(places))
         if not len(own):
             return pose
-        there = better_of(evidence, pose, poses[own[0]], JUMP_SIGMA[0])
+        moved = s.grave or s.reason == CONTRADICTION  # else the way is known but for whole tiles
+        there = better_of(evidence, pose, poses[own[0]], JUMP_SIGMA[0] if moved else s.gap_sigma_m)
         if there is pose:
             return pose
         if s.belief.led_by_another:  # which stays where it is

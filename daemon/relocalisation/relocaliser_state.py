@@ -19,6 +19,8 @@ from ceilvo.types import Array, Landmarks
 
 USUAL_WEIGHT = 0.05
 """Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
+VIEW_M = 0.005
+"""Standard deviation of where a view puts the robot, with what lens and tilt are off by; chosen, see bench-vision."""
 AMBIGUOUS = "ambiguous"
 """Begins the reason while several places of the map are likely."""
 NOT_THIS_MAP = "not this map"
@@ -145,6 +147,11 @@ class RelocaliserState:
     def left_open(self, pose: Array) -> Array:
         """(3, 3) by which the tracked pose (3,) may be off as the gaps of this doubt left it."""
         return turned_cov(self.gap_cov, pose[:2] - self.gap_at_m)
+
+    @property
+    def gap_sigma_m(self) -> float:
+        """How far off the tracked pose may be as the gaps of this doubt left it, unless somebody moved the robot."""
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.gap_cov[:2, :2])[-1], 0.0) + VIEW_M**2))
 
     def shown(self, crossings: int) -> None:
         """One more view with a motion showed so many."""
