@@ -202,23 +202,20 @@ class Doubt:
 
 @dataclass(slots=True)
 class Reach:
-    """Where hands can have brought the robot since its place was sure: by doubts (D,), that came at poses (D, 3)."""
+    """Where hands can have brought the robot since its place was sure: by doubts, each at a tracked pose (3,)."""
 
-    doubts: list[Doubt] = field(default_factory=list)
-    poses: list[Array] = field(default_factory=list)
+    doubts: list[tuple[Doubt, Array]] = field(default_factory=list)
 
     def take(self, doubt: Doubt, pose: Array) -> None:
         """One more doubt came at a pose (3,)."""
         if len(self.doubts) <= MOST_DOUBTS:
-            self.doubts.append(doubt)
-            self.poses.append(pose)
+            self.doubts.append((doubt, pose))
 
     def beyond(self, place: Array) -> bool:
         """Whether no single doubt explains that the robot is at a place (3,), place_from_tracked in map."""
         if not 0 < len(self.doubts) <= MOST_DOUBTS:
             return False
-        there = [offset(rival_poses(place[None], pose)[0], pose) for pose in self.poses]
-        return all(doubt.beyond(off) for doubt, off in zip(self.doubts, there, strict=True))
+        return all(doubt.beyond(offset(rival_poses(place[None], pose)[0], pose)) for doubt, pose in self.doubts)
 
 
 def _fit(here: Array, var: Array, tile_m: Array, turned: bool = True) -> float:

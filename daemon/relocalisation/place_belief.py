@@ -185,9 +185,10 @@ class PlaceBelief:
             best = 1 + int(np.argmax(weight[1:]))
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
             on_new, beyond = unmapped(best)
-            alike = guessed if beyond else np.asarray
-            by_chance = too_much(alike(self.seen[best] + view)) - too_much(alike(self.seen[best]))
-            share = max(by_chance, 0.0) * on_new
+            before, after = self.seen[best], self.seen[best] + view
+            if beyond:
+                before, after = guessed(before), guessed(after)
+            share = max(too_much(after) - too_much(before), 0.0) * on_new
             share[best] = 0.0
             if weight[best] < weight[0]:
                 share[1:] = 0.0

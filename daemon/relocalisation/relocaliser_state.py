@@ -136,7 +136,8 @@ class RelocaliserState:
             self.submap_from = first_id_after(landmarks())
 
     def close_submap(self) -> None:
-        """The place is another one or sure: what is learnt from now on is of the map, and no search is asked for."""
+        """The place is another one or sure: what is learnt from now on is of the map, no search is asked for, and what
+        hands did before is over."""
         self.submap_from, self.apart, self.gap_cov, self.search = None, False, np.zeros((3, 3)), None
         self.reach = Reach()
 

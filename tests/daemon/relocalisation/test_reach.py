@@ -11,6 +11,7 @@ from ceilvo.daemon.relocalisation.doubts import MOST_DOUBTS, Reach
 from ceilvo.daemon.relocalisation.evidence.wrong_places import guessed, too_much
 from ceilvo.daemon.relocalisation.lattice import rival_from_tracked
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.replay.snapshot import read_value, value_json
 
 POSE = np.array([3.0, -2.0, 0.7])
 HALF_TURN_BESIDE = rival_from_tracked((POSE + np.array([0.4, 0.2, np.pi]))[None], POSE)[0]
@@ -79,6 +80,13 @@ def test_reach_is_counted_from_where_the_robot_was_when_the_doubt_came() -> None
     near.take(gap(0.3), np.array([0.1, 0.0, 0.2]))
     far.take(gap(0.3), np.array([8.0, 0.0, 0.2]))
     assert not near.beyond(quarter_about) and far.beyond(quarter_about)
+
+
+def test_a_recording_keeps_what_hands_may_have_done() -> None:
+    reach = reached(gap(0.1), gap(0.2), doubts.both(gap(0.1), gap(0.1)))
+    again = read_value(value_json(reach), Reach)
+    assert again is not None and value_json(again) == value_json(reach)
+    assert again.beyond(HALF_TURN_BESIDE) and reach.beyond(HALF_TURN_BESIDE)
 
 
 @pytest.mark.parametrize("beyond", [False, True])
