@@ -267,16 +267,18 @@ class Heights:
             self.misplaced = self._mount + (from_camera * higher) @ lines.normals
 
     def _ratios(self) -> tuple[Array, Array]:
-        """As Tracks.ratios(), by the calibrated level's lines: what is wrong with the way is in theirs as well."""
+        """As Tracks.ratios(), by the calibrated level's lines of the same axis: what is wrong with the way along it is
+        in theirs as well."""
         t = self.state.tracks
         ratio, sigma = t.ratios()
         if not self.several:
             return ratio, sigma
         main = t.own & (t.level == 0) & np.isfinite(sigma)
-        info = float(np.sum(sigma[main] ** -2.0))
-        if info < _ANCHORED:
-            return ratio, sigma
-        return ratio / float(np.average(ratio[main], weights=sigma[main] ** -2.0)), sigma
+        for axis in (0, 1):
+            of = main & (t.axis == axis)
+            if float(np.sum(sigma[of] ** -2.0)) >= _ANCHORED:
+                ratio[t.axis == axis] /= float(np.average(ratio[of], weights=sigma[of] ** -2.0))
+        return ratio, sigma
 
     def _voted(self, lines: SeenLines, track: Ints, level: Ints) -> Ints:
         """(T,) the level that most of the lines are on which cross each, or UNKNOWN."""

@@ -31,6 +31,17 @@ def test_what_remains_does_not_depend_on_how_much_of_the_grille_is_seen() -> Non
         assert len(left) == len(GRID)
 
 
+@pytest.mark.parametrize("rows", range(4, 12))
+def test_several_grilles_are_left_out_however_many_crossings_they_have(rows: int) -> None:
+    """Three whole ones have as many as a ceiling that is all cells; how much of each is found changes by the frame."""
+    grid = np.stack(np.meshgrid(0.3 * np.arange(-6, 7), 0.3 * np.arange(-4, 5)), -1).reshape(-1, 2) - 0.15
+    grille = CELLS[: 12 * rows]
+    cells = np.concatenate([np.add(grille, [aside_m, 0.0]) for aside_m in (-0.9, 0.0, 0.9)])
+    apart = grid[np.min(np.hypot(*(grid[:, None] - cells).transpose(2, 0, 1)), axis=1) > 0.12]
+    left = thinned(seen(np.concatenate([cells, apart])), FOCAL_PX)
+    np.testing.assert_array_equal(left.xy_base_m, apart)
+
+
 def test_a_grille_alone_is_better_than_nothing() -> None:
     alone = seen(CELLS)
     assert thinned(alone, FOCAL_PX) is alone

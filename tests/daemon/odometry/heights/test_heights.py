@@ -145,6 +145,26 @@ def test_lines_are_followed_though_the_robot_went_another_way_than_expected(jump
     assert len(set(heights.state.tracks.name.tolist()) - names) <= 1, "of all but one it is known which they are"
 
 
+@pytest.mark.parametrize("too_long", [0.97, 1.03])
+def test_a_way_along_one_axis_that_is_measured_badly_does_not_disown_its_lines(too_long: float) -> None:
+    """All lines of that axis seem a little higher or lower then, those of the calibrated height as well; what the other
+    axis showed while the robot drove along it says nothing of that."""
+    heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
+    ceiling = [*grid(HIGH_M, -3.3, 12), *grid(HIGH_M - 0.4, -3.0, 12)]
+    here, share = np.zeros(3), 1.0
+    for step in 180 * [np.array([0.002, 0.012, 0.0])] + 160 * [np.array([0.012, 0.0, 0.0])]:
+        along = step * ([1.0, 1.0, 1.0] if step[1] else [too_long, 1.0, 1.0])
+        here = here + step
+        in_view = [line for line in ceiling if abs(line[1] - here[line[0]]) < 1.3]
+        crossings, _ = seen(in_view, here, rng)
+        placed = heights.look(crossings, along)
+        assert placed is not None
+        heights.learn(Motion(Displacement(along), 1e-6 * np.eye(3), len(placed), 0.0))
+        share = len(placed) / len(crossings)
+    print(f"seed {SEED}, way {too_long}: {100 * share:.0f} % of the crossings are of known height")
+    assert share > 0.9
+
+
 def test_lines_of_another_view_are_not_followed() -> None:
     """Where no shift brings most lines together, those are new ones."""
     heights, rng = Heights(CALIBRATION), np.random.default_rng(SEED)
