@@ -130,6 +130,30 @@ def test_what_lies_beyond_the_view_has_its_share() -> None:
     assert narrow.log_elsewhere < np.log(1e-9)
 
 
+@pytest.mark.parametrize(
+    ("step_m", "sigma_m", "by_a_tile", "turned"),
+    [(0.012, 0.02, 10.0, 132.0), (0.001, 0.02, 1.0, 132.0), (0.012, 0.4, 1.0, 1.0)],
+)
+def test_a_robot_that_was_moved_would_not_see_tiles_just_where_they_were_foreseen(
+    step_m: float, sigma_m: float, by_a_tile: float, turned: float
+) -> None:
+    """It would stand anywhere in a tile; but who tries localisers moves one that stands by whole tiles, so of those
+    less is made. A vague prediction foresees no tiles."""
+    here, true, third = np.array([20.0, 20.0, 0.0]), np.array([step_m, 0.0, 0.0]), np.array([0.2, 0.2, 0.0])
+    ref, curr = (camera("grid", flawless=True).sees(at, k) for k, at in enumerate((here, se2.compose(here, true))))
+    turn, cov = direction_change(ref.psi_rad, curr.psi_rad, 0.0), np.diag([sigma_m, sigma_m, 0.002]) ** 2
+    share: dict[str, list[float]] = {"by a tile": [], "turned": []}
+    for mean in (true, true + third):
+        found = find_candidates(ref, curr, turn, Prior(mean, cov, 0.5, 0.033))
+        of_hand = found.unpredicted * np.exp(found.log_weight - found.log_ratio)
+        share["by a tile"].append(of_hand[is_at(found.ref_from_curr, np.add(true, [0.6, 0.0, 0.0]))][0])
+        share["turned"].append(np.max(of_hand[np.abs(found.ref_from_curr[:, 2]) > 3.0]))
+    for other, least in (("by a tile", by_a_tile), ("turned", turned)):
+        less = share[other][1] / share[other][0]
+        print(f"{1e3 * sigma_m:.0f} mm, {other}: {less:.1f} times as likely where tiles are not foreseen")
+        assert 0.9 * least < less < 1.1 * least
+
+
 def test_the_chance_of_being_carried_brings_in_what_the_prediction_excludes() -> None:
     """A tile further than the prediction allows: the lamps say so, the prior by how much they must."""
     here, true, seen = (
@@ -177,6 +201,6 @@ def test_cells_of_a_tenth_of_a_metre_are_not_taken_for_each_other_in_a_motion_th
     none = np.zeros((len(grid), 2, 2)), np.zeros(len(grid), np.int64)
     ref, curr = (Crossings(xy, xy, *none, 0.0, 0.0, np.zeros(2), np.zeros(2), np.zeros((2, 2))) for xy in (grid, grid))
     true = np.zeros(3)
-    found = compared(ref, curr, true, np.array([0.003, 0.003, 0.001]), carried=3e-6)
+    found, vague = (compared(ref, curr, true, np.array([s, s, 0.001]), carried=3e-6) for s in (0.003, 0.1))
     assert is_at(found.ref_from_curr[:1], true)[0]
-    assert len(found) > 4 and found.doubt() < 1e-5  # and who moved the robot is 3e-6
+    assert len(vague) > 4 and found.doubt() < 1e-5  # and who moved the robot is 3e-6
