@@ -167,12 +167,11 @@ class Motion:
         restarted: odometry goes on from this frame without having tied it to the last good one, so what was
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
         prior_cov: (3, 3) of prev_from_curr before anything was seen in this frame: what prediction alone knew.
-        by_wheels, watched: as of WheelMotion, where the prediction is the wheels'.
+        by_wheels, watched: as of WheelMotion, where the prediction is the wheels'; seen: vision measured it.
         alternatives: (A, 3) other displacements prev_from_curr that this view fits too: whole tiles or quarter turns
             off. Those are left out that are less likely than the rate of error that odometry may have.
         log_ratio: (A,) logarithm of how much likelier the view is at each than at prev_from_curr, but for predictions.
-        doubt: probability that the displacement is another, such as one too long for the views to be compared, or that
-            somebody moved the robot; 0 where nothing gave reason to look.
+        doubt: probability that it is another, or that somebody moved the robot; 0 where nothing gave reason to look.
         doubt_left: part that this view leaves of what frames without a motion before it said of a hand.
     """
 
@@ -185,6 +184,7 @@ class Motion:
     prior_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     by_wheels: bool = False
     watched: bool = False
+    seen: bool = False
     alternatives: Array = field(default_factory=lambda: np.empty((0, 3)))
     log_ratio: Array = field(default_factory=lambda: np.empty(0))
     doubt: float = 0.0

@@ -276,6 +276,7 @@ class VisualOdometry:
             inliers=place.agreeing,
             rms_m=fit.rms_m,
             failure=None,
+            seen=True,
             alternatives=alternatives,
             log_ratio=found.log_ratio,
             doubt=max(found.doubt, JUMPED * found.unpredicted),

@@ -79,7 +79,9 @@ class SlipState:
     metres: float = 0.0
 
     def moved(self, step_m: Array, motion: Motion) -> None:
-        """The pose went by (2,) in map with a motion."""
+        """The pose went by (2,) in map with a motion; where vision measured that, wheels that slip leave no trace."""
+        if motion.seen:
+            return
         self.displacement_m = self.displacement_m + step_m
         self.travel_m += float(np.hypot(*step_m))
         if motion.cov[2, 2] > 0.0:

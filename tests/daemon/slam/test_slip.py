@@ -113,8 +113,11 @@ def test_a_turned_way_ends_where_a_robot_that_turned_half_way_would_be() -> None
 STEP_M, NOISE = 0.08, 0.004
 
 
-def drive(error: Array, slip_per_m: float, seed: int = SEED) -> tuple[Array, dict[str, int]]:
-    """Worst position and heading error of 4 m on a known map; wheels are wrong by `error` in each of steps 20 to 24."""
+def drive(error: Array, slip_per_m: float, seed: int = SEED, seen: bool = False) -> tuple[Array, dict[str, int]]:
+    """Worst position and heading error of 4 m on a known map; wheels are wrong by `error` in each of steps 20 to 24.
+
+    seen: vision measured the way; the same error is in what is seen of landmarks then, as of lines at another height.
+    """
     rng = np.random.default_rng(seed)
     points = rng.uniform([-1, -1.5], [5, 1.5], (40, 2))
     f = make_filter(replace(CFG, slip_per_m=slip_per_m, particles=50), np.random.default_rng(seed))
@@ -126,12 +129,13 @@ def drive(error: Array, slip_per_m: float, seed: int = SEED) -> tuple[Array, dic
     for i in range(50):
         step = np.array([STEP_M, 0.0, 0.0])
         truth = compose(truth, step)
-        told = step + error * (20 <= i < 25) + NOISE * rng.standard_normal(3)
-        f.predict(Motion(Displacement(told), np.diag([NOISE**2] * 3), 9, 0.0))
+        wrong = error * (20 <= i < 25)
+        told = step + wrong * (not seen) + NOISE * rng.standard_normal(3)
+        f.predict(Motion(Displacement(told), np.diag([NOISE**2] * 3), 9, 0.0, seen=seen))
         at = transform(inverse(truth), points)
-        seen = np.flatnonzero(np.hypot(*at.T) < 1.2)
-        z = at[seen] + 0.05 * rng.standard_normal((len(seen), 2))
-        f.update(Observations(z, np.full((len(seen), 2), 0.0025), np.zeros(len(seen), np.int64), seen))
+        there = np.flatnonzero(np.hypot(*at.T) < 1.2)
+        z = at[there] + 0.05 * rng.standard_normal((len(there), 2)) + 2.0 * wrong[:2] * seen
+        f.update(Observations(z, np.full((len(there), 2), 0.0025), np.zeros(len(there), np.int64), there))
         off = f.estimate()[0] - truth
         worst = np.maximum(worst, [np.hypot(*off[:2]), abs(wrap(off[2]))])
     return worst, dict(f.counters())
@@ -148,6 +152,17 @@ def test_a_slip_of_each_kind_is_followed(error: tuple[float, ...], kept_m: float
     print(f"seed {SEED}: worst {without} m, rad without slip, {found} with it; {counters['slips']} slips")
     assert found[0] < kept_m and found[1] < kept_rad
     assert counters["slips"] >= 1
+
+
+def test_a_way_that_vision_measured_has_no_slip() -> None:
+    """Landmarks that seem further on for a while, as lines that are taken to be at another height, are not followed."""
+    error = np.array([-0.12, 0.0, 0.0])
+    believed, _ = drive(error, 0.02, seen=True)
+    s = SlipState()
+    s.moved(np.array([0.3, 0.0]), Motion(Displacement(np.array([0.3, 0.0, 0.1])), 1e-6 * np.eye(3), 9, 0.0, seen=True))
+    print(f"seed {SEED}: worst {believed} m, rad")
+    assert s.exposure_m == 0.0 and s.chances(np.zeros(KINDS), CFG)[0][-1] == 1.0
+    assert believed[0] < 0.08
 
 
 def test_without_a_slip_none_is_seen() -> None:
