@@ -22,6 +22,9 @@ FASTEST_MPS, FASTEST_RADPS = 10.0, 10.0
 (alternatives.py)."""
 FEWEST = 3
 """Points that must meet for a motion that nothing else bears out: two tell one distance only; chosen."""
+_ONE_M = 0.06
+"""Points nearer to each other count as one: corners of a sprinkler, or it and its spot, move and are mistaken together;
+chosen, twice what points may be off by."""
 _RIVAL = 0.5
 """A displacement that lays so many points elsewhere, of those that meet at the best one, puts that in doubt; chosen."""
 _MOST_LIKE = 128
@@ -49,7 +52,7 @@ class Laid:
 
     Attributes:
         ref_from_curr: (3,) under which most do.
-        met: how many do.
+        met: how many things do.
         alone: no other displacement within reach does nearly as well.
     """
 
@@ -88,9 +91,10 @@ def laid(ref: Points, curr: Points, guess: Array, elapsed_s: float, config: Odom
     off = _moved(ways, a[None])[:, i] - b[j]
     off_m = np.hypot(off[..., 0], off[..., 1])
     meets = off_m <= near_m
-    met = _distinct(meets, i)
+    thing = _things(a)[i]
+    met = _distinct(meets, thing)
     best = int(np.argmax(met - np.sum(np.where(meets, off_m / near_m, 0.0), axis=1) / (len(i) + 1)))
-    elsewhere = int(np.max(_distinct(meets & ~meets[best], i)))
+    elsewhere = int(np.max(_distinct(meets & ~meets[best], thing)))
     return Laid(ways[best], int(met[best]), met[best] >= FEWEST and elsewhere < _RIVAL * met[best])
 
 
@@ -129,7 +133,13 @@ def _moved(ways: Array, points: Array) -> Array:
     return np.stack([c * x - s * y, s * x + c * y], axis=-1) + ways[:, None, :2]
 
 
-def _distinct(meets: NDArray[np.bool_], i: Ints) -> Ints:
-    """(K,) how many points meet another, of pairs (K, C) whose points i (C,) are in order."""
-    first = np.flatnonzero(np.diff(i, prepend=-1))
-    return np.asarray(np.count_nonzero(np.logical_or.reduceat(meets, first, axis=1), axis=1))
+def _things(xy: Array) -> Ints:
+    """(N,) the first of the points (N, 2) that are one with each."""
+    near = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) < _ONE_M
+    return np.asarray(np.argmax(near, axis=1))
+
+
+def _distinct(meets: NDArray[np.bool_], thing: Ints) -> Ints:
+    """(K,) how many things meet another, of pairs (K, C) of points of things (C,)."""
+    each = thing[:, None] == np.unique(thing)
+    return np.asarray(np.count_nonzero(meets.astype(np.int64) @ each > 0, axis=1))

@@ -34,7 +34,8 @@ from ceilvo.types import Array, Ints, Landmarks, Observations
 CHANGED = np.array([0.0, 0.05, 0.15, 0.35])
 """Fractions of a view that may be other than when it was mapped."""
 UNMAPPED_COMMON = 0.01
-"""Chance that a joint between tiles on known ground is not in the map; 0.001 was measured, see coverage.VIEWS."""
+"""Chance that a joint between tiles on known ground is not in the map; 0.001 was measured, see coverage.VIEWS. Not so
+of points, though they be the commonest: a corner of hexagons comes and goes as rarer types do."""
 UNMAPPED_FIRST, UNMAPPED_VIEWS = 6.0, 3.0
 """The same of rarer types, that are seen now and then only: 1 / (6 + n / 3) after n views showed the ground. Measured
 0.16, 0.11, 0.09, 0.06, 0.03, 0.015 at 6, 15, 25, 40, 80 and 150 views (two rooms, first laps, seeds 501 and 502)."""
@@ -308,12 +309,13 @@ def _ratios_of(same: bytes, rare_one: bytes, least_unmapped: float, scale: float
     """The same of a chance's numbers: it is measured now and then, and asked in every view."""
     chance = Chance(*(np.frombuffer(v).reshape(2, -1) for v in (same, rare_one)))
     views = _VIEWS_PER_STEP * np.arange(256 // _VIEWS_PER_STEP)
-    unmapped = np.where(chance.rare, _unmapped(views[:, None]), UNMAPPED_COMMON)[..., None]
+    flickers = chance.rare | (np.arange(CROSSING_TYPES) >= LINE_CROSSINGS)
+    unmapped = np.where(flickers, _unmapped(views[:, None]), UNMAPPED_COMMON)[..., None]
     unmapped = unmapped + (1.0 - unmapped) * CHANGED
     mistaken = TYPE_MISTAKEN[:, None]
     known = np.log(1.0 - unmapped)
     out: list[list[Array]] = [[], [], []]
-    held = np.where(chance.rare[:, None], 1.0 - unmapped, 1.0)  # what the map lacks it lacks at wrong places, too
+    held = np.where(flickers[:, None], 1.0 - unmapped, 1.0)  # what the map lacks it lacks at wrong places, too
     for wrong in chance.seen_at_wrong_places:
         same, other = (np.log(p[:, None] * held) for p in wrong[:2])
         none = np.log(1.0 - (wrong[0] + wrong[1])[:, None] * held)

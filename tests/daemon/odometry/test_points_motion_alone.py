@@ -7,7 +7,7 @@ import pytest
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.crossing_types import JOINTS, LAMP
+from ceilvo.crossing_types import CORNER, JOINTS, LAMP
 from ceilvo.daemon.odometry.points.constellation import Points, laid
 from ceilvo.daemon.odometry.points.lean import LeanState, learn, step_cov, view_cov
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
@@ -87,6 +87,16 @@ def test_a_view_is_laid_alone_from_three_points_on(lamps: int) -> None:
     assert way is not None and way.met == lamps
     assert way.alone == (lamps >= 3)
     assert np.max(np.abs(way.ref_from_curr - JERK)) < 1e-9
+
+
+def test_a_sprinkler_and_its_corner_are_one_thing() -> None:
+    """A lamp and a sprinkler with a corner of its own, as seen in two views of which one took another lamp's end for
+    it: two distances that are off alike are no third point."""
+    at, kind = np.array([[0.40, -0.61], [0.38, -0.61], [-0.25, -0.61]]), np.array([LAMP, CORNER, LAMP])
+    sigma = np.full(3, SIGMA_M)
+    ref, curr = Points(at, kind, sigma), Points(np.add(at, [[0.0, 0.0], [0.0, 0.0], [0.05, 0.0]]), kind, sigma)
+    way = laid(ref, curr, np.zeros(3), STEP_S, Odometry())
+    assert way is not None and way.met == 2 and not way.alone
 
 
 def leaning(at: Array, lean_rad: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from place_maps import SQUARE, ceiling
 
-from ceilvo.crossing_types import CROSSING_TYPES, LAMP, turned_type
+from ceilvo.crossing_types import CORNER, CROSSING_TYPES, LAMP, turned_type
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import TypeRaster
@@ -17,6 +17,7 @@ from ceilvo.se2 import inverse, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
 HERE = np.array([5.2, 4.9, 0.3])
+ONES = np.ones((2, 1))
 
 
 def view_from(landmarks: Landmarks, pose: Array, turns: int = 0) -> Observations:
@@ -62,6 +63,24 @@ def test_a_bare_grid_says_nothing_and_ground_that_is_not_mapped_says_nothing() -
     assert np.ptp(found) < 0.3 and np.all(np.abs(found) < 1.0)
     off = ratio(landmarks, view_from(landmarks, HERE), np.array([HERE + np.array([60.0, 0.0, 0.0])]))
     assert abs(off[0]) < 0.2
+
+
+@pytest.mark.parametrize(("kind", "at_least", "at_most"), [(CORNER, -1.0, 0.1), (4, -9.0, -1.0)])
+def test_a_few_new_points_on_ground_that_was_just_mapped_say_little_though_all_are_of_one_type(
+    kind: int, at_least: float, at_most: float
+) -> None:
+    """A detector finds corners of hexagons now and then; a joint between tiles is found from the first view on."""
+    landmarks = replace(ceiling(1), crossing_type=np.full(len(ceiling(1)), kind))
+    chance = Chance(*(np.where(np.arange(CROSSING_TYPES) == kind, p, 0.2) for p in (0.9 * ONES, 0.95 * ONES)))
+    known = Coverage()
+    for _ in range(12):
+        known.show(transform(HERE, SQUARE))
+    view = view_from(landmarks, HERE)
+    mapped = landmarks.of(np.flatnonzero(np.arange(len(landmarks)) % 5 > 0))
+    around_here = Surroundings.of(mapped, known, chance, 3.0, 0.0)
+    found = combined(ViewEvidence(view, around_here, np.ones(len(view))).log_ratio(HERE[None]))[0]
+    print(f"type {kind}: {found:.1f} where one feature in five is new")
+    assert at_least < found < at_most
 
 
 def test_a_lamp_that_is_expected_and_not_seen_counts_against_a_pose() -> None:

@@ -9,10 +9,13 @@ from ceilvo import se2
 from ceilvo.bench.vision.conditions import conditions
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.relocalisation.doubts import of_gap
 from ceilvo.daemon.relocalisation.relocaliser_state import VIEW_M, RelocaliserState
 from ceilvo.types import Frame, State
 
 SEED, RATE_HZ = 166, 30.0
+DOUBT_S, DOUBT = 13.5, 5.5e-4
+"""When a view of that lap once left a doubt, and which."""
 
 
 def test_a_place_beside_the_tracked_one_does_not_take_it_along_on_new_ground() -> None:
@@ -25,6 +28,8 @@ def test_a_place_beside_the_tracked_one_does_not_take_it_along_on_new_ground() -
     start, off_mm, doubted = world.truth_at(0.0), [], 0
     for k in range(int(15.0 * RATE_HZ)):
         t_s = k / RATE_HZ
+        if k == int(DOUBT_S * RATE_HZ):
+            pipeline.relocaliser.raise_doubt(of_gap(1e-6 * np.eye(3), 1.0 / RATE_HZ, 0.0, DOUBT, bridged=True))
         estimate = pipeline.step(Frame(k, 1_000_000_000 + round(t_s * 1e9), world.frame_at(t_s)))
         if estimate.state in (State.TRACKING, State.DEGRADED):
             true = se2.between(start, world.truth_at(t_s))
