@@ -261,8 +261,9 @@ def _prior_share(at: Array, prior: Prior, far_m: float) -> tuple[Array, Array]:
     quarters = at[:, 2:] - prior.mean[2] + _QUARTER_RAD * np.arange(4)
     log_turn = -0.5 * wrap_array(quarters) ** 2 / (float(prior.cov[2, 2]) + _SAME_RAD**2)
     of_turn = np.exp(log_turn[:, 0] - np.logaddexp.reduce(log_turn, axis=1))
-    own = np.minimum(_TILE_M2 * density, 1.0) * of_turn
-    surer = max(float(np.max(_TILE_M2 * density * of_turn, initial=0.0)), 1.0)
+    foreseen = _TILE_M2 * density
+    own = np.minimum(foreseen, 1.0) * of_turn
+    surer = max(float(np.max(foreseen * of_turn, initial=0.0)), 1.0)
     off_m, reach_m = np.hypot(off[:, 0], off[:, 1]), _CARRIED_MPS * prior.carried_s
     near = off_m <= _CARRIED_NEAR_M + reach_m
     near &= np.abs(wrap_array(at[:, 2] - prior.mean[2])) <= _SAME_RAD + _CARRIED_RADPS * prior.carried_s
