@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from ceilvo.types import Array, Crossings, Ints
 _SAME_M, _SAME_RAD = 3.0 * BIN_M, 0.1
 """Displacements that differ by less are one: the bins that were counted together."""
 _MISSED = np.array([0.01, 0.05, 0.15, 0.35, 0.6])
-"""Fractions of the crossings that both views must show but only one does."""
+"""Fractions of the crossings that both views must show which one of them misses."""
 _MISSED_CHANCE = np.array([0.4, 0.3, 0.17, 0.1, 0.03])
 """How likely each is; chosen: laps had 0.03 in most conditions, 0.15 at worst (make bench-vision)."""
 _ALIKE = 0.5
@@ -33,7 +34,7 @@ _LEAST_CHANCE = 0.02
 """Bound of that chance, for a type is seen a few times only."""
 _MISTAKEN = 0.5
 """Where so many crossings are missing, this times as many more are seen as of another type; chosen."""
-_UNSEEN, _UNSEEN_WEIGHT = np.array([0.25, 0.25, 0.5, 0.5]), 2.0
+_UNSEEN, _UNSEEN_WEIGHT = np.array([0.2, 0.2, 0.3, 0.3]), 2.0
 """The same before anything was seen of a type, and for how many crossings that counts; chosen."""
 _VOTED_M = BIN_M / math.sqrt(12.0)
 """Standard deviation of where votes put a candidate: of an even distribution over a bin. With a bin itself, 20 mm, one
@@ -201,11 +202,7 @@ def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:
     Args:
         flickers: what is missing of the commonest type, joints, and of the others is judged apart.
     """
-    chance = _chance(at, counts)[:, None]  # (K, 1, 4, 9)
-    missed = np.repeat(_MISSED[:, None], CROSSING_TYPES, axis=1)
-    other = np.minimum(TYPE_MISTAKEN + _MISTAKEN * missed, 0.5)
-    right = np.stack([(1.0 - missed) * (1.0 - other), (1.0 - missed) * other, missed, missed], axis=1)
-    gain = np.log(right / chance)
+    gain = np.log(_if_right() / _chance(at, counts)[:, None])  # (K, Q, 4, 13)
     gain[:, :, 1:] = np.minimum(gain[:, :, 1:], 0.0)  # what is missing or mistaken proves no place
     each = np.einsum("kct,kqct->kqt", counts, gain)
     joints = each[:, :, int(np.argmax(np.sum(counts, axis=(0, 1))))]
@@ -214,9 +211,23 @@ def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:
     return np.asarray(np.where(_agreeing(counts) < MIN_AGREEING, -np.inf, ratio))
 
 
+@cache
+def _if_right() -> Array:
+    """(Q, 4, 13) the shares of Matched.counts at the right place, for each pair of fractions that the two views miss.
+
+    Of what one of them shows, at least: what both miss is not counted.
+    """
+    missed = np.repeat(_MISSED[:, None], CROSSING_TYPES, axis=1)
+    before, now = np.repeat(missed, len(_MISSED), axis=0), np.tile(missed, (len(_MISSED), 1))
+    other = np.minimum(TYPE_MISTAKEN + _MISTAKEN * 0.5 * (before + now), 0.5)
+    both = (1.0 - before) * (1.0 - now)
+    shares = np.stack([both * (1.0 - other), both * other, before * (1.0 - now), now * (1.0 - before)], axis=1)
+    return np.asarray(shares / (1.0 - before * now)[:, None])
+
+
 def _over_fractions(score: Array) -> Array:
     """(K,) logarithm of the mean over fractions that are missing, of likelihoods (K, Q) given as logarithms."""
-    score = score + np.log(_MISSED_CHANCE)
+    score = score + np.log(np.outer(_MISSED_CHANCE, _MISSED_CHANCE).reshape(-1))
     top = np.max(score, axis=1)
     return np.asarray(top + np.log(np.sum(np.exp(score - top[:, None]), axis=1)))
 
@@ -228,15 +239,13 @@ def _agreeing(counts: Array) -> Array:
 
 
 def _chance(at: Array, counts: Array) -> Array:
-    """(K, 4, 9) the same as fractions, at the other candidates: where tiles meet, or anywhere if they do not."""
+    """(K, 4, 13) the same as fractions, at the other candidates: where tiles meet, or anywhere if they do not."""
     met = np.sum(counts[:, :2], axis=(1, 2))
     alike = (_agreeing(counts) >= _ALIKE) & (met >= _ALIKE_MET * np.max(met))
     found = _at_others(at, at[alike], counts[alike])
     alone = np.sum(found, axis=(1, 2)) < _TINY
     found[alone] = _at_others(at[alone], at, counts)
-    now = np.sum(found[:, :3], axis=1, keepdims=True)
-    before = found[:, 3:] + np.sum(found[:, :2], axis=1, keepdims=True)  # what is there now was there before
-    tried = np.concatenate([np.repeat(now, 3, axis=1), before], axis=1)
+    tried = np.sum(found, axis=1, keepdims=True)
     chance = np.maximum((found + _UNSEEN[:, None] * _UNSEEN_WEIGHT) / (tried + _UNSEEN_WEIGHT), _LEAST_CHANCE)
     chance[:, 0] = np.minimum(chance[:, 0], 1.0 - TYPE_MISTAKEN)  # no place explains more than the right one
     return np.asarray(chance)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,20 @@ def test_a_line_that_is_called_something_else_counts_as_one_crossing(psi_rad: fl
     assert same == pytest.approx(SIDE * (SIDE - lines))
     assert other == pytest.approx(lines)
     assert gone == lost == 0.0
+
+
+@pytest.mark.parametrize(("missing", "worth"), [(JOINTS, 3), (ANOTHER, SIDE)])
+def test_a_line_of_joints_that_is_missing_counts_as_three_and_one_of_a_lamp_in_full(missing: int, worth: int) -> None:
+    kind = np.full((SIDE, SIDE), JOINTS)
+    kind[:, 2] = missing  # all crossings of the line at x = 1.2
+    whole = grid(kind.ravel())
+    left = np.tile(np.arange(SIDE) != 2, SIDE)
+    part = replace(whole, uv_px=whole.uv_px[left], xy_base_m=whole.xy_base_m[left])
+    part = replace(part, cov_base_m2=whole.cov_base_m2[left], crossing_type=whole.crossing_type[left])
+    for before, now in ((whole, part), (part, whole)):
+        counts = Matched.of(Sight.of(before), Sight.of(now), np.zeros((1, 3)), 0).counts[0].sum(axis=1)
+        assert counts[0] == pytest.approx(SIDE * (SIDE - 1))
+        assert sorted(counts[1:]) == pytest.approx([0.0, 0.0, worth])
 
 
 def test_crossings_that_are_mistaken_on_lines_of_their_own_count_each() -> None:
