@@ -28,17 +28,21 @@ APART_M = 0.04
 def count(j: JointMap, seen: Ints, visible_m: Array) -> Ints:
     """Count a view: landmarks that were seen, and those that should have been; returns the labels of the latter.
 
+    At the rim, where nothing need be seen, what is seen is not counted either, but of newborn landmarks: else a corner
+    that a robot has often passed at its rim was seen in every view by each of its mistaken names.
+
     Args:
         seen: labels of landmarks that are where they should be.
         visible_m: (V, 2) as in Observations; empty: what was not seen says nothing.
     """
+    missed = np.empty(0, np.int64)
+    if len(visible_m):
+        corners = transform(j.pose, visible_m)
+        near = j.near(np.min(corners, axis=0), np.max(corners, axis=0))
+        in_view = near[inside(visible_m, transform(inverse(j.pose), j.xy(near)))]
+        seen, missed = seen[np.isin(seen, in_view) | (seen >= j.size)], in_view[~np.isin(in_view, seen)]
     j.sightings[seen] += 1
     j.expected[seen] += 1
-    if not len(visible_m):
-        return np.empty(0, np.int64)
-    corners = transform(j.pose, visible_m)
-    near = j.near(np.min(corners, axis=0), np.max(corners, axis=0))
-    missed = near[inside(visible_m, transform(inverse(j.pose), j.xy(near))) & ~np.isin(near, seen)]
     j.expected[missed] += 1
     return missed
 

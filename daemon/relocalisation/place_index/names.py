@@ -17,8 +17,13 @@ SAME_M = 0.05
 """Two landmarks of different types so near each other, neither a crossing of joints, are one; chosen: ten sigmas."""
 
 
+SEEN_255 = 12
+"""A change of visibility by so much, 5 %, is taken in; chosen for time. Names are compared in steps of it."""
+
+
 def name_again(blocks: LandmarkBlocks, slots: Slots) -> None:
-    """Of landmarks that are new or were seen more or less often, and those beside them, the most visible is named."""
+    """Of landmarks that are new or were seen more or less often, and those beside them, the most visible is named; of
+    several that are about as visible the oldest."""
     if len(slots):
         _name(blocks, np.union1d(slots, same_corner(blocks, slots)).astype(np.int32))
 
@@ -31,7 +36,7 @@ def same_corner(blocks: LandmarkBlocks, slots: Slots) -> Slots:
 def _name(blocks: LandmarkBlocks, slots: Slots) -> None:
     which, other = _pairs(blocks, slots)
     mine = slots[which]
-    seen, more = blocks.visibility[mine], blocks.visibility[other]
+    seen, more = (blocks.visibility[at] // (SEEN_255 + 1) for at in (mine, other))
     beaten = (more > seen) | ((more == seen) & (blocks.ids[other] < blocks.ids[mine]))
     blocks.named[slots] = np.bincount(which[beaten], minlength=len(slots)) == 0
 

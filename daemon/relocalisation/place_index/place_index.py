@@ -12,7 +12,7 @@ from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_pro
 from ceilvo.daemon.relocalisation.place_index.found import CONTRADICTED, cost
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 from ceilvo.daemon.relocalisation.place_index.members import Members
-from ceilvo.daemon.relocalisation.place_index.names import name_again, same_corner
+from ceilvo.daemon.relocalisation.place_index.names import SEEN_255, name_again, same_corner
 from ceilvo.daemon.relocalisation.place_index.refinement import refined
 from ceilvo.daemon.relocalisation.place_index.search import Search
 from ceilvo.daemon.relocalisation.place_index.type_grid import REACH_M, TypeGrid
@@ -23,8 +23,6 @@ MOST = 16_384
 MARGIN = 3 * CONTRADICTED
 """Cost that a candidate may have beyond the best one's; three features that are false have a chance of 1e-4 if one in
 twenty is."""
-SEEN_255 = 12
-"""A change of visibility by so much, 5 %, is taken in; chosen for time."""
 MOVED_M = 0.02
 """A landmark that moved by less stays where it was indexed: less than a feature's noise."""
 

@@ -223,3 +223,19 @@ def test_a_room_renovated_by_a_third_is_learnt_and_the_rest_stays() -> None:
     assert not old & at
     assert new <= at
     assert robot.ids() >= set(range(len(GRID))) - set(changed.tolist())
+
+
+def test_at_the_rim_where_misses_do_not_count_sightings_do_not_either() -> None:
+    """Half of the view is shown whole: there visibility becomes what it is, and beyond it stays what it was."""
+    world = map_of(GRID, seen=10)
+    robot, half = Robot(world), upkeep.inside(0.5 * SQUARE, GRID)
+    rim = upkeep.inside(SQUARE, GRID) & ~half
+    for _ in range(200):
+        robot.look(world, chance=0.6, visible=0.5 * SQUARE)
+    after = robot.filter.landmarks()
+    in_rim, whole = np.isin(after.ids, np.flatnonzero(rim)), np.isin(after.ids, np.flatnonzero(half))
+    assert np.count_nonzero(in_rim) >= 8
+    assert np.count_nonzero(whole) >= 3
+    assert np.all(after.sightings[in_rim] == 10)
+    assert np.all(after.expected[in_rim] == 10)
+    assert np.all(np.abs(after.visibility[whole] - 0.6) < 0.15)

@@ -36,3 +36,15 @@ def test_names_follow_what_is_seen() -> None:
     assert named(index, before) == [True, False]
     index.remove(before.ids[:1])
     assert index.named(before.ids[1:]).tolist() == [True]
+
+
+def test_of_names_that_are_about_as_visible_the_oldest_stays() -> None:
+    """A mistaken name of few views may be as visible as one of many, of which the index keeps steps of 5 % only."""
+    landmarks = corner((1.0, 1.0, 0, 95), (1.01, 1.0, 3, 96))
+    assert named(PlaceIndex.of(landmarks), landmarks) == [True, False]
+
+
+def test_exactly_one_is_named_however_little_each_differs_from_the_next() -> None:
+    for seen in (range(60, 90, 4), range(90, 60, -4), range(60, 90, 3)):
+        landmarks = corner(*((1.0 + 0.002 * k, 1.0, k % 4, s) for k, s in enumerate(list(seen)[:4])))
+        assert sum(named(PlaceIndex.of(landmarks), landmarks)) == 1
