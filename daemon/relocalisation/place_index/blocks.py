@@ -32,6 +32,8 @@ FURTHEST_M = 100_000.0
 """No coordinate beyond this is indexed; the numbers of FINE end at 838 km."""
 MARGIN = 8
 """Blocks that the rectangle grows by beyond what is needed, so that a map in the making seldom makes it grow."""
+BORN_BY = 3
+"""Sightings that make a landmark, filter.birth_sightings as it is by default."""
 GROWTH = 1.2
 """Arrays that are full grow by this factor."""
 
@@ -197,7 +199,7 @@ class LandmarkBlocks:
         slots = self._take_slots(int(np.count_nonzero(inside)))
         self.ids[slots], self.xy[slots] = landmarks.ids[inside], xy[inside]
         self.crossing_type[slots] = landmarks.crossing_type[inside]
-        self.visibility[slots] = in_255(landmarks.visibility[inside])
+        self.visibility[slots] = visible_255(landmarks.of(inside))
         self.named[slots] = True
         self.table.insert(self.ids[slots], slots, self.ids)
         self._link(slots)
@@ -281,8 +283,11 @@ class LandmarkBlocks:
         self.chain[at] = after
 
 
-def in_255(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.round(255.0 * share).astype(np.uint8)
+def visible_255(landmarks: Landmarks) -> NDArray[np.uint8]:
+    """(L,) chance that a view shows each that is in it, in 1/255: the mean of a uniform prior after what was counted
+    since it was born, for it was born because it was seen."""
+    seen, expected = (np.maximum(n - BORN_BY, 0) for n in (landmarks.sightings, landmarks.expected))
+    return np.round(255.0 * (seen + 1.0) / (expected + 2.0)).astype(np.uint8)
 
 
 def _touched(xy: Fine, reach: int) -> Fine:

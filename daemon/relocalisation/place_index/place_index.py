@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.place_index.blocks import fine, in_255
+from ceilvo.daemon.relocalisation.place_index.blocks import fine, visible_255
 from ceilvo.daemon.relocalisation.place_index.false_alarm import false_alarm_probability
 from ceilvo.daemon.relocalisation.place_index.found import CONTRADICTED, cost
 from ceilvo.daemon.relocalisation.place_index.id_table import Slots
@@ -108,7 +108,7 @@ class PlaceIndex:
         off = np.hypot(*(at.astype(np.int64) - was).T)
         other = blocks.crossing_type[slots[known]] != landmarks.crossing_type[known]
         changed = known[(off > fine(np.array(moved_m))) | other]
-        self._see(slots[known], in_255(landmarks.visibility[known]))
+        self._see(slots[known], visible_255(landmarks.of(known)))
         self._remove(slots[changed])
         fresh = slots < 0
         fresh[changed] = True

@@ -1,5 +1,7 @@
 """Which of several landmarks at one spot is named, while a map is learnt."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
@@ -48,3 +50,15 @@ def test_exactly_one_is_named_however_little_each_differs_from_the_next() -> Non
     for seen in (range(60, 90, 4), range(90, 60, -4), range(60, 90, 3)):
         landmarks = corner(*((1.0 + 0.002 * k, 1.0, k % 4, s) for k, s in enumerate(list(seen)[:4])))
         assert sum(named(PlaceIndex.of(landmarks), landmarks)) == 1
+
+
+def test_a_newborn_is_not_seen_more_often_because_it_was_born() -> None:
+    """Three sightings made it a landmark; the other one was seen in 36 of 60 views."""
+    landmarks = replace(
+        corner((1.0, 1.0, 2, 0), (1.0, 1.01, 1, 0)), sightings=np.array([36, 3]), expected=np.array([60, 3])
+    )
+    index = PlaceIndex.of(landmarks.of(np.array([True, False])))
+    index.sync(landmarks)
+    assert named(index, landmarks) == [True, False]
+    index.sync(replace(landmarks, sightings=np.array([36, 23]), expected=np.array([80, 23])))
+    assert named(index, landmarks) == [False, True]
