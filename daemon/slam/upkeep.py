@@ -28,8 +28,8 @@ APART_M = 0.04
 def count(j: JointMap, seen: Ints, visible_m: Array) -> Ints:
     """Count a view: landmarks that were seen, and those that should have been; returns the labels of the latter.
 
-    At the rim, where nothing need be seen, what is seen is not counted either, but of newborn landmarks: else a corner
-    that a robot has often passed at its rim was seen in every view by each of its mistaken names.
+    At the rim of the view, where nothing need be seen, what is seen is not counted either, but of newborn landmarks:
+    else a corner that was often passed there seemed to be seen in every view, by each of its mistaken names.
 
     Args:
         seen: labels of landmarks that are where they should be.

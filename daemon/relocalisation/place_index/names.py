@@ -15,8 +15,6 @@ from ceilvo.daemon.relocalisation.place_index.id_table import Slots
 
 SAME_M = 0.05
 """Two landmarks of different types so near each other, neither a crossing of joints, are one; chosen: ten sigmas."""
-
-
 SEEN_255 = 12
 """A change of visibility by so much, 5 %, is taken in; chosen for time. Names are compared in steps of it."""
 
