@@ -26,6 +26,8 @@ _MISSED = np.array([0.01, 0.05, 0.15, 0.35, 0.6])
 """Fractions of the crossings that both views must show which one of them misses."""
 _MISSED_CHANCE = np.array([0.4, 0.3, 0.17, 0.1, 0.03])
 """How likely each is; chosen: laps had 0.03 in most conditions, 0.15 at worst (make bench-vision)."""
+_LOG_MISSED_CHANCE = np.log(np.outer(_MISSED_CHANCE, _MISSED_CHANCE).reshape(-1))
+"""The same of each pair of fractions, in logarithms: those of two views are independent."""
 _ALIKE = 0.5
 """A candidate that explains this fraction of the crossings shows what tiles explain by chance, ..."""
 _ALIKE_MET = 0.25
@@ -202,7 +204,7 @@ def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:
     Args:
         flickers: what is missing of the commonest type, joints, and of the others is judged apart.
     """
-    gain = np.log(_if_right() / _chance(at, counts)[:, None])  # (K, Q, 4, 13)
+    gain = _log_if_right() - np.log(_chance(at, counts))[:, None]  # (K, Q, 4, 13)
     gain[:, :, 1:] = np.minimum(gain[:, :, 1:], 0.0)  # what is missing or mistaken proves no place
     each = np.einsum("kct,kqct->kqt", counts, gain)
     joints = each[:, :, int(np.argmax(np.sum(counts, axis=(0, 1))))]
@@ -212,8 +214,9 @@ def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:
 
 
 @cache
-def _if_right() -> Array:
-    """(Q, 4, 13) the shares of Matched.counts at the right place, for each pair of fractions that the two views miss.
+def _log_if_right() -> Array:
+    """(Q, 4, 13) logarithms of the shares of Matched.counts at the right place, for each pair of fractions that the two
+    views miss.
 
     Of what one of them shows, at least: what both miss is not counted.
     """
@@ -222,12 +225,12 @@ def _if_right() -> Array:
     other = np.minimum(TYPE_MISTAKEN + _MISTAKEN * 0.5 * (before + now), 0.5)
     both = (1.0 - before) * (1.0 - now)
     shares = np.stack([both * (1.0 - other), both * other, before * (1.0 - now), now * (1.0 - before)], axis=1)
-    return np.asarray(shares / (1.0 - before * now)[:, None])
+    return np.asarray(np.log(shares / (1.0 - before * now)[:, None]))
 
 
 def _over_fractions(score: Array) -> Array:
     """(K,) logarithm of the mean over fractions that are missing, of likelihoods (K, Q) given as logarithms."""
-    score = score + np.log(np.outer(_MISSED_CHANCE, _MISSED_CHANCE).reshape(-1))
+    score = score + _LOG_MISSED_CHANCE
     top = np.max(score, axis=1)
     return np.asarray(top + np.log(np.sum(np.exp(score - top[:, None]), axis=1)))
 
@@ -252,7 +255,7 @@ def _chance(at: Array, counts: Array) -> Array:
 
 
 def _at_others(at: Array, others: Array, counts: Array) -> Array:
-    """(K, 4, 9) sums of the counts of the other candidates (J, 3), for each of (K, 3)."""
+    """(K, 4, 13) sums of the counts of the other candidates (J, 3), for each of (K, 3)."""
     here = np.all(np.abs(at[:, None] - others[None]) <= SMALLEST_TILE_M, axis=2)
     return np.asarray(np.tensordot((~here).astype(np.float64), counts, axes=1))
 

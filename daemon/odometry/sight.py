@@ -183,7 +183,7 @@ class Matched:
     """What displacements (K, 3) explain.
 
     Attributes:
-        counts: (K, 4, 9) by type, the worth of crossings of now where there was one of the same type, only one of
+        counts: (K, 4, 13) by type, the worth of crossings of now where there was one of the same type, only one of
             another type, or none though it would have been seen; and of crossings before where now there is none though
             it would be seen. A line that is called something else takes all its crossings with it: they count as one.
             One that is not seen does, too: a line of joints, and any under several heights, counts as three at most.
