@@ -195,8 +195,11 @@ class PlaceBelief:
             log_ratio = log_ratio + np.column_stack([share, np.zeros(len(self))])
         if not self.spot_views:
             self.spot_m = self.spot_rad = 0.0
-        before = np.where(np.isnan(self.spot), self.spot_views * log_ratio, self.spot)
-        self.spot = before + log_ratio
+        if np.any(late := np.isnan(self.spot)):
+            best = int(np.argmax(np.where(late[:, 0], -np.inf, self.weights()[0])))
+            as_now = self.spot[best] + self.spot_views * (log_ratio - log_ratio[best])
+            self.spot = np.where(late, as_now, self.spot)
+        self.spot = self.spot + log_ratio
         self.spot_views += 1
 
     def tell(self, log_likelihood: Array, unknown: float) -> None:
@@ -248,8 +251,8 @@ class PlaceBelief:
         """More places (N, 3) with log-odds (N,) against the tracked one; of one that is there they are added up. Late:
         all that may be right were there before.
 
-        What this spot has shown before is taken to speak for them as the next view will. What was seen before it made
-        unknown ground as likely as it is, beside the likeliest place: so beside them, were they the likeliest.
+        What this spot has shown before is taken to have told them from the likeliest place as the next view will. What
+        was seen before it made unknown ground as likely as it is, beside the likeliest: so beside them, were they that.
         """
         own = cells(self.places, CELL_M).tolist()
         at = {key: i for i in range(len(self) - 1, -1, -1) for key in beside(own[i])}
@@ -344,6 +347,4 @@ class PlaceBelief:
 
 def _best(weight: Array, most: int) -> Ints:
     """The heaviest, the first always among them, in order."""
-    if len(weight) <= most:
-        return np.arange(len(weight))
     return np.sort(np.append(0, 1 + np.argsort(-weight[1:], kind="stable")[: most - 1]))

@@ -225,7 +225,7 @@ class Relocaliser:
         poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
         ratio = s.survey.log_ratio(evidence, poses, pose)
         s.belief.weigh(ratio, lambda i: (evidence.unmapped(poses, poses[i], grid), s.reach.beyond(s.belief.places[i])))
-        s.views += 1
+        s.views, s.spot_m = s.views + 1, transform(Pose(pose), self._sharp.looked_at(view))
         return self._decided(pose) or bool(np.any(pose != before))
 
     def _arrive(self) -> None:
@@ -234,7 +234,7 @@ class Relocaliser:
         if not s.belief.at_another_spot:
             return
         s.belief.leave_spot()
-        s.looked.show(transform(Pose(self.filter.estimate()[0]), self._sharp.visible_m))
+        s.looked.show(s.spot_m)
         s.spots += 1
         if self.sure and s.spots > FRESH_SPOTS:
             s.looked, s.spots = Coverage(), 0

@@ -60,6 +60,7 @@ class RelocaliserState:
         usual: crossings of a view of late.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
+        spot_m: (V, 2) corners in map of what the last view that was weighed looked at.
         submap_from: id from which on landmarks were learnt in doubt, see submap.py; None while the place is sure.
         apart: something was learnt so.
         gap_cov, gap_at_m: (3, 3) m and rad, of the tracked pose before it was moved onto the tiles that are seen, and
@@ -89,6 +90,7 @@ class RelocaliserState:
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
+    spot_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     submap_from: int | None = None
     apart: bool = False
     gap_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))

@@ -46,8 +46,14 @@ class SharpView:
         """
         if crossings.complete or crossings.several or not len(view) or not len(self.visible_m):
             return view.visible_m
-        found = view.xy_base_m[inside(self.visible_m, view.xy_base_m)].astype(np.float32)
-        return np.asarray(cv2.convexHull(found).reshape(-1, 2), np.float64) if len(found) else view.visible_m
+        found = view.xy_base_m[inside(self.visible_m, view.xy_base_m)]
+        return _hull(found) if len(found) else view.visible_m
+
+    def looked_at(self, view: Observations) -> Array:
+        """(V, 2) corners in base of all that a view looked at: what it shows at the rim was seen as well."""
+        if not len(view):
+            return self.visible_m
+        return _hull(np.concatenate([self.visible_m, view.xy_base_m]))
 
     def of(self, view: Observations) -> Observations:
         """The features that are seen sharply."""
@@ -55,3 +61,8 @@ class SharpView:
             return view
         sharp = inside(self._sharp_m, view.xy_base_m)
         return view if np.all(sharp) else view.of(sharp)
+
+
+def _hull(xy_m: Array) -> Array:
+    """(V, 2) corners of the convex hull of points (N, 2)."""
+    return np.asarray(cv2.convexHull(xy_m.astype(np.float32)).reshape(-1, 2), np.float64)

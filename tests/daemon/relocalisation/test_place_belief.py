@@ -148,6 +148,16 @@ def test_a_place_that_is_added_in_the_middle_of_a_spot_is_not_behind() -> None:
     assert weight[1] - weight[0] == pytest.approx(5.0)
 
 
+def test_a_place_that_is_added_in_the_middle_of_a_spot_gains_nothing_by_a_poor_view_before() -> None:
+    """The tracked place was seen poorly first and well now; the other one as well as it is now."""
+    belief = PlaceBelief()
+    belief.weigh(alike(np.array([6.4])))
+    belief.add(RIVALS[:1], np.zeros(1))
+    belief.weigh(alike(np.array([22.0, 22.0])))
+    weight, _ = belief.weights()
+    assert weight[1] - weight[0] == pytest.approx(0.0)
+
+
 def beside_one_that_unknown_ground_looks_like(tracked: list[float]) -> PlaceBelief:
     """The likeliest place explains much, but so would one that is alike: unknown ground is as likely, or more."""
     belief = PlaceBelief()
