@@ -9,15 +9,16 @@ tiles cross nearly any whole tile explains them, and a lamp's corner only the ri
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, quarter_turns
-from ceilvo.daemon.odometry.registration import MIN_AGREEING, view_size_m
+from ceilvo.daemon.odometry.registration import MIN_AGREEING, expected_turn, view_size_m
 from ceilvo.daemon.odometry.sight import BIN_M, SMALLEST_TILE_M, Matched, Sight, shifts_by_votes
-from ceilvo.se2 import wrap, wrap_array
+from ceilvo.se2 import compose, wrap, wrap_array
 from ceilvo.types import Array, Crossings, Ints
 
 _SAME_M, _SAME_RAD = 3.0 * BIN_M, 0.1
@@ -158,24 +159,68 @@ def find_candidates(
         known: (3,) a displacement that was found otherwise, by the same turn.
     """
     far_m = _FAR * view_size_m(ref)
-    before, now = Sight.of(ref), Sight.of(curr)
+    views = (ref, curr), (Sight.of(ref), Sight.of(curr))
     found: list[Matched] = []
     for quarter in range(4):
         turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
-        quarters = quarter_turns(curr.psi_rad + turn, ref.psi_rad)
-        at, votes = shifts_by_votes(before, now, turn, quarters, far_m)
-        at = np.column_stack([at, np.full(len(at), turn)])
-        promising = np.log(_prior_share(at, prior, far_m)[0]) + _VOTES_WORTH * np.log(votes)
-        at = at[np.argsort(-promising, kind="stable")[:_MOST_CANDIDATES]]
-        if known is not None and quarter == 0:
-            at = np.concatenate([[[known[0], known[1], turn]], at])
-        if len(at):
-            found.append(Matched.of(before, now, at, quarters))
+        extra = np.zeros((0, 3)) if known is None or quarter else known[None]
+        found += _matched(*views, turn, extra, prior, far_m)
         if quarter == 0 and prior.knows_quarter:
             straight = _weighed(found, far_m, prior)
             if len(straight) and straight.log_ratio[0] > _CLEAR:
                 return straight
     return _weighed(found, far_m, prior)
+
+
+def by_two_views(
+    found: Candidates, earlier: Crossings, earlier_from_ref: Array, curr: Crossings, prior: Prior
+) -> Candidates:
+    """The same by the mean of what the reference and an earlier view say, where that can be compared.
+
+    What one of them misses the other shows, or one whose neighbours in a pattern both miss is another.
+    """
+    far_m = _FAR * view_size_m(earlier)
+    there = compose(earlier_from_ref, found.ref_from_curr)
+    own = Prior(compose(earlier_from_ref, prior.mean), prior.cov, prior.carried, prior.carried_s, prior.flickers)
+    quarter = np.round(wrap_array(there[:, 2] - there[0, 2]) / _QUARTER_RAD).astype(np.int64)
+    views, matched = ((earlier, curr), (Sight.of(earlier), Sight.of(curr))), []
+    for q in np.unique(quarter):
+        known = there[quarter == q]
+        matched += _matched(*views, expected_turn(earlier, curr, float(known[0, 2])), known, own, far_m)
+    at = np.concatenate([m.at for m in matched])
+    ratio = _log_ratio(at, np.concatenate([m.counts for m in matched]), prior.flickers > _FLICKERS)
+    ratio = np.maximum(ratio, np.max(ratio) - _HOPELESS)
+    same = _is_one(there, at)
+    again = np.max(np.where(same, ratio, -np.inf), axis=1)
+    compared = np.hypot(there[:, 0], there[:, 1]) <= far_m
+    mean = np.where(compared, 0.5 * (found.log_ratio + again), found.log_ratio)
+    weight = found.log_weight - found.log_ratio + mean
+    order = np.argsort(-weight, kind="stable")
+    return replace(
+        found,
+        ref_from_curr=found.ref_from_curr[order],
+        log_ratio=mean[order],
+        log_weight=weight[order],
+        unpredicted=found.unpredicted[order],
+    )
+
+
+def _matched(
+    views: tuple[Crossings, Crossings],
+    sights: tuple[Sight, Sight],
+    turn_rad: float,
+    known: Array,
+    prior: Prior,
+    far_m: float,
+) -> list[Matched]:
+    """Displacements of one rotation, those (N, 3) that were found otherwise first; one Matched, or none."""
+    quarters = quarter_turns(views[1].psi_rad + turn_rad, views[0].psi_rad)
+    at, votes = shifts_by_votes(*sights, turn_rad, quarters, far_m)
+    at = np.column_stack([at, np.full(len(at), turn_rad)])
+    promising = np.log(_prior_share(at, prior, far_m)[0]) + _VOTES_WORTH * np.log(votes)
+    at = at[np.argsort(-promising, kind="stable")[:_MOST_CANDIDATES]]
+    at = np.concatenate([np.column_stack([known[:, :2], np.full(len(known), turn_rad)]), at])
+    return [Matched.of(*sights, at, quarters)] if len(at) else []
 
 
 def _weighed(found: list[Matched], far_m: float, prior: Prior) -> Candidates:
@@ -193,9 +238,15 @@ def _weighed(found: list[Matched], far_m: float, prior: Prior) -> Candidates:
 
 def _apart(at: Array, order: Ints) -> Ints:
     """The order without those that are one with an earlier one: its neighbouring bins."""
-    at = at[order]
-    near = np.max(np.abs(at[:, None] - at[None]), axis=2) < _SAME_M
+    near = _is_one(at[order], at[order])
     return np.asarray(order[~np.any(np.tril(near, -1), axis=1)])
+
+
+def _is_one(at: Array, others: Array) -> NDArray[np.bool_]:
+    """(K, J) whether displacements (K, 3) are those of (J, 3), or neighbouring bins."""
+    off = np.abs(at[:, None] - others[None])
+    off[..., 2] = np.abs(wrap_array(off[..., 2]))
+    return np.asarray(np.max(off, axis=2) < _SAME_M)
 
 
 def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:

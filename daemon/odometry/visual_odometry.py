@@ -15,7 +15,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.daemon.odometry.alternatives import Candidates, Prior, find_candidates
+from ceilvo.daemon.odometry.alternatives import Candidates, Prior, by_two_views, find_candidates
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, goes_on_turning, twist_prior
 from ceilvo.daemon.odometry.course import (
     CARRIED_PS,
@@ -39,7 +39,7 @@ from ceilvo.daemon.odometry.heading_fusion import (
     with_carried,
     with_direction,
 )
-from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
+from ceilvo.daemon.odometry.odometry_state import EarlierView, VisualOdometryState
 from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
 from ceilvo.daemon.odometry.registration import (
     MIN_AGREEING,
@@ -207,7 +207,9 @@ class VisualOdometry:
         if alone is not None:
             return alone
         known = None if near is None else near.fit.b_from_a
-        candidates = find_candidates(ref, crossings, turn, prior, known)
+        candidates, earlier = find_candidates(ref, crossings, turn, prior, known), self.state.earlier
+        if len(candidates) > 1 and earlier.crossings is not None and candidates.doubt() > _FALSE_RATE:
+            candidates = by_two_views(candidates, earlier.crossings, earlier.at, crossings, prior)
         found = self._chosen(ref, crossings, candidates, near, why, course, narrow)
         return judged(found, found.doubt < _FALSE_RATE, course, self._config)
 
@@ -267,7 +269,7 @@ class VisualOdometry:
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
         special = _missing(place.special, place.special_expected)
         s.special_disagreeing += (special - s.special_disagreeing) / _USUAL_FRAMES
-        self._set_reference(with_carried(crossings, ref, fit))
+        self._set_reference(with_carried(crossings, ref, fit), fit.b_from_a)
         s.heading.carried = not crossings.directed
         return replace(
             predicted,
@@ -283,9 +285,10 @@ class VisualOdometry:
             doubt_left=found.doubt_left,
         )
 
-    def _set_reference(self, crossings: Crossings) -> None:
+    def _set_reference(self, crossings: Crossings, moved: Array | None = None) -> None:
         s = self.state
         s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
+        s.earlier = EarlierView() if moved is None else s.earlier.then(moved, crossings)
         s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused, s.held_s = 0.0, 0, 0.0, True, None, 0.0
 
     # -- without a motion
