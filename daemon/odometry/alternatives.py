@@ -126,8 +126,7 @@ class Candidates:
 
     def is_first(self, ref_from_curr: Array) -> bool:
         """Whether a displacement (3,) found otherwise is the first."""
-        off = self.ref_from_curr[0] - ref_from_curr
-        return bool(np.max(np.abs(off[:2])) < _SAME_M and abs(wrap(float(off[2]))) < _SAME_RAD)
+        return bool(_is_one(self.ref_from_curr[:1], ref_from_curr[None])[0, 0])
 
     def others(self, rate: float) -> Ints:
         """(A,) which besides the first may be right at this rate of error, all of them together."""
@@ -181,19 +180,21 @@ def by_two_views(
     """
     far_m = _FAR * view_size_m(earlier)
     there = compose(earlier_from_ref, found.ref_from_curr)
-    own = Prior(compose(earlier_from_ref, prior.mean), prior.cov, prior.carried, prior.carried_s, prior.flickers)
+    own = replace(prior, mean=compose(earlier_from_ref, prior.mean))
     quarter = np.round(wrap_array(there[:, 2] - there[0, 2]) / _QUARTER_RAD).astype(np.int64)
     views, matched = ((earlier, curr), (Sight.of(earlier), Sight.of(curr))), []
     for q in np.unique(quarter):
-        known = there[quarter == q]
-        matched += _matched(*views, expected_turn(earlier, curr, float(known[0, 2])), known, own, far_m)
+        which = quarter == q
+        turn = expected_turn(earlier, curr, float(there[which][0, 2]))
+        there[which, 2] = turn
+        matched += _matched(*views, turn, there[which], own, far_m)
     at = np.concatenate([m.at for m in matched])
     ratio = _log_ratio(at, np.concatenate([m.counts for m in matched]), prior.flickers > _FLICKERS)
+    if np.max(ratio) == -np.inf:  # the earlier view is like none of them
+        return found
     ratio = np.maximum(ratio, np.max(ratio) - _HOPELESS)
-    same = _is_one(there, at)
-    again = np.max(np.where(same, ratio, -np.inf), axis=1)
-    compared = np.hypot(there[:, 0], there[:, 1]) <= far_m
-    mean = np.where(compared, 0.5 * (found.log_ratio + again), found.log_ratio)
+    again = np.max(np.where(_is_one(there, at), ratio, -np.inf), axis=1)
+    mean = np.where(np.hypot(*there[:, :2].T) <= far_m, 0.5 * (found.log_ratio + again), found.log_ratio)
     weight = found.log_weight - found.log_ratio + mean
     order = np.argsort(-weight, kind="stable")
     return replace(
@@ -244,9 +245,9 @@ def _apart(at: Array, order: Ints) -> Ints:
 
 def _is_one(at: Array, others: Array) -> NDArray[np.bool_]:
     """(K, J) whether displacements (K, 3) are those of (J, 3), or neighbouring bins."""
-    off = np.abs(at[:, None] - others[None])
-    off[..., 2] = np.abs(wrap_array(off[..., 2]))
-    return np.asarray(np.max(off, axis=2) < _SAME_M)
+    off = at[:, None] - others[None]
+    near = np.max(np.abs(off[..., :2]), axis=2) < _SAME_M
+    return np.asarray(near & (np.abs(wrap_array(off[..., 2])) < _SAME_RAD))
 
 
 def _log_ratio(at: Array, counts: Array, flickers: bool) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -254,6 +255,21 @@ def test_an_earlier_view_shows_what_the_reference_missed() -> None:
     print(f"of 300 pairs {misled} mislead by e^3, by one view and by two; the right place leads by e^{mean} (seed 13)")
     assert misled[1] < 0.75 * misled[0]
     assert mean[1] > 0.9 * mean[0]
+
+
+@pytest.mark.parametrize("turned", [0.3, 0.0])
+def test_an_earlier_view_of_another_ceiling_leaves_a_doubt_that_is_a_number(turned: float) -> None:
+    """Lines of its own direction, or none of the crossings: it may say nothing, but no displacement is lost for it."""
+    here, true = np.array([20.0, 20.0, 0.3]), np.array([0.05, 0.0, 0.02])
+    ref, curr = camera("lamps").sees(here, 1), camera("lamps").sees(se2.compose(here, true), 2)
+    found = compared(ref, curr, true, np.array([0.4, 0.4, 0.02]))
+    if turned:
+        other = replace(ref, psi_rad=ref.psi_rad + turned)
+    else:
+        other = replace(ref.of(np.arange(12)), xy_base_m=np.random.default_rng(3).uniform(-1.0, 1.0, (12, 2)))
+    again = by_two_views(found, other, np.zeros(3), curr, Prior(true, np.diag([0.4, 0.4, 0.02]) ** 2, 1e-4))
+    print(f"turned {turned}: doubt {found.doubt():.2g} -> {again.doubt():.2g}")
+    assert len(again) == len(found) and np.all(np.isfinite(again.log_weight)) and 0.0 <= again.doubt() <= 1.0
 
 
 def test_the_earlier_view_is_some_way_back_and_moves_on() -> None:
