@@ -269,6 +269,7 @@ class Pipeline:
         self.vision.state = LineFinderState()
         self.dead_reckoning.restart()
         self.relocaliser.start_at(start, np.diag(START_SIGMA**2), known, doubt)
+        self.relocaliser.state.given = bool(np.any(start))
         tracker = self.relocaliser.floor_tracker
         tracker.state = FloorTrackerState(tracker.floors if keep_map else Floors())
         self.states.reset("started")
@@ -291,6 +292,7 @@ class Pipeline:
         tracker.state = FloorTrackerState(tracker.floors)
         doubt = Doubt(reason, cov, doubts.GIVEN_WRONG, np.inf)
         self.relocaliser.start_at(pose, cov, self.landmarks(), doubt)
+        self.relocaliser.state.given = True
         self._begin(reason)
 
     def load_map(

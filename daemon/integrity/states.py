@@ -25,8 +25,10 @@ _NIS_CAP = 2.0
 _FEW_TIMES = 2
 """Times tracking_frames, frames with few inliers after which a start is DEGRADED: two lamps in view are never more;
 chosen: few prove as much in twice the time."""
-_SLIGHT = ("rocking", "inliers")
-"""With nothing worse than these a start ends in DEGRADED."""
+_SLIGHT = ("sigma", "heading", "rocking", "inliers")
+"""With nothing worse than these a start ends in DEGRADED, which promises a pose within a bound of its own."""
+_OPEN = ("far", "turned")
+"""What no motion puts right: a start that may be off by so much waits for somebody who says where it is."""
 BOUND_SIGMAS = 3.0
 """What DEGRADED promises of a pose holds for so many standard deviations: 99.7 % of one axis."""
 UNUSABLE = (State.INIT, State.LOST, State.RELOCALISING)
@@ -106,7 +108,7 @@ class StateMachineState:
         vision_score: in [0, 1], fading without vision.
         stamp_ns, vision_ns: the last frame's, and of the last one with a motion.
         good_frames, vision_frames: in a row, without anything bad and with a motion.
-        steady_frames: in a row, with nothing worse than few inliers or a robot that rocks under points alone.
+        steady_frames: in a row, with nothing worse than _SLIGHT.
         confirmed: landmarks have matched since the pose was last given up.
     """
 
@@ -234,8 +236,11 @@ class StateMachine:
             if sure and not enough and s.steady_frames >= _FEW_TIMES * cfg.tracking_frames and s.conditions:
                 slight = self._first_cause(*_SLIGHT)
                 return State.DEGRADED, slight, s.conditions[slight]
+            far = self._first_cause(*_OPEN)
+            if far and state is State.INIT and s.vision_frames >= cfg.tracking_frames:
+                return state, far, f"{s.conditions[far]}; say where it is (cmd/initial_pose)"
             return (State.TRACKING, "good", self._good_reason()) if enough and sure else (state, "", "")
-        far = self._first_cause("far", "turned")
+        far = self._first_cause(*_OPEN)
         if not e.motion_ok:
             return self._without_vision(e, bool(far))
         if far:
@@ -244,7 +249,7 @@ class StateMachine:
             return state, "", ""
         if enough or (state is State.TRACKING and not s.conditions):
             return State.TRACKING, "" if state is State.TRACKING else "good", self._good_reason()
-        cause = self._first_cause("in doubt", "nis", "suspected", "sigma", "heading", *_SLIGHT)
+        cause = self._first_cause("in doubt", "nis", "suspected", *_SLIGHT)
         if cause:
             return State.DEGRADED, cause, s.conditions[cause]
         return State.DEGRADED, "" if state is State.DEGRADED else "recovering", "recovering: too few good frames so far"

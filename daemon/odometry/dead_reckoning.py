@@ -25,7 +25,8 @@ class Track:
         final: motion since the last final one; None while a gap lasts.
         gap: predicted motion that is not final yet; None when there is none.
         blind_m: length of the path since the last final motion, this one included.
-        blind_cov: (3, 3) what prediction alone knew of it, however many frames failed on it or did not come.
+        blind, blind_cov: (3,) and (3, 3), what prediction alone knew of the way since then, however many frames failed
+            on it or did not come.
         moved_m, turned_rad: of this frame alone.
         blind_s: time since the last frame that gave a final motion; the time between two frames where none failed.
         by_wheels, watched: wheels covered all of that time, and a gyro bears out that the robot stood on them.
@@ -34,12 +35,18 @@ class Track:
     final: Motion | None
     gap: Motion | None
     blind_m: float
+    blind: Displacement
     blind_cov: Array
     moved_m: float
     turned_rad: float
     blind_s: float
     by_wheels: bool
     watched: bool = False
+
+    @property
+    def bridged(self) -> bool:
+        """Whether the view that ended it shows what one before it showed."""
+        return self.final is not None and self.final.ok and not self.final.restarted
 
     def carry(self, pose: Pose, cov: Array) -> tuple[Pose, Array]:
         """A pose (3,) with cov (3, 3) at the last final motion, moved over the gap."""
@@ -113,6 +120,7 @@ class DeadReckoning:
             final=replace(whole, cov=whole.cov + self._process_cov) if final else None,
             gap=None if final else whole,
             blind_m=s.blind_m,
+            blind=moved if s.gap is None or not motion.ok else s.gap.prev_from_curr,
             blind_cov=blind_cov,
             moved_m=moved_m,
             turned_rad=abs(float(motion.prev_from_curr[2])),

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ceilvo.daemon.odometry.course import JUMPED
+from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
 from ceilvo.daemon.relocalisation.lattice import offset, rival_poses
 from ceilvo.daemon.relocalisation.place_belief import LEAST
 from ceilvo.daemon.slam.pose_filter import TINY
-from ceilvo.types import Array
+from ceilvo.types import Array, Motion
 
 LIFT_S = 1.0
 """Nobody lifts a robot, carries it to another tile and puts it down in less; chosen."""
@@ -93,6 +94,8 @@ class Doubt:
         leads: (K, 3) transforms in map that take the pose to where else a lift or a ramp may have brought the robot;
             where there are any, nothing else moved it.
         reach_rad: how far it can have been turned; inf where it may have gone on before or after.
+        centre: (3,) of cov, off the tracked pose in map: where prediction had the robot, which is not where it is
+            tracked once odometry had to choose a way.
     """
 
     reason: str
@@ -103,6 +106,7 @@ class Doubt:
     changed: float = 0.0
     leads: Array = field(default_factory=lambda: np.zeros((0, 3)))
     reach_rad: float = np.inf
+    centre: Array = field(default_factory=lambda: np.zeros(3))
 
     @property
     def unmeasured(self) -> bool:
@@ -121,6 +125,7 @@ class Doubt:
     def search_m(self) -> float:
         """How far off rivals are looked for one by one."""
         drift_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(self.cov[:2, :2])[-1], 0.0)))
+        drift_m += float(np.hypot(*self.centre[:2]))
         carried_m = self.reach_m if self.elsewhere > 0.0 and not len(self.leads) else 0.0
         return min(max(drift_m, carried_m), ANYWHERE_M)
 
@@ -128,7 +133,8 @@ class Doubt:
         """Whether nobody who moved the robot then can have brought it off by (3,); False where that is not known."""
         if self.elsewhere == 0.0 or len(self.leads) or self.anywhere or np.isinf(self.reach_rad):
             return False
-        turned_rad = max(self.reach_rad, 4.0 * float(np.sqrt(max(self.cov[2, 2], 0.0)))) + BESIDE_RAD
+        drift_rad = 4.0 * float(np.sqrt(max(self.cov[2, 2], 0.0))) + abs(float(self.centre[2]))
+        turned_rad = max(self.reach_rad, drift_rad) + BESIDE_RAD
         return bool(np.hypot(off[0], off[1]) > self.search_m + BESIDE_M or abs(off[2]) > turned_rad)
 
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
@@ -255,6 +261,20 @@ def of_gap(
     return Doubt(why, blind_cov, elsewhere, CARRY_MPS * blind_s + BESIDE_M, reach_rad=reach_rad)
 
 
+def of_track(track: Track, final: Motion, jumped: float, expected: Array, tracked: Array) -> Doubt:
+    """After a track that ended in a final motion, of the pose (3,) that is tracked now.
+
+    Args:
+        jumped: as of_gap() takes it, before odometry looked at the view that ended the gap.
+        expected: (3,) in map, where prediction alone has the robot.
+    """
+    weighed = track.bridged and final.doubt == 0.0
+    cov = final.cov if weighed else track.blind_cov  # what odometry weighed, it weighed in all of the latter
+    left = jumped * final.doubt_left
+    doubt = of_gap(cov, track.blind_s, left, final.doubt, track.watched, track.bridged)
+    return doubt if weighed else replace(doubt, centre=offset(expected, tracked))
+
+
 def of_stored(cov: Array, ago_s: float, before: float) -> Doubt:
     """Of a pose that an earlier run stored: the robot may have been moved since, less likely if that is not long ago.
 
@@ -282,7 +302,8 @@ def both(a: Doubt, b: Doubt) -> Doubt:
     elsewhere, reach_m = max(a.elsewhere, b.elsewhere), a.reach_m + b.reach_m
     changed, leads = max(a.changed, b.changed), b.leads if len(b.leads) else a.leads
     reach_rad = sum(d.reach_rad for d in (a, b) if d.elsewhere > 0.0)
-    return Doubt(b.reason, a.cov + b.cov, elsewhere, reach_m, changed=changed, leads=leads, reach_rad=reach_rad)
+    cov, centre = a.cov + b.cov, a.centre + b.centre
+    return Doubt(b.reason, cov, elsewhere, reach_m, changed=changed, leads=leads, reach_rad=reach_rad, centre=centre)
 
 
 def negligible(doubt: Doubt, rate: float) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ceilvo.calibration import Calibration
@@ -12,7 +14,7 @@ from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
-from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
+from ceilvo.daemon.relocalisation.evidence.sharp_view import ASTRAY, SharpView
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
@@ -26,22 +28,18 @@ from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import UpdateSchedule
 from ceilvo.daemon.vision.thinning import for_places
-from ceilvo.se2 import transform, wrap
-from ceilvo.types import Array, Crossings, Landmarks, Observations, Pose
+from ceilvo.se2 import compose, transform, wrap
+from ceilvo.types import Array, Crossings, Landmarks, Motion, Observations, Pose
 
 VIEW_PERIOD_S = 0.1
 """A standing robot in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
-YOUNG_VIEWS, YOUNG_M2 = 1.5, 12.0
-"""A map that knows less ground than so many views, or this, is all around the robot: gaps do not doubt it; chosen."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
 """Log-likelihood ratio of a view below which rivals of a place that was sure are weighed; 1 view in 100 (docs)."""
-FRESH_SPOTS = 12
-"""While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 MOST_FOUND = 2048
 """Places that a view is found at, the likeliest, unless it tells all and another than the tracked leads; for time."""
 JUMP_SIGMA = np.array([0.06, 0.06, 0.02])
@@ -57,7 +55,6 @@ class Relocaliser:
         self._settings = config.filter
         self._rate = config.states.false_place_rate
         self._sharp = SharpView(calibration, config.features.max_view_deg)
-        self._young_m2 = min(YOUNG_VIEWS * self._sharp.area_m2, YOUNG_M2)
         self._schedule = UpdateSchedule(config.filter)
         self.floor_tracker = FloorTracker()
         self._on_map = NotThisMap()
@@ -90,9 +87,9 @@ class Relocaliser:
         return self._on_map.state.times
 
     @property
-    def _view_period_s(self) -> float:
-        """How long after a view the next one is news to a robot that stands."""
-        return float(min(self._settings.update_period_s, np.inf if self.sure else VIEW_PERIOD_S))
+    def _young(self) -> bool:
+        """Whether the map is all around the robot yet, and new, so that it cannot tell where else it may be."""
+        return not self.state.loaded and self.state.survey.coverage.area_m2 <= self._sharp.young_m2
 
     # -- what happens to the robot
 
@@ -116,7 +113,7 @@ class Relocaliser:
     def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float, doubt: Doubt) -> None:
         """Begin on a map of an earlier run, with what is doubted of its pose (3,)."""
         self.start_at(pose, cov, landmarks, doubt)
-        self.state.map_axis_rad = map_axis_rad
+        self.state.map_axis_rad, self.state.loaded = map_axis_rad, True
         self.survey_map()
 
     def survey_map(self) -> None:
@@ -137,14 +134,23 @@ class Relocaliser:
             s.shown(crossings)
         if (final := track.final) is None:
             return
-        self.filter.predict(final)
         gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
+        if track.blind_s > doubts.LIFT_S and self._young and self._sharp.astray(track) >= ASTRAY:
+            return self._begin_blind(final, track.blind_cov)
+        expected = compose(self.filter.estimate()[0], track.blind)
+        self.filter.predict(final)
         if self.sure and not gapped and self._rate <= final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
         if gapped or final.doubt > 0.0:
-            bridged, left = final.ok and not final.restarted, jumped * final.doubt_left
-            cov = final.cov if bridged and final.doubt == 0.0 else track.blind_cov  # odometry weighed all in the latter
-            self.raise_doubt(doubts.of_gap(cov, track.blind_s, left, final.doubt, track.watched, bridged))
+            self.raise_doubt(doubts.of_track(track, final, jumped, expected, self.filter.estimate()[0]))
+
+    def _begin_blind(self, final: Motion, blind_cov: Array) -> None:
+        """There is no map yet that could tell which way the robot went: its landmarks would be taken for others."""
+        (pose, cov, _), given = self.filter.estimate(), self.state.given or self.filter.size() > 0
+        self.start_at(pose if given else compose(pose, final.prev_from_curr), cov, None)
+        if given:
+            self.filter.predict(replace(final, cov=blind_cov))
+        self.state.given = given
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far since that began."""
@@ -155,7 +161,7 @@ class Relocaliser:
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        if s.survey.coverage.area_m2 > self._young_m2 and not doubts.negligible(doubt, self._rate):
+        if not (self._young or doubts.negligible(doubt, self._rate)):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
     # -- a view
@@ -166,7 +172,8 @@ class Relocaliser:
         Where a view shows that the robot is elsewhere, the filter is put there.
         """
         s, crossings = self.state, self.tells(crossings)
-        if not len(crossings) or not self._schedule.due(stamp_ns, self._view_period_s):
+        period_s = min(self._settings.update_period_s, np.inf if self.sure else VIEW_PERIOD_S)
+        if not len(crossings) or not self._schedule.due(stamp_ns, period_s):
             return None
         view = self.observed(crossings)
         if self._weigh(self._sharp.of(view)):
@@ -229,15 +236,7 @@ class Relocaliser:
         return self._decided(pose) or bool(np.any(pose != before))
 
     def _arrive(self) -> None:
-        """What is seen again from another spot is worth less: the same lamp twice is not two lamps."""
-        s = self.state
-        if not s.belief.at_another_spot:
-            return
-        s.belief.leave_spot()
-        s.looked.show(s.spot_m)
-        s.spots += 1
-        if self.sure and s.spots > FRESH_SPOTS:
-            s.looked, s.spots = Coverage(), 0
+        self.state.arrive()
 
     def _worth(self, view: Observations) -> Array:
         """(K,) of features; on new ground of a sure place they say nothing: rivals on old ground would gain."""
@@ -252,6 +251,7 @@ class Relocaliser:
             s.belief.renew()
         s.looked, s.spots, s.leads = Coverage(), 0, doubt.leads if len(doubt.leads) else s.leads
         expected = pose = self.filter.estimate()[0]
+        centre = expected + doubt.centre
         s.reach.take(doubt, expected)
         lattice, here, tile_m = Lattice.of(around.landmarks, s.map_axis_rad or 0.0), np.zeros(3), np.zeros(2)
         if lattice is not None:
@@ -260,8 +260,8 @@ class Relocaliser:
                 s.gap_opens(pose, doubt.cov)
                 self.filter.jump(Pose(pose), np.diag(JUMP_SIGMA**2))
             rivals = lattice.rivals(pose, view, max(doubt.search_m, lattice.watched_m), turned=True)
-            off = offset(rival_poses(rivals, pose), expected)
-            here, tile_m = offset(pose, expected), lattice.tile_m
+            off = offset(rival_poses(rivals, pose), centre)
+            here, tile_m = offset(pose, centre), lattice.tile_m
             s.belief.add(rivals, doubt.log_odds(off, here, tile_m))
         if doubt.elsewhere >= doubts.UNLIKELY:
             s.searched = False

@@ -27,6 +27,8 @@ NOT_THIS_MAP = "not this map"
 """Begins the reason while the robot is most likely where the map does not know, see not_this_map.py."""
 MAPPED_APART = "new ground is mapped apart; drive by odom, which goes on unbroken, not by the map pose"
 """Ends the reason while there is a submap, see submap.py: what an application may rely on."""
+FRESH_SPOTS = 12
+"""While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
 
@@ -58,6 +60,8 @@ class RelocaliserState:
         gapped: frames gave no motion of late; jumped: probability that somebody moved the robot, by those of them that
             had crossings which no motion explained.
         usual: crossings of a view of late.
+        given: somebody said where the robot is, or it has seen the ceiling; else the map begins at its first view.
+        loaded: the map is one of an earlier run.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         spot_m: (V, 2) corners in map of what the last view that was weighed looked at.
@@ -87,6 +91,8 @@ class RelocaliserState:
     gapped: bool = False
     jumped: float = 0.0
     usual: float = 0.0
+    given: bool = False
+    loaded: bool = False
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0
@@ -131,6 +137,16 @@ class RelocaliserState:
         if self.pending is None and alike > 1:
             return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
         return f"to be confirmed by landmarks: {why}"
+
+    def arrive(self) -> None:
+        """What is seen again from another spot is worth less: the same lamp twice is not two lamps."""
+        if not self.belief.at_another_spot:
+            return
+        self.belief.leave_spot()
+        self.looked.show(self.spot_m)
+        self.spots += 1
+        if self.sure and self.spots > FRESH_SPOTS:
+            self.looked, self.spots = Coverage(), 0
 
     def open_submap(self, landmarks: Callable[[], Landmarks]) -> None:
         """What is learnt from now on, besides these landmarks, is apart."""

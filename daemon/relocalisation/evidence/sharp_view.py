@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration, sharp_part, visible_polygon
+from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.slam.upkeep import inside
 from ceilvo.types import Array, Crossings, Observations
 
@@ -18,6 +19,13 @@ _FOUND, _SHOWN = 0.7, 0.6
 """Shares of the pixels a metre right above the camera: with more, whatever is there is found; with less, what is found
 may be something else. Measured: a camera 24 deg off the vertical found half of the lamps' corners above it, 13 % at 0.7
 and none at 0.6. A lens of 76 deg that stands upright has 0.64 and more everywhere."""
+_LEAST_M2 = 1e-12
+"""In place of a variance of zero, m^2."""
+_YOUNG_VIEWS, _YOUNG_M2 = 1.5, 12.0
+"""See SharpView.young_m2; chosen."""
+ASTRAY = 0.1
+"""A map of little ground is left behind after a gap that may have led another way with this probability; chosen: below
+it hardly any did, above it every third (docs/place.md)."""
 
 
 class SharpView:
@@ -38,6 +46,22 @@ class SharpView:
     def area_m2(self) -> float:
         """Of the part in which whatever is there would be seen."""
         return abs(float(cv2.contourArea(self.visible_m.astype(np.float32)))) if len(self.visible_m) else 0.0
+
+    @property
+    def young_m2(self) -> float:
+        """A map that knows no more ground than this is all around the robot."""
+        return min(_YOUNG_VIEWS * self.area_m2, _YOUNG_M2)
+
+    def astray(self, track: Track) -> float:
+        """Probability that a gap led another way than the motion that ended it says; 0 of a camera that shows nothing.
+
+        Odometry weighs views that overlap. That they may not is added: the robot may be further off than half a view.
+        """
+        if not self.area_m2 or track.final is None:
+            return 0.0
+        var = float(np.linalg.eigvalsh(track.blind_cov[:2, :2])[-1])
+        beyond = float(np.exp(-0.5 * self.area_m2 / np.pi / max(var, _LEAST_M2)))
+        return min(track.final.doubt + beyond, 1.0) if track.bridged else 1.0
 
     def shown(self, crossings: Crossings, view: Observations) -> Array:
         """(V, 2) corners in base of the ground that a view showed whole, (0, 2) for none.
