@@ -25,7 +25,7 @@ _YOUNG_VIEWS, _YOUNG_M2 = 1.5, 12.0
 """See SharpView.young_m2; chosen."""
 ASTRAY = 0.1
 """A map of little ground is left behind after a gap that may have led another way with this probability; chosen: below
-it hardly any did, above it every third (docs/place.md)."""
+it none of 181 did, above it four in ten (docs/place.md)."""
 
 
 class SharpView:
