@@ -74,6 +74,14 @@ class Lattice:
         length = np.hypot(steps[:, 0], steps[:, 1])
         return np.asarray(steps[(length > 0) & (length <= reach_m)] @ rotation(self.axis_rad).T)
 
+    def joint_near(self, xy_m: Array) -> Array:
+        """(2,) the nearest node of the lattice to a point (2,) in map."""
+        at = xy_m @ rotation(self.axis_rad)
+        tile = np.where(self.tile_m > 0, self.tile_m, np.inf)
+        steps = np.where(self.tile_m > 0, np.round((at - self.phase_m) / tile), 0.0)
+        node = np.where(self.tile_m > 0, self.phase_m + steps * self.tile_m, at)
+        return np.asarray(node @ rotation(self.axis_rad).T)
+
     def aligned(self, pose: Array, view: Observations, turn: int = 0) -> Array:
         """(3,) the nearest pose, so many quarter turns clockwise, from which what is seen lies on the lattice."""
         theta = wrap(view.heading_rad - turn * _QUARTER)

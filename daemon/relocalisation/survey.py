@@ -95,7 +95,8 @@ class MapSurvey:
         named = out.landmarks.of(self.index.named(out.landmarks.ids))
         lattice = Lattice.of(out.landmarks, axis_rad)
         if lattice is not None and lattice.crossing_type == JOINTS:
-            return Chance.measured(named, out.raster, self.coverage, lattice.shifts(MEASURED_M))
+            about_m = lattice.joint_near(pose[:2])
+            return Chance.measured(named, out.raster, self.coverage, lattice.shifts(MEASURED_M), about_m=about_m)
         return Chance.measured(named, out.raster, self.coverage, repeats(named, MEASURED_M), any_name=True)
 
     def watched(self, around: Surroundings, pose: Array, view: Observations) -> Array:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, commonest
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, commonest, turned_type
 from ceilvo.daemon.odometry.sight import is_in
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, TypeRaster
+from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Landmarks
 
 COMMON = 0.8
@@ -77,9 +78,18 @@ class Chance:
 
     @staticmethod
     def measured(
-        landmarks: Landmarks, raster: TypeRaster, coverage: Coverage, shifts: Array, any_name: bool = False
+        landmarks: Landmarks,
+        raster: TypeRaster,
+        coverage: Coverage,
+        shifts: Array,
+        any_name: bool = False,
+        about_m: Array | None = None,
     ) -> Chance:
-        """By shifts (S, 2) of landmarks that are named; any_name: what hangs there is alike whatever it is called.
+        """By shifts (S, 2) of landmarks that are named.
+
+        Args:
+            any_name: what hangs there is alike whatever it is called.
+            about_m: (2,) joint that they are turned about by quarters, too; None where tiles tell no joint.
 
         The most alike is chosen by all types but the commonest together, for the best of many is good by chance where a
         type has few landmarks; for the same reason such a type takes the rate of all.
@@ -87,18 +97,28 @@ class Chance:
         if not len(shifts) or not len(landmarks):
             return Chance.unmeasured(landmarks)
         some = landmarks.of(_measured_by(landmarks.crossing_type))
-        at = some.xy_map_m + shifts[:, None]
-        known = coverage.knows(at, some.crossing_type)
-        bits = raster.at(at)
-        same = is_in(bits, np.broadcast_to(some.crossing_type, at.shape[:2])) & known
-        of = np.eye(CROSSING_TYPES)[some.crossing_type]
-        tried, hits = known @ of, same @ of
-        anyone = (same | (bits & RARE > 0) & known) @ of
+        tried, hits, anyone = _tried(some.xy_map_m, some.crossing_type, raster, coverage, shifts)
+        some = some.of(some.crossing_type != commonest(landmarks.crossing_type))
+        turns, middle_m = ((), np.zeros(2)) if about_m is None else ((1, 2, 3), about_m)
+        for turn in turns:
+            at = (some.xy_map_m - middle_m) @ rotation(turn * 0.5 * np.pi).T + middle_m
+            kind, moved = turned_type(some.crossing_type, -turn), np.concatenate([shifts, np.zeros((1, 2))])
+            more = _tried(at, kind, raster, coverage, moved)
+            tried, hits, anyone = (np.concatenate(pair) for pair in zip((tried, hits, anyone), more, strict=True))
         out, out_any = _rates(landmarks, tried, hits), _rates(landmarks, tried, anyone)
         if any_name:
             rare = np.arange(CROSSING_TYPES) != commonest(landmarks.crossing_type)
             out[1, rare] = np.maximum(out[1], NAMED * out_any[1])[rare]
         return Chance(out, _between(out, out_any))
+
+
+def _tried(at: Array, kind: Ints, raster: TypeRaster, coverage: Coverage, shifts: Array) -> tuple[Array, Array, Array]:
+    """(S, T) landmarks at points (L, 2) that shifts (S, 2) move onto known ground, by the types (L,) they have there;
+    those of them that find their like, and those that find any rare one."""
+    there = at + shifts[:, None]
+    known, bits, of = coverage.knows(there, kind), raster.at(there), np.eye(CROSSING_TYPES)[kind]
+    same = is_in(bits, np.broadcast_to(kind, there.shape[:2])) & known
+    return known @ of, same @ of, (same | (bits & RARE > 0) & known) @ of
 
 
 def _measured_by(crossing_type: Ints) -> Ints:

@@ -13,7 +13,7 @@ from ceilvo.daemon.relocalisation.evidence.type_raster import TypeRaster
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
-from ceilvo.se2 import inverse, transform, wrap
+from ceilvo.se2 import inverse, rotation, transform, wrap
 from ceilvo.types import Array, Landmarks, Observations
 
 HERE = np.array([5.2, 4.9, 0.3])
@@ -137,6 +137,30 @@ def test_chance_is_measured_on_the_map_itself() -> None:
         alike = chance.same[1, [0, 2, 6, 8]]
         assert np.all((alike >= low) & (alike <= high)), (raster, alike)
         assert np.allclose(chance.seen_at_wrong_places.sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize("turns", [1, 2])
+def test_a_ceiling_that_is_alike_once_turned_is_found_to_be(turns: int) -> None:
+    """Lamps hung anyhow, and again as seen from the other side: no shift shows that, and a robot was believed there."""
+    landmarks = ceiling(5)
+    joint = landmarks.crossing_type == 4
+    about_m = landmarks.xy_map_m[joint][np.argmin(np.hypot(*(landmarks.xy_map_m[joint] - HERE[:2]).T))]
+    off = landmarks.xy_map_m - about_m
+    part = landmarks.of(~joint & (off[:, 0] > 0.1) & (np.abs(off[:, 1]) < off[:, 0] if turns == 1 else off[:, 0] > 0.1))
+    copies = [part]
+    for turn in range(1, 4) if turns == 1 else [2]:
+        at = (part.xy_map_m - about_m) @ rotation(0.5 * np.pi * turn).T + about_m
+        copies.append(replace(part, xy_map_m=at, crossing_type=turned_type(part.crossing_type, -turn)))
+    whole = [landmarks.of(joint), *copies]
+    xy, kind = (np.concatenate([getattr(one, name) for one in whole]) for name in ("xy_map_m", "crossing_type"))
+    ids = np.arange(len(xy))
+    turned = Landmarks(ids, xy, np.tile(1e-6 * np.eye(2), (len(xy), 1, 1)), kind, np.full(len(xy), 20))
+    rows, coverage = TypeRaster.of(xy, kind, np.arange(CROSSING_TYPES) != 4), Coverage.of(turned, 0.6)
+    shifts = np.array([(0.6 * i, 0.6 * j) for i in range(-6, 7) for j in range(-6, 7) if (i, j) != (0, 0)])
+    plain = Chance.measured(turned, rows, coverage, shifts).same[1, [0, 2, 6, 8]]
+    found = Chance.measured(turned, rows, coverage, shifts, about_m=about_m).same[1, [0, 2, 6, 8]]
+    print(f"{len(part)} rare ones, alike by shifts {plain.round(2)}, by turns as well {found.round(2)}")
+    assert np.all(plain < 0.6) and np.all(found > 0.9)
 
 
 def test_joints_of_a_map_that_is_too_small_to_measure_prove_nothing() -> None:

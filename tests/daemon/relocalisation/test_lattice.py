@@ -41,6 +41,18 @@ def test_periods_are_found_along_the_axes(axis: float, tile: tuple[float, float]
     assert len(shifts) == sum(0 < np.hypot(*s) <= 2.0 for s in every)
 
 
+@pytest.mark.parametrize("axis", [0.0, 0.4, -1.2])
+@pytest.mark.parametrize("tile", [(0.6, 0.6), (1.25, 0.625)])
+def test_the_joint_near_a_point_is_the_nearest(axis: float, tile: tuple[float, float]) -> None:
+    landmarks = grid(axis, tile)
+    found = Lattice.of(landmarks, axis)
+    assert found is not None
+    inside = np.mean(landmarks.xy_map_m, axis=0) + np.random.default_rng(1).uniform(-1.0, 1.0, (20, 2))
+    for xy in inside:
+        nearest = landmarks.xy_map_m[np.argmin(np.hypot(*(landmarks.xy_map_m - xy).T))]
+        assert np.allclose(found.joint_near(xy), nearest, atol=1e-6)
+
+
 def test_two_edges_of_every_joint_are_no_period_and_a_few_points_are_none() -> None:
     one = grid(0.0)
     both = Landmarks(
