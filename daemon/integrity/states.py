@@ -144,7 +144,7 @@ class StateMachine:
     def step(self, evidence: Evidence) -> Verdict:
         s = self.state
         self._update(evidence)
-        if self._gives_up(evidence):
+        if self._gives_up(evidence) and not self._blind(evidence):
             self._drop_evidence()
         state, cause, reason = self._decide(evidence)
         if state is not s.current or cause not in ("", s.cause):
