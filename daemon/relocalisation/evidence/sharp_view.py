@@ -26,6 +26,8 @@ _YOUNG_VIEWS, _YOUNG_M2 = 1.5, 12.0
 _PLAIN = 1e-4
 """Odometry's doubt of a motion below which views that do not overlap were never taken for it; chosen: 1 in 1,000 of a
 motion that was wrong after 6 s was the least that was seen."""
+_STOOD = 0.01
+"""Metres and radians, of what was foreseen and of what is seen, within which a robot stood all the time; chosen."""
 ASTRAY = 0.1
 """A map of little ground is left behind after a gap that may have led another way with this probability; chosen: below
 it none of 181 did, above it four in ten (docs/place.md)."""
@@ -59,11 +61,13 @@ class SharpView:
         """Probability that a gap led another way than the motion that ended it says; 0 of a camera that shows nothing.
 
         Odometry weighs views that overlap. That they may not is added: the robot may be further off than half a view;
-        but where a view is so like the last one that nothing else comes near it, it is that one: the robot stood.
+        but not where a view is so like the last one that nothing else comes near it, nor where a robot that stood is
+        seen to stand there still.
         """
         if not self.area_m2 or track.final is None:
             return 0.0
-        if track.bridged and track.final.doubt < _PLAIN:
+        stood = bool(np.all(np.abs([track.blind, track.final.prev_from_curr]) < _STOOD))
+        if track.bridged and (stood or track.final.doubt < _PLAIN):
             return track.final.doubt
         var = float(np.linalg.eigvalsh(track.blind_cov[:2, :2])[-1])
         beyond = float(np.exp(-0.5 * self.area_m2 / np.pi / max(var, _LEAST_M2)))
