@@ -4,19 +4,22 @@ import numpy as np
 import pytest
 
 from ceilvo.bench.place.case import drive_in
-from ceilvo.bench.place.ceiling.worlds import WorldSpec, landmarks_of, make_world
+from ceilvo.bench.place.ceiling import worlds
 from ceilvo.bench.place.robot.drive import Drive
+from ceilvo.config import Config
 from ceilvo.daemon.odometry.dead_reckoning import Track
+from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.se2 import compose, inverse, wrap
-from ceilvo.types import Array, Displacement, Motion, State
+from ceilvo.sim.world import World, WorldSpec
+from ceilvo.types import Array, Displacement, Frame, Motion, State
 
 USABLE = (State.TRACKING, State.DEGRADED)
 SEEDS = range(68101, 68109)
 
 
 def hall(seed: int, wheels: bool = False) -> Drive:
-    world = make_world(WorldSpec("20", 0.6, "sparse", seed))
+    world = worlds.make_world(worlds.WorldSpec("20", 0.6, "sparse", seed))
     return drive_in(world, np.random.default_rng(seed), wheels, 10.0, True, 0.4)
 
 
@@ -62,6 +65,21 @@ def test_most_short_gaps_do_not() -> None:
     assert sum(usable >= 90 for usable, _ in frames) > len(SEEDS) // 2
 
 
+@pytest.mark.parametrize("gap_s", [2.0, 6.0])
+def test_a_robot_that_stands_while_its_camera_stalls_is_where_it_was(gap_s: float) -> None:
+    world = World(WorldSpec(seed=3))
+    pipeline, stamp_ns = Pipeline(world.calibration, Config(), np.random.default_rng(1)), 10**9
+    estimate = None
+    for k in range(35):
+        stamp_ns += round(1e9 / 15.0) + (round(gap_s * 1e9) if k == 20 else 0)
+        estimate = pipeline.step(Frame(k, stamp_ns, world.frame_at(0.01 * k)))
+        assert k < 5 or k >= 20 or estimate.state is State.TRACKING
+    assert estimate is not None
+    print(f"seed 3, {gap_s} s: {estimate.state.name} ({estimate.reason})")
+    assert estimate.state is State.TRACKING
+    assert np.hypot(*np.asarray(estimate.pose)[:2]) < 0.01
+
+
 @pytest.mark.parametrize("wheels", [False, True])
 def test_a_map_begins_where_a_robot_that_was_told_nothing_first_sees_the_ceiling(wheels: bool) -> None:
     """Booted at night, it stayed in INIT for good: where it might have rolled meanwhile is no question of a new map."""
@@ -88,10 +106,10 @@ def test_one_that_was_told_where_it_is_waits_until_it_is_told_again() -> None:
 
 
 def test_a_small_map_of_an_earlier_run_is_asked_after_a_gap() -> None:
-    world = make_world(WorldSpec("5", 0.6, "sparse", 3))
+    world = worlds.make_world(worlds.WorldSpec("5", 0.6, "sparse", 3))
     rng = np.random.default_rng(3)
     drive = drive_in(world, rng, False, 10.0, True, 0.4)
-    all_of_it = landmarks_of(world.features, np.zeros(len(world.features.xy_map_m)), rng)
+    all_of_it = worlds.landmarks_of(world.features, np.zeros(len(world.features.xy_map_m)), rng)
     middle = np.mean(all_of_it.xy_map_m, axis=0)
     near = all_of_it.of(np.max(np.abs(all_of_it.xy_map_m - middle), axis=1) < 1.3)
     relocaliser = drive.estimator._pipeline.relocaliser
