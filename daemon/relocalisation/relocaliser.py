@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ceilvo.calibration import Calibration
@@ -14,7 +12,7 @@ from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import Doubt, log_odds_of_found
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
-from ceilvo.daemon.relocalisation.evidence.sharp_view import ASTRAY, SharpView
+from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
@@ -88,8 +86,8 @@ class Relocaliser:
 
     @property
     def _young(self) -> bool:
-        """Whether the map is all around the robot yet, and new, so that it cannot tell where else it may be."""
-        return not self.state.loaded and self.state.survey.coverage.area_m2 <= self._sharp.young_m2
+        """Whether the map is all around the robot yet, so that it cannot tell where else it may be."""
+        return self.state.survey.coverage.area_m2 <= self._sharp.young_m2
 
     # -- what happens to the robot
 
@@ -113,7 +111,7 @@ class Relocaliser:
     def load_map(self, pose: Array, cov: Array, landmarks: Landmarks, map_axis_rad: float, doubt: Doubt) -> None:
         """Begin on a map of an earlier run, with what is doubted of its pose (3,)."""
         self.start_at(pose, cov, landmarks, doubt)
-        self.state.map_axis_rad, self.state.loaded = map_axis_rad, True
+        self.state.map_axis_rad = map_axis_rad
         self.survey_map()
 
     def survey_map(self) -> None:
@@ -135,8 +133,8 @@ class Relocaliser:
         if (final := track.final) is None:
             return
         gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
-        if track.blind_s > doubts.LIFT_S and self._young and self._sharp.astray(track) >= ASTRAY:
-            return self._begin_blind(final, track.blind_cov)
+        if track.blind_s > doubts.LIFT_S and not (s.given or self.filter.size()):
+            return self._begin_here(final)
         expected = compose(self.filter.estimate()[0], track.blind)
         self.filter.predict(final)
         if self.sure and not gapped and self._rate <= final.doubt < doubts.UNLIKELY:
@@ -144,13 +142,10 @@ class Relocaliser:
         if gapped or final.doubt > 0.0:
             self.raise_doubt(doubts.of_track(track, final, jumped, expected, self.filter.estimate()[0]))
 
-    def _begin_blind(self, final: Motion, blind_cov: Array) -> None:
-        """There is no map yet that could tell which way the robot went: its landmarks would be taken for others."""
-        (pose, cov, _), given = self.filter.estimate(), self.state.given or self.filter.size() > 0
-        self.start_at(pose if given else compose(pose, final.prev_from_curr), cov, None)
-        if given:
-            self.filter.predict(replace(final, cov=blind_cov))
-        self.state.given = given
+    def _begin_here(self, final: Motion) -> None:
+        """One that was told nothing sees the ceiling for the first time: how it got here is no question of the map."""
+        pose, cov, _ = self.filter.estimate()
+        self.start_at(compose(pose, final.prev_from_curr), cov, None)
 
     def suspect(self, reason: str, reach_m: float) -> None:
         """Something says that the robot may have got elsewhere, at most so far since that began."""

@@ -60,8 +60,7 @@ class RelocaliserState:
         gapped: frames gave no motion of late; jumped: probability that somebody moved the robot, by those of them that
             had crossings which no motion explained.
         usual: crossings of a view of late.
-        given: somebody said where the robot is, or it has seen the ceiling; else the map begins at its first view.
-        loaded: the map is one of an earlier run.
+        given: somebody said where the robot is; else the map begins at its first view.
         map_axis_rad: direction of the ceiling's lines in the map modulo 90 deg; None before they were seen.
         looked: ground that views have shown since the last doubt, or of late, each spot counted once; spots: how many.
         spot_m: (V, 2) corners in map of what the last view that was weighed looked at.
@@ -92,7 +91,6 @@ class RelocaliserState:
     jumped: float = 0.0
     usual: float = 0.0
     given: bool = False
-    loaded: bool = False
     map_axis_rad: float | None = None
     looked: Coverage = field(default_factory=Coverage)
     spots: int = 0

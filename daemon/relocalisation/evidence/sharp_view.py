@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration, sharp_part, visible_polygon
-from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.slam.upkeep import inside
 from ceilvo.types import Array, Crossings, Observations
 
@@ -19,18 +18,8 @@ _FOUND, _SHOWN = 0.7, 0.6
 """Shares of the pixels a metre right above the camera: with more, whatever is there is found; with less, what is found
 may be something else. Measured: a camera 24 deg off the vertical found half of the lamps' corners above it, 13 % at 0.7
 and none at 0.6. A lens of 76 deg that stands upright has 0.64 and more everywhere."""
-_LEAST_M2 = 1e-12
-"""In place of a variance of zero, m^2."""
 _YOUNG_VIEWS, _YOUNG_M2 = 1.5, 12.0
 """See SharpView.young_m2; chosen."""
-_PLAIN = 1e-4
-"""Odometry's doubt of a motion below which views that do not overlap were never taken for it; chosen: 1 in 1,000 of a
-motion that was wrong after 6 s was the least that was seen."""
-_STOOD = 0.01
-"""Metres and radians, of what was foreseen and of what is seen, within which a robot stood all the time; chosen."""
-ASTRAY = 0.1
-"""A map of little ground is left behind after a gap that may have led another way with this probability; chosen: below
-it none of 181 did, above it four in ten (docs/place.md)."""
 
 
 class SharpView:
@@ -56,22 +45,6 @@ class SharpView:
     def young_m2(self) -> float:
         """A map that knows no more ground than this is all around the robot."""
         return min(_YOUNG_VIEWS * self.area_m2, _YOUNG_M2)
-
-    def astray(self, track: Track) -> float:
-        """Probability that a gap led another way than the motion that ended it says; 0 of a camera that shows nothing.
-
-        Odometry weighs views that overlap. That they may not is added: the robot may be further off than half a view;
-        but not where a view is so like the last one that nothing else comes near it, nor where a robot that stood is
-        seen to stand there still.
-        """
-        if not self.area_m2 or track.final is None:
-            return 0.0
-        stood = bool(np.all(np.abs([track.blind, track.final.prev_from_curr]) < _STOOD))
-        if track.bridged and (stood or track.final.doubt < _PLAIN):
-            return track.final.doubt
-        var = float(np.linalg.eigvalsh(track.blind_cov[:2, :2])[-1])
-        beyond = float(np.exp(-0.5 * self.area_m2 / np.pi / max(var, _LEAST_M2)))
-        return min(track.final.doubt + beyond, 1.0) if track.bridged else 1.0
 
     def shown(self, crossings: Crossings, view: Observations) -> Array:
         """(V, 2) corners in base of the ground that a view showed whole, (0, 2) for none.
