@@ -84,11 +84,6 @@ class Relocaliser:
         """How often it was said that this is not the map."""
         return self._on_map.state.times
 
-    @property
-    def _young(self) -> bool:
-        """Whether the map is all around the robot yet, so that it cannot tell where else it may be."""
-        return self.state.survey.coverage.area_m2 <= self._sharp.young_m2
-
     # -- what happens to the robot
 
     def start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, doubt: Doubt | None = None) -> None:
@@ -135,12 +130,13 @@ class Relocaliser:
         gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
         if track.blind_s > doubts.LIFT_S and not (s.given or self.filter.size()):
             return self._begin_here(final)
+        if not gapped and final.doubt == 0.0:
+            return self.filter.predict(final)
         expected = compose(self.filter.estimate()[0], track.blind)
         self.filter.predict(final)
         if self.sure and not gapped and self._rate <= final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
-        if gapped or final.doubt > 0.0:
-            self.raise_doubt(doubts.of_track(track, final, jumped, expected, self.filter.estimate()[0]))
+        self.raise_doubt(doubts.of_track(track, final, jumped, expected, self.filter.estimate()[0]))
 
     def _begin_here(self, final: Motion) -> None:
         """One that was told nothing sees the ceiling for the first time: how it got here is no question of the map."""
@@ -156,7 +152,7 @@ class Relocaliser:
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        if not (self._young or doubts.negligible(doubt, self._rate)):
+        if s.survey.coverage.area_m2 > self._sharp.young_m2 and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
     # -- a view

@@ -11,7 +11,7 @@ from ceilvo.daemon.odometry.dead_reckoning import Track
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Array, Displacement, Frame, Motion, State
+from ceilvo.types import Array, Displacement, Estimate, Frame, Motion, State
 
 
 def hall(seed: int, wheels: bool = False) -> Drive:
@@ -19,10 +19,15 @@ def hall(seed: int, wheels: bool = False) -> Drive:
     return drive_in(world, np.random.default_rng(seed), wheels, 10.0, True, 0.4)
 
 
-def dark(drive: Drive, seconds: float) -> None:
+def after_a_night(drive: Drive) -> Estimate:
+    """The tenth estimate since the lights went on, after 20 s in the dark."""
     drive.conditions.dark = True
-    drive.go(seconds)
+    drive.go(20.0)
     drive.conditions.dark = False
+    last = [drive.tick() for _ in range(10)][-1]
+    assert last is not None
+    print(f"seed 1: {last.state.name} ({last.reason})")
+    return last
 
 
 @pytest.mark.parametrize("gap_s", [2.0, 6.0])
@@ -44,11 +49,7 @@ def test_a_robot_that_stands_while_its_camera_stalls_is_where_it_was(gap_s: floa
 def test_a_map_begins_where_a_robot_that_was_told_nothing_first_sees_the_ceiling(wheels: bool) -> None:
     """Booted at night, it stayed in INIT for good: where it might have rolled meanwhile is no question of a new map."""
     drive = hall(1, wheels)
-    dark(drive, 20.0)
-    states = [drive.tick() for _ in range(10)]
-    last = states[-1]
-    assert last is not None
-    print(f"seed 1: {last.state.name} ({last.reason})")
+    last = after_a_night(drive)
     assert last.state is State.TRACKING
     assert np.sqrt(last.cov[0, 0] + last.cov[1, 1]) < 0.02
 
@@ -56,11 +57,7 @@ def test_a_map_begins_where_a_robot_that_was_told_nothing_first_sees_the_ceiling
 def test_one_that_was_told_where_it_is_waits_until_it_is_told_again() -> None:
     drive = hall(1)
     drive.at_truth()
-    dark(drive, 20.0)
-    states = [drive.tick() for _ in range(10)]
-    last = states[-1]
-    assert last is not None
-    print(f"seed 1: {last.state.name} ({last.reason})")
+    last = after_a_night(drive)
     assert last.state is State.INIT
     assert "cmd/initial_pose" in last.reason
 
