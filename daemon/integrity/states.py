@@ -144,7 +144,7 @@ class StateMachine:
     def step(self, evidence: Evidence) -> Verdict:
         s = self.state
         self._update(evidence)
-        if self._gives_up(evidence) and not self._blind(evidence):
+        if self._gives_up(evidence):
             self._drop_evidence()
         state, cause, reason = self._decide(evidence)
         if state is not s.current or cause not in ("", s.cause):
@@ -259,10 +259,14 @@ class StateMachine:
         return bool(e.in_doubt) and (e.elsewhere >= UNLIKELY or self.state.current in UNUSABLE)
 
     def _blind(self, e: Evidence) -> bool:
-        """Whether vision went out while the place was sure; whether it still is, is asked when vision is back."""
+        """Whether vision went out while the place was sure; whether it still is, is asked when vision is back.
+
+        A pose that is worse than any that may be used is asked at once.
+        """
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9
         sure = self.state.current in (State.TRACKING, State.DEGRADED, State.DEAD_RECKONING)
-        return sure and not e.motion_ok and out_s > self._cfg.dead_reckoning_s
+        bounded = e.position_sigma_m <= self._cfg.lost_sigma_m
+        return sure and bounded and not e.motion_ok and out_s > self._cfg.dead_reckoning_s
 
     def _without_vision(self, e: Evidence, far: bool) -> tuple[State, str, str]:
         out_s = (e.stamp_ns - (self.state.vision_ns or 0)) / 1e9

@@ -128,10 +128,10 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
         "4 inliers",
     ),
     "lost by covariance": ([GOOD] * 5 + [GONE], ["INIT", "TRACKING", "LOST"], "position sigma 0.800 m, above 0.5 m"),
-    "blind and in doubt until lost": (
+    "blind and in doubt until the pose is of no use": (
         [GOOD] * 5 + [BLIND] * 9 + [replace(BLIND, position_sigma_m=0.51, in_doubt="moved", elsewhere=0.1)],
-        ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING", "LOST"],
-        "position sigma 0.510 m",
+        ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING", "RELOCALISING"],
+        "moved",
     ),
     "blind until lost": (
         [GOOD] * 5 + [BLIND] * 9 + [replace(BLIND, position_sigma_m=0.51)],
