@@ -7,7 +7,7 @@ it is off by as much as twists of such a robot differ at all.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -44,15 +44,54 @@ _TWIST_LATE = 1.5
 """Steps from the middle of the last one to the next frame: its twist goes on changing as in the last, or does not."""
 _SMALL_RAD = 1e-9
 """An arc that turns by less is straight."""
+_RECENT = 3
+"""Twists of which the median goes on: one view that is mistaken makes two of them wrong, to either side."""
+_OF_MEDIAN = 0.449
+"""Variance of a median of three over that of one of them, where they are normal."""
 
 
 @dataclass(frozen=True, slots=True)
 class LastTwist:
-    """A twist (3,) [m/s, m/s, rad/s], the mean over span_s, which ended since_s ago; span_s None: it is not known."""
+    """A twist (3,) [m/s, m/s, rad/s], the mean over span_s, which ended since_s ago; span_s None: it is not known.
+
+    var: (3,) of its measurement.
+    """
 
     twist: Array
     span_s: float | None
     since_s: float
+    var: Array = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True)
+class RecentTwists:
+    """What the last views in a row said, K of them at most: twists (K, 3) with variances (K, 3), over spans (K,)."""
+
+    twists: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    var: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    span_s: Array = field(default_factory=lambda: np.zeros(0))
+
+    def then(self, twist: Array, var: Array, span_s: float) -> RecentTwists:
+        """With one more (3,), which was measured with a variance (3,)."""
+        keep = slice(1 - _RECENT, None)
+        return RecentTwists(
+            np.concatenate([self.twists[keep], twist[None]]),
+            np.concatenate([self.var[keep], var[None]]),
+            np.append(self.span_s[keep], span_s),
+        )
+
+    def turning(self, radps: float) -> RecentTwists:
+        """With a turn that lines told since."""
+        twists, var = self.twists.copy(), self.var.copy()
+        twists[:, 2], var[:, 2] = radps, 0.0
+        return replace(self, twists=twists, var=var)
+
+    def median(self, since_s: float) -> LastTwist:
+        """What goes on since_s after the last of them; there is one at least."""
+        several = len(self.twists) == _RECENT
+        var = _OF_MEDIAN * np.median(self.var, axis=0) if several else np.max(self.var, axis=0)
+        twist = np.median(self.twists, axis=0) if several else self.twists[-1]
+        return LastTwist(twist, float(np.sum(self.span_s)), since_s, var)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +143,7 @@ def twist_prior(
 
 def _arc(twist: Array, start_s: float, end_s: float, turn: KnownTurn | None) -> Array:
     """The way of a twist that fades, but for a turn that is known."""
-    lasts_s = _DECAY_S * (math.exp(-start_s / _DECAY_S) - math.exp(-end_s / _DECAY_S))
-    vx, vy, w = (twist * lasts_s).tolist()
+    vx, vy, w = (twist * (_lasts(end_s) - _lasts(start_s))).tolist()
     w = w if turn is None else turn.turned_rad
     if abs(w) < _SMALL_RAD:
         return np.array([vx, vy, w])
@@ -121,7 +159,14 @@ def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float, known:
     turn = math.hypot(_SPREAD * config.max_turn_radps, _CURVATURE_PM * speed)
     xy, theta = (accel, _SPREAD * config.max_speed_mps, last.span_s), (turn_accel, turn, last.span_s)
     var_xy, var_theta = (_off(*a, end_s) ** 2 - _off(*a, start_s) ** 2 for a in (xy, theta))
-    return np.diag([var_xy, var_xy, var_theta if known is None else known.var_rad2])
+    measured = last.var * (_lasts(end_s) ** 2 - _lasts(start_s) ** 2)
+    var_theta += measured[2]
+    return np.diag([var_xy + measured[0], var_xy + measured[1], var_theta if known is None else known.var_rad2])
+
+
+def _lasts(t_s: float) -> float:
+    """For how long, at its first value, a twist that fades has lasted after t_s."""
+    return _DECAY_S * (1.0 - math.exp(-t_s / _DECAY_S))
 
 
 def _off(accel: float, most: float, span_s: float | None, t_s: float) -> float:

@@ -9,10 +9,12 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.daemon.odometry.registration import DIRECTION_SIGMAS, MIN_AGREEING, Registration
+from ceilvo.daemon.odometry.points.constellation import has_points
+from ceilvo.daemon.odometry.registration import DIRECTION_SIGMAS, MIN_AGREEING, Registration, fewest
 from ceilvo.daemon.odometry.rigid import RigidFit
 from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
-from ceilvo.types import Array
+from ceilvo.daemon.vision.thinning import ENOUGH
+from ceilvo.types import Array, Crossings
 
 _COURSE_SIGMAS = 5.0
 """Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
@@ -74,7 +76,7 @@ class Found:
     Attributes:
         unpredicted: probability that somebody moved the robot, or that what predicts its motion is wrong.
         jump: the displacement that no robot makes, where that is why.
-        out_of_view: the robot is likelier to have left the reference's view than to be anywhere in it.
+        elsewhere: probability that the robot has left the reference's view, by the prediction.
         doubt_left: as in Motion.
     """
 
@@ -85,8 +87,13 @@ class Found:
     doubt: float = 0.0
     unpredicted: float = 0.0
     jump: Array | None = None
-    out_of_view: bool = False
+    elsewhere: float = 0.0
     doubt_left: float = 1.0
+
+    @property
+    def out_of_view(self) -> bool:
+        """Whether the robot is likelier to have left the reference's view than to be anywhere in it."""
+        return self.elsewhere > 0.5
 
 
 def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:
@@ -100,24 +107,49 @@ def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:
     return Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
 
 
-def moved_by_hand(jump: Array | None, course: Course) -> float:
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """What views that gave no motion have in common: so many in a row, and how usual it is that features disagree.
+
+    glossy: where features slide, all points in view may have been left out.
+    """
+
+    failed: int
+    disagreeing: float
+    glossy: bool
+
+
+def by_hand(crossings: Crossings, found: Found, failures: Failures, course: Course, config: Odometry) -> float:
+    """Probability that somebody moved the robot, of a view that gave no motion."""
+    n, failed, left = len(crossings), failures.failed, found.elsewhere
+    if not has_points(crossings) and not failures.glossy:
+        return moved_by_hand(found.jump, course, left)
+    if found.jump is not None or n >= ENOUGH:  # so many do not all come and go at once
+        return moved_or_mistaken(found.jump, failed, course, left)
+    needed = max(fewest(crossings, config), math.ceil(MIN_AGREEING * n))
+    return moved_or_flickered(n, needed, failures.disagreeing, failed, course.elapsed_s)
+
+
+def moved_by_hand(jump: Array | None, course: Course, elsewhere: float) -> float:
     """Probability that somebody moved the robot, of a view that fits nothing, or a displacement (3,) no robot makes.
 
     On the way to the next tile a robot may be seen anywhere in one; lines that were mistaken put a view a little off.
+    A robot that has left the reference's view, as likely as `elsewhere`, fits nothing without a hand.
     """
     if jump is None:
-        return JUMPED
+        moved = CARRIED_PS * course.elapsed_s
+        return JUMPED * moved / (moved + JUMPED * elsewhere) if elsewhere > 0.0 else JUMPED
     off = jump - course.guess
     shift = math.pi * float(off[0] ** 2 + off[1] ** 2) / SMALLEST_TILE_M**2
     turn = abs(se2.wrap(float(off[2]))) / (0.25 * math.pi)
     return JUMPED * min(max(shift, turn), 1.0)
 
 
-def moved_or_mistaken(jump: Array | None, failed: int, course: Course) -> float:
+def moved_or_mistaken(jump: Array | None, failed: int, course: Course, elsewhere: float) -> float:
     """moved_by_hand() of the last of `failed` views in a row where points help out: there views are mistaken so often
     that one of them tells little of a hand."""
     mistaken = _MISTAKEN * _AGAIN ** (failed - 1)
-    return moved_by_hand(jump, course) * min(CARRIED_PS * course.elapsed_s / mistaken, 1.0)
+    return moved_by_hand(jump, course, elsewhere) * min(CARRIED_PS * course.elapsed_s / mistaken, 1.0)
 
 
 def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int, elapsed_s: float) -> float:

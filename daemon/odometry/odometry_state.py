@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ceilvo.daemon.odometry.coasting import RecentTwists
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
 from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
@@ -65,6 +66,7 @@ class VisualOdometryState:
         lean: how far a robot that rocks may be off, where only points tell its motion.
         sliding: features that are followed to see whether they are the ceiling's.
         earlier: a good view before the reference, for what that misses.
+        recent: twists of the last good views, of which the median goes on in a gap.
     """
 
     reference: Crossings | None = None
@@ -87,3 +89,4 @@ class VisualOdometryState:
     lean: LeanState = field(default_factory=LeanState)
     sliding: SlidingState = field(default_factory=SlidingState)
     earlier: EarlierView = field(default_factory=EarlierView)
+    recent: RecentTwists = field(default_factory=RecentTwists)

@@ -16,19 +16,18 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, by_two_views, find_candidates
-from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, coast, goes_on_turning, twist_prior
+from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, RecentTwists, coast, goes_on_turning, twist_prior
 from ceilvo.daemon.odometry.course import (
     CARRIED_PS,
     JUMPED,
     NOWHERE,
     Course,
+    Failures,
     Found,
+    by_hand,
     contradicted,
     judged,
     measured_twist,
-    moved_by_hand,
-    moved_or_flickered,
-    moved_or_mistaken,
 )
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
@@ -42,7 +41,6 @@ from ceilvo.daemon.odometry.heading_fusion import (
 from ceilvo.daemon.odometry.odometry_state import EarlierView, VisualOdometryState
 from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
 from ceilvo.daemon.odometry.registration import (
-    MIN_AGREEING,
     Registration,
     expected_turn,
     fewest,
@@ -51,7 +49,6 @@ from ceilvo.daemon.odometry.registration import (
     view_size_m,
 )
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
-from ceilvo.daemon.vision.thinning import ENOUGH
 from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
 _MAX_FAILED_FRAMES = 8
@@ -146,7 +143,10 @@ class VisualOdometry:
         if found.place is None:
             self.state.refused = found.jump
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
-            return self._after_failure(crossings, coasted, found.out_of_view, self._by_hand(crossings, found, course))
+            s = self.state
+            failures = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy)
+            moved = by_hand(crossings, found, failures, course, self._config)
+            return self._after_failure(crossings, coasted, found.out_of_view, moved)
         return self._accept(self.state.reference, crossings, course, found, predicted)
 
     def directed(self, crossings: Crossings) -> Crossings:
@@ -163,6 +163,8 @@ class VisualOdometry:
             told, cov = wheels.prev_from_curr, wheels.cov
             return Motion(told, cov, 0, 0.0, "", prior_cov=cov, by_wheels=True, watched=wheels.watched)
         last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
+        if s.twist_known and len(s.recent.twists):
+            last = s.recent.median(s.since_twist_s)
         if turn is None and s.held_s > 0.0:
             turn = goes_on_turning(self._config, LastTwist(s.twist, s.held_s, 0.0), dt_s)
         moved, cov = coast(self._config, last, dt_s, turn)
@@ -239,7 +241,7 @@ class VisualOdometry:
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
         if place is None and (not len(found) or max(found.log_elsewhere, found.log_carried) > found.log_weight[0]):
             why = why or (near is not None and contradicted(near, self._config, course)) or _NO_FIT
-            return Found(None, why, out_of_view=found.log_elsewhere > math.log(0.5))
+            return Found(None, why, elsewhere=math.exp(found.log_elsewhere))
         if place is None:
             place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config, narrow)
         if place is None:
@@ -265,6 +267,8 @@ class VisualOdometry:
         before = s.twist
         s.twist, s.twist_span_s = measured_twist(fit, course, self._config)
         s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
+        var = np.diag(cov) / course.elapsed_s**2
+        s.recent = s.recent.then(s.twist, var, s.twist_span_s) if s.twist_known else RecentTwists()
         s.twist_change = s.twist - before
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
         special = _missing(place.special, place.special_expected)
@@ -301,6 +305,7 @@ class VisualOdometry:
         s.held_s = 0.0 if motion is predicted else course.step_s
         if s.held_s > 0.0:
             s.twist = np.array([*s.twist[:2], motion.prev_from_curr[2] / s.held_s])
+            s.recent = s.recent.turning(float(s.twist[2]))
         return motion
 
     def _coast(self, predicted: Motion, dt_s: float, why: str) -> Motion:
@@ -313,17 +318,8 @@ class VisualOdometry:
         s.by_wheels &= predicted.by_wheels
         if predicted.by_wheels and dt_s > 0.0:  # they also say how it goes on without them
             s.twist, s.twist_span_s, s.since_twist_s = predicted.prev_from_curr / dt_s, dt_s, 0.0
+            s.recent = RecentTwists()
         return replace(predicted, failure=why)
-
-    def _by_hand(self, crossings: Crossings, found: Found, course: Course) -> float:
-        """Probability that somebody moved the robot, of a view that gave no motion."""
-        s, n = self.state, len(crossings)
-        if not has_points(crossings) and not s.sliding.glossy:  # there, all points in view may have been left out
-            return moved_by_hand(found.jump, course)
-        if found.jump is not None or n >= ENOUGH:  # so many do not all come and go at once
-            return moved_or_mistaken(found.jump, s.failed_frames + 1, course)
-        needed = max(fewest(crossings, self._config), math.ceil(MIN_AGREEING * n))
-        return moved_or_flickered(n, needed, s.disagreeing, s.failed_frames + 1, course.elapsed_s)
 
     def _after_failure(self, crossings: Crossings, motion: Motion, out_of_view: bool, by_hand: float) -> Motion:
         """Where the reference is out of view, or several frames did not fit it, go on from here.
@@ -339,7 +335,7 @@ class VisualOdometry:
             away = view_size_m(s.reference)
             cov = cov + np.diag([away**2, away**2, _MOVED_RAD**2])
         self._set_reference(crossings)
-        s.twist_known = False
+        s.twist_known, s.recent = False, RecentTwists()
         s.heading = HeadingState()
         return replace(motion, cov=cov, prior_cov=cov, restarted=True)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ceilvo import se2
 from ceilvo.config import Odometry, States
-from ceilvo.daemon.odometry.coasting import LastTwist, coast
+from ceilvo.daemon.odometry.coasting import LastTwist, RecentTwists, coast
 from ceilvo.sim.wander import Wander, driven
 
 RATE_HZ = 10.0
@@ -103,3 +103,46 @@ def test_what_degraded_promises_holds_while_it_is_promised(fast: bool) -> None:
     )
     assert broken <= 0.003 * (kept + broken)
     assert np.median(longest_s) >= 0.06
+
+
+def twists_of(steps: np.ndarray, sigma: np.ndarray, rate_hz: float) -> RecentTwists:
+    out = RecentTwists()
+    for step in steps:
+        out = out.then(step * rate_hz, (sigma * rate_hz) ** 2, 1.0 / rate_hz)
+    return out
+
+
+@pytest.mark.parametrize("mistaken", [False, True], ids=["views", "one mistaken view"])
+def test_a_gap_after_few_crossings_is_as_wrong_as_it_says(mistaken: bool) -> None:
+    """Views at 30 Hz that tell a step to 1 mm; the last one before the gap may be 16 mm off and not know it."""
+    rate_hz, sigma, seed = 30.0, np.array([1e-3, 1e-3, 1e-3]), 11
+    rng, drives = np.random.default_rng(seed), []
+    for k in range(6):
+        drives.append(np.array(list(driven(Wander(140 + k), np.zeros(3), 40.0, rate_hz))))
+    for gap_s in (0.1, 0.3, 1.0):
+        nees, off_m, ahead = [], [], round(gap_s * rate_hz)
+        for poses in drives:
+            for k in range(20, len(poses) - ahead, 13):
+                steps = np.stack([se2.between(poses[j - 1], poses[j]) for j in range(k - 5, k + 1)])
+                steps += rng.normal(size=steps.shape) * sigma
+                steps[-1, 1] += 0.016 * mistaken
+                guess, cov = coast(Odometry(), twists_of(steps, sigma, rate_hz).median(0.0), gap_s)
+                off = se2.between(poses[k], poses[k + ahead]) - guess
+                off[2] = se2.wrap(off[2])
+                nees.append(float(off @ np.linalg.solve(cov, off)) / 3.0)
+                off_m.append(float(np.hypot(off[0], off[1])))
+        mean, rare = float(np.mean(nees)), float(np.quantile(nees, 0.99))
+        far_m = float(np.mean(off_m))
+        print(f"seed {seed}, {gap_s} s: NEES/3 mean {mean:.2f}, p99 {rare:.1f}; {1e3 * far_m:.1f} mm off in the mean")
+        assert 0.03 < mean < 1.0
+        assert rare < 16.3 / 3.0  # chi squared with 3 degrees of freedom: 1 in 1000
+
+
+def test_a_turn_that_lines_told_since_replaces_what_views_said() -> None:
+    recent = twists_of(np.array([[0.01, 0.0, 0.01]] * 4), np.full(3, 1e-3), 30.0).turning(-0.5)
+    last = recent.median(0.2)
+    assert last.twist == pytest.approx([0.3, 0.0, -0.5])
+    assert last.var[2] == 0.0
+    assert last.var[0] > 0.0
+    assert last.span_s == pytest.approx(0.1)
+    assert last.since_s == 0.2

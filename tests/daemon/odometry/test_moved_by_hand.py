@@ -1,5 +1,7 @@
 """A view that no motion explains: lines that were mistaken, or a robot that somebody moves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,14 +17,26 @@ def course() -> Course:
 
 
 def chance(x_m: float, y_m: float, turned_rad: float = 0.0) -> float:
-    return moved_by_hand(GUESS + np.array([x_m, y_m, turned_rad]), course())
+    return moved_by_hand(GUESS + np.array([x_m, y_m, turned_rad]), course(), 0.0)
 
 
 def test_lines_that_were_mistaken_by_a_centimetre_say_little_and_half_a_tile_says_all() -> None:
     print(f"15 mm: {chance(0.015, 0.0):.4f}, 4 cm: {chance(0.0, 0.04):.3f}")
     assert chance(0.015, 0.0) < UNLIKELY < chance(0.0, 0.04) < 0.1
     assert chance(0.3, 0.0) == JUMPED
-    assert moved_by_hand(None, course()) == JUMPED
+    assert moved_by_hand(None, course(), 0.0) == JUMPED
+
+
+def test_a_robot_that_may_have_left_the_view_by_itself_was_hardly_moved_by_hand() -> None:
+    """Bayes: a hand, a damaged view as likely as that, or other ceiling in view."""
+    blind_s = 0.9
+    out_of_the_dark = replace(course(), elapsed_s=blind_s)
+    for elsewhere in (1e-6, 1e-3, 0.02, 0.5):
+        hand, damaged = CARRIED_PS * blind_s, CARRIED_PS * blind_s
+        of_all = hand / (hand + damaged + elsewhere)
+        assert moved_by_hand(None, out_of_the_dark, elsewhere) == pytest.approx(of_all)
+    assert moved_by_hand(None, out_of_the_dark, 0.5) < UNLIKELY
+    assert moved_by_hand(None, course(), 1e-12) == pytest.approx(JUMPED, rel=1e-6)
 
 
 def test_a_robot_that_is_turned_on_the_spot_is_not_overlooked() -> None:
