@@ -95,10 +95,10 @@ class Prior:
     carried_s: float = math.inf
     flickers: float = 0.0
 
-    @property
-    def knows_quarter(self) -> bool:
-        """Whether the heading is known to well within a quarter turn."""
-        return _QUARTER_SIGMAS**2 * float(self.cov[2, 2]) < (0.5 * _QUARTER_RAD) ** 2
+
+def knows_quarter(cov: Array) -> bool:
+    """Whether a prediction with this covariance (3, 3) tells the heading to well within a quarter turn."""
+    return _QUARTER_SIGMAS**2 * float(cov[2, 2]) < (0.5 * _QUARTER_RAD) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class Candidates:
 def find_candidates(
     ref: Crossings, curr: Crossings, turn_rad: float, prior: Prior, known: Array | None = None
 ) -> Candidates:
-    """All displacements that explain at least three crossings.
+    """All displacements that explain at least three crossings, or two of few.
 
     Args:
         turn_rad: ref_from_curr rotation from the lines' direction, of which whole quarter turns are not known.
@@ -164,7 +164,7 @@ def find_candidates(
         turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
         extra = np.zeros((0, 3)) if known is None or quarter else known[None]
         found += _matched(*views, turn, extra, prior, far_m)
-        if quarter == 0 and prior.knows_quarter:
+        if quarter == 0 and knows_quarter(prior.cov):
             straight = _weighed(found, far_m, prior)
             if len(straight) and straight.log_ratio[0] > _CLEAR:
                 return straight

@@ -9,13 +9,25 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
+from ceilvo.daemon.odometry.alternatives import knows_quarter
 from ceilvo.daemon.odometry.points.constellation import has_points
-from ceilvo.daemon.odometry.registration import DIRECTION_SIGMAS, MIN_AGREEING, Registration, fewest
+from ceilvo.daemon.odometry.registration import (
+    DIRECTION_SIGMAS,
+    MIN_AGREEING,
+    Registration,
+    expected_turn,
+    fewest,
+    matched,
+    register,
+    view_size_m,
+)
 from ceilvo.daemon.odometry.rigid import RigidFit
-from ceilvo.daemon.odometry.sight import SMALLEST_TILE_M
+from ceilvo.daemon.odometry.sight import FEW, SMALLEST_TILE_M
 from ceilvo.daemon.vision.thinning import ENOUGH
 from ceilvo.types import Array, Crossings
 
+_REACH_SIGMAS = 4.0
+"""How many standard deviations off its prediction the robot may be; a normal error is beyond once in 3000 gaps."""
 _COURSE_SIGMAS = 5.0
 """Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
 _WHEELS_CHI2 = 21.1
@@ -64,9 +76,14 @@ class Course:
     refused: Array | None
     carried_rad: float = 0.0
 
-    def reach_m(self, sigmas: float) -> float:
+    @property
+    def reach_m(self) -> float:
         """How far off its prediction the robot can be."""
-        return sigmas * math.sqrt(max(se2.greatest_variance(self.cov[:2, :2]), 0.0))
+        return _REACH_SIGMAS * math.sqrt(max(se2.greatest_variance(self.cov[:2, :2]), 0.0))
+
+    def is_within(self, radius_m: float) -> bool:
+        """Whether the robot is not further off the prediction, which knows the heading to well within a quarter."""
+        return knows_quarter(self.cov) and self.reach_m < radius_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +124,32 @@ def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:
     return Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
 
 
+def on_earlier(
+    views: list[tuple[Crossings, Array, Array]],
+    crossings: Crossings,
+    usual: tuple[float, float],
+    course: Course,
+    config: Odometry,
+) -> Found | None:
+    """The view near its prediction on one before the reference, which shows what that misses; None if on none.
+
+    Under tiles of 1.25 m a reference that misses a line shares two crossings with the next view, and later one.
+
+    Args:
+        views: each with earlier_from_ref (3,) and its covariance (3, 3).
+        usual: as Registration.is_usual() takes it.
+    """
+    for view, at, at_cov in views if course.is_within(config.match_radius_m) else []:
+        guess = se2.compose(at, course.guess)
+        guess[2] = expected_turn(view, crossings, float(guess[2]))
+        place, _ = register(view, crossings, guess, config.match_radius_m, config, narrow=True)
+        if place is not None and place.is_usual(usual):
+            found = judged(Found(place.seen_from(at, at_cov)), True, course, config)
+            if found.place is not None:
+                return found
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class Failures:
     """What views that gave no motion have in common: so many in a row, and how usual it is that features disagree.
@@ -119,15 +162,28 @@ class Failures:
     glossy: bool
 
 
-def by_hand(crossings: Crossings, found: Found, failures: Failures, course: Course, config: Odometry) -> float:
+def by_hand(
+    ref: Crossings, crossings: Crossings, found: Found, failures: Failures, course: Course, config: Odometry
+) -> float:
     """Probability that somebody moved the robot, of a view that gave no motion."""
     n, failed, left = len(crossings), failures.failed, found.elsewhere
     if not has_points(crossings) and not failures.glossy:
-        return moved_by_hand(found.jump, course, left)
+        moved = moved_by_hand(found.jump, course, left)
+        few = found.jump is None and min(n, len(ref)) <= FEW
+        return min(moved, moved_though_met(*met_as_foreseen(ref, crossings, course))) if few else moved
     if found.jump is not None or n >= ENOUGH:  # so many do not all come and go at once
         return moved_or_mistaken(found.jump, failed, course, left)
     needed = max(fewest(crossings, config), math.ceil(MIN_AGREEING * n))
     return moved_or_flickered(n, needed, failures.disagreeing, failed, course.elapsed_s)
+
+
+def met_as_foreseen(ref: Crossings, crossings: Crossings, course: Course) -> tuple[int, float]:
+    """How many crossings of a view are where the prediction has them, to within its reach; and how many would be there
+    on the way to another place."""
+    guess, reach_m = course.guess.copy(), course.reach_m
+    guess[2] = expected_turn(ref, crossings, float(guess[2]))
+    each_m2 = 0.25 * view_size_m(ref) ** 2 / len(ref)
+    return len(matched(ref, crossings, guess, reach_m)[0]), len(crossings) * reach_m**2 / each_m2
 
 
 def moved_by_hand(jump: Array | None, course: Course, elsewhere: float) -> float:
@@ -152,6 +208,17 @@ def moved_or_mistaken(jump: Array | None, failed: int, course: Course, elsewhere
     return moved_by_hand(jump, course, elsewhere) * min(CARRIED_PS * course.elapsed_s / mistaken, 1.0)
 
 
+def moved_though_met(met: int, by_chance: float) -> float:
+    """moved_by_hand() of a view of which so many crossings are where they were foreseen, as `by_chance` of them would
+    be on the way to another place."""
+    return JUMPED * min(by_chance**met / math.factorial(met), 1.0)
+
+
+def _fewer(shown: int, needed: int, stays: float) -> float:
+    """Probability that fewer than needed of those that are shown stay, each with the same chance."""
+    return sum(math.comb(shown, k) * stays**k * (1.0 - stays) ** (shown - k) for k in range(min(needed, shown + 1)))
+
+
 def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int, elapsed_s: float) -> float:
     """Probability that somebody moved the robot, of `failed` views in a row that show few points and fit nothing: each
     point comes and goes by itself, so a few of them do all at once.
@@ -162,8 +229,7 @@ def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int
         disagreeing: fraction of the points that usually do not.
         elapsed_s: since the last good view.
     """
-    stays = 1.0 - disagreeing
-    too_few = sum(math.comb(points, k) * stays**k * disagreeing ** (points - k) for k in range(min(needed, points + 1)))
+    too_few = _fewer(points, needed, 1.0 - disagreeing)
     moved = CARRIED_PS * elapsed_s
     return min(JUMPED, moved / (moved + too_few**failed)) if moved > 0.0 else 0.0
 

@@ -11,7 +11,7 @@ from ceilvo.daemon.odometry.coasting import RecentTwists
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
 from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
-from ceilvo.se2 import compose
+from ceilvo.se2 import compose, compose_cov
 from ceilvo.types import Array, Crossings
 
 APART = 0.15
@@ -25,20 +25,31 @@ class EarlierView:
 
     Attributes:
         crossings: of that view, None while there is none so far; at: (3,) earlier_from_ref.
-        near, near_at: the same of the nearer one.
+        cov: (3, 3) of at, by the motions between.
+        near, near_at, near_cov: the same of the nearer one.
     """
 
     crossings: Crossings | None = None
     at: Array = field(default_factory=lambda: np.zeros(3))
     near: Crossings | None = None
     near_at: Array = field(default_factory=lambda: np.zeros(3))
+    cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    near_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
-    def then(self, moved: Array, reference: Crossings) -> EarlierView:
+    def then(self, moved: Array, moved_cov: Array, reference: Crossings) -> EarlierView:
         """After the reference has moved on, by old_from_new (3,)."""
         at, near_at = compose(self.at, moved), compose(self.near_at, moved)
+        near_cov = compose_cov(self.near_at, self.near_cov, moved, moved_cov)
         if self.near is None or math.hypot(near_at[0], near_at[1]) + abs(float(near_at[2])) > APART:
-            return EarlierView(self.near, near_at, reference, np.zeros(3))
-        return EarlierView(self.crossings, at, self.near, near_at)
+            return EarlierView(self.near, near_at, reference, cov=near_cov)
+        cov = compose_cov(self.at, self.cov, moved, moved_cov)
+        return EarlierView(self.crossings, at, self.near, near_at, cov, near_cov)
+
+    @property
+    def views(self) -> list[tuple[Crossings, Array, Array]]:
+        """Those that there are, the nearer one first, each with earlier_from_ref (3,) and its covariance (3, 3)."""
+        both = (self.near, self.near_at, self.near_cov), (self.crossings, self.at, self.cov)
+        return [(view, at, cov) for view, at, cov in both if view is not None]
 
 
 @dataclass(slots=True)

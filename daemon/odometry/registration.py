@@ -76,6 +76,16 @@ class Registration:
         """Crossings that move alike."""
         return int(np.count_nonzero(self.fit.used))
 
+    def seen_from(self, at: Array, at_cov: Array) -> Registration:
+        """The same on another view, at (3,) with covariance (3, 3) as seen from the one it is on."""
+        fit, turn, g = self.fit, se2.rotation(float(at[2])), np.eye(3)
+        g[:2, :2] = turn.T
+        on = se2.lever(at, fit.b_from_a)
+        cov = g @ (fit.cov + on @ at_cov @ on.T) @ g.T
+        there = replace(fit, b_from_a=se2.between(at, fit.b_from_a), cov=cov)
+        before = se2.transform(se2.inverse(at), self.before)
+        return replace(self, fit=there, before=before, turn_rad=se2.wrap(self.turn_rad - float(at[2])))
+
     def is_usual(self, disagreeing: tuple[float, float]) -> bool:
         """Whether no more crossings disagree than chance and passing things explain.
 
@@ -100,8 +110,7 @@ def register(
     """
     crossings = _some(crossings)
     turn = float(guess[2])
-    kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, ref.psi_rad))
-    i, j = mutual_nearest(se2.transform(guess, crossings.xy_base_m), kinds, ref.xy_base_m, ref.crossing_type, radius_m)
+    i, j, kinds = matched(ref, crossings, guess, radius_m)
     need, by_lines = fewest(crossings, config), crossings.directed and ref.directed
     if need < _FEWEST_POINTS and not by_lines:
         need = _FEWEST_POINTS
@@ -142,6 +151,15 @@ def register(
         Registration(fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap, by_lines),
         "",
     )
+
+
+def matched(ref: Crossings, crossings: Crossings, guess: Array, radius_m: float) -> tuple[Ints, Ints, Ints]:
+    """Crossings (M,) of a view and those (M,) of the reference, of one type, that meet within the radius where a guess
+    (3,) of ref_from_curr has them; and the types (N,) that the reference would call the view's."""
+    turn = quarter_turns(crossings.psi_rad + float(guess[2]), ref.psi_rad)
+    kinds = turned_type(crossings.crossing_type, turn)
+    at = se2.transform(guess, crossings.xy_base_m)
+    return *mutual_nearest(at, kinds, ref.xy_base_m, ref.crossing_type, radius_m), kinds
 
 
 def _turned_as_lines(

@@ -25,8 +25,9 @@ _NEIGHBOURS = np.ones((5, 5), np.uint8)
 """Bins around one that must not have more votes."""
 SHOWN = 1 << 15
 """Bit of a cell that would show a crossing if there were one."""
-_FEWEST = 3
-"""Crossings that make a candidate; fewer meet by chance."""
+_FEWEST, _FEWEST_OF_FEW, FEW = 3, 2, 8
+"""Crossings that make a candidate, for fewer meet by chance; where a view has no more than so many, two do: under tiles
+of 1.25 m two views half a metre apart may share no more."""
 CROWD_M = 0.1
 """Cell in which, with its neighbours, crossings share the worth of one: they are of one lamp's corner, or one vent;
 chosen: less than the smallest tile."""
@@ -157,7 +158,8 @@ def crowd(xy: Array, cell_m: float) -> Array:
 
 
 def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, far_m: float) -> tuple[Array, Array]:
-    """(K, 2) shifts from crossings of now to those before that at least three of one type share; (K,) their votes."""
+    """(K, 2) shifts from crossings of now to those before that at least three of one type share, or two of few; (K,)
+    their votes."""
     xy, types = now.turned(turn_rad, quarters)
     i, j = np.nonzero(types[:, None] == before.types[None])
     off, worth = before.xy[j] - xy[i], np.minimum(now.worth[i], before.worth[j])
@@ -173,7 +175,8 @@ def shifts_by_votes(before: Sight, now: Sight, turn_rad: float, quarters: int, f
     votes, number, sum_x, sum_y = (cv2.boxFilter(s, -1, (3, 3), normalize=False, borderType=0) for s in sums)
     # in the middle of its votes a peak is higher, and of equal neighbours the last is
     height = votes + 0.1 * single + np.linspace(0.0, 1e-3, size * size).reshape(size, size)
-    row, column = np.nonzero((number > _FEWEST - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
+    fewest = _FEWEST_OF_FEW if min(len(before.xy), len(now.xy)) <= FEW else _FEWEST
+    row, column = np.nonzero((number > fewest - 0.5) & (height >= cv2.dilate(height, _NEIGHBOURS)))
     shifts = np.column_stack([sum_x[row, column], sum_y[row, column]]) / votes[row, column][:, None]
     return np.asarray(shifts, np.float64), np.asarray(votes[row, column], np.float64)
 

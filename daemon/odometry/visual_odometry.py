@@ -28,6 +28,7 @@ from ceilvo.daemon.odometry.course import (
     contradicted,
     judged,
     measured_twist,
+    on_earlier,
 )
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
@@ -53,20 +54,21 @@ from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
 _MAX_FAILED_FRAMES = 8
 """Frames in a row that fit no reference before the newest becomes it; chosen: 0.27 s at 30 Hz."""
-_REACH_SIGMAS = 4.0
-"""How many standard deviations off its prediction the robot may be; a normal error is beyond once in 3000 gaps."""
 _REFINE_M = 0.05
 """Match radius around a displacement that many crossings voted for; chosen: several bins of the votes."""
 _FALSE_RATE = 1e-4
 """Rate at which a displacement may be wrong that is reported without alternatives; the stated one of the daemon."""
 _AS_LIKELY = 0.5
 """Doubt from which a displacement is as likely wrong as right."""
+_HARDLY = 0.01
+"""Chance of a hand up to which a view is laid on an earlier one without a look at what else fits; chosen."""
 _USUAL_FRAMES = 45.0
 """Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
 _MOST_USUAL = 0.4
 """Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 _MOVED_RAD = np.pi / math.sqrt(3.0)
 """Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
+_NOTHING = np.zeros((3, 3))
 _NO_FIT = "nothing fits the last good view"
 
 
@@ -130,24 +132,27 @@ class VisualOdometry:
             self.state.refused = None
             predicted = self._held(predicted, crossings, course)
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
-        if self.state.reference is None:
+        s, ref = self.state, self.state.reference
+        if ref is None:
             self._set_reference(crossings)
             still = Displacement(np.zeros(3))
             return Motion(still, self._noise_floor.copy(), len(crossings), 0.0, "first frame", restarted=True)
-        crossings = as_expected(crossings, self.state.reference, course, self._config.heading_gate_rad)
-        found = self._find(self.state.reference, crossings, course)
+        crossings = as_expected(crossings, ref, course, self._config.heading_gate_rad)
+        found = self._find(ref, crossings, course)
         if found.place is None and has_points(crossings) and crossings.directed:  # few lines have a wrong one at times
-            pointwise = with_direction(crossings, self.state.reference.psi_rad - float(course.guess[2]))
-            again = self._find(self.state.reference, pointwise, course)
+            pointwise = with_direction(crossings, ref.psi_rad - float(course.guess[2]))
+            again = self._find(ref, pointwise, course)
             found, crossings = (found, crossings) if again.place is None else (again, pointwise)
+        if found.place is None and found.jump is None and s.by_hand < _HARDLY:
+            usual = (s.disagreeing, s.special_disagreeing)
+            found = on_earlier(s.earlier.views, crossings, usual, course, self._config) or found
         if found.place is None:
-            self.state.refused = found.jump
+            s.refused = found.jump
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
-            s = self.state
             failures = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy)
-            moved = by_hand(crossings, found, failures, course, self._config)
+            moved = by_hand(ref, crossings, found, failures, course, self._config)
             return self._after_failure(crossings, coasted, found.out_of_view, moved)
-        return self._accept(self.state.reference, crossings, course, found, predicted)
+        return self._accept(ref, crossings, course, found, predicted)
 
     def directed(self, crossings: Crossings) -> Crossings:
         """Crossings that step() took, with the direction carried on to them where lines tell none."""
@@ -198,7 +203,7 @@ class VisualOdometry:
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         carried_s = math.inf if self.state.failed_frames else course.elapsed_s
         prior = Prior(course.guess, course.cov, carried, carried_s, usual[1])
-        narrow = prior.knows_quarter and course.reach_m(_REACH_SIGMAS) < self._config.match_radius_m
+        narrow = course.is_within(self._config.match_radius_m)
         near, why = register(ref, crossings, guess, self._config.match_radius_m, self._config, narrow)
         if narrow and not self.state.failed_frames and carried < JUMPED and near is not None and near.is_usual(usual):
             found = judged(Found(near), True, course, self._config)
@@ -243,7 +248,7 @@ class VisualOdometry:
             why = why or (near is not None and contradicted(near, self._config, course)) or _NO_FIT
             return Found(None, why, elsewhere=math.exp(found.log_elsewhere))
         if place is None:
-            place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config, narrow)
+            place, why = register(ref, crossings, found.ref_from_curr[0], _REFINE_M, self._config, narrow=True)
         if place is None:
             return Found(None, why)
         doubt = found.doubt()
@@ -273,7 +278,7 @@ class VisualOdometry:
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
         special = _missing(place.special, place.special_expected)
         s.special_disagreeing += (special - s.special_disagreeing) / _USUAL_FRAMES
-        self._set_reference(with_carried(crossings, ref, fit), fit.b_from_a)
+        self._set_reference(with_carried(crossings, ref, fit), fit.b_from_a, cov)
         s.heading.carried = not crossings.directed
         return replace(
             predicted,
@@ -289,10 +294,10 @@ class VisualOdometry:
             doubt_left=found.doubt_left,
         )
 
-    def _set_reference(self, crossings: Crossings, moved: Array | None = None) -> None:
+    def _set_reference(self, crossings: Crossings, moved: Array | None = None, cov: Array = _NOTHING) -> None:
         s = self.state
         s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
-        s.earlier = EarlierView() if moved is None else s.earlier.then(moved, crossings)
+        s.earlier = EarlierView() if moved is None else s.earlier.then(moved, cov, crossings)
         s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused, s.held_s = 0.0, 0, 0.0, True, None, 0.0
 
     # -- without a motion

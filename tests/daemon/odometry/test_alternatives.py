@@ -275,7 +275,7 @@ def test_an_earlier_view_of_another_ceiling_leaves_a_doubt_that_is_a_number(turn
 def test_the_earlier_view_is_some_way_back_and_moves_on() -> None:
     views, kept, at = [camera("grid").sees(np.array([20.0, 20.0, 0.0]), k) for k in range(12)], EarlierView(), []
     for k, view in enumerate(views):
-        kept = kept.then(np.array([0.06, 0.0, 0.0]), view)
+        kept = kept.then(np.array([0.06, 0.0, 0.0]), np.zeros((3, 3)), view)
         if kept.crossings is not None:
             back = next(k - n for n, seen in enumerate(views) if seen is kept.crossings)
             at.append(float(kept.at[0]))
