@@ -53,8 +53,8 @@ _DIMMER = 0.7
 _BOUNDED = 14.0
 """Of the samples, how many a camera whose noise is normal would show to differ by more than any does, from which two
 pictures are one with noise of bounded size: e^-14 is one pair of a million. It takes two pairs in a row. One picture
-with its last bit random has 16 to 20 in 970 samples, by -1 to 1 at random 23 to 27; standing pictures 3 at the most (noise 0.1 to 3
-times the simulator's); measured with tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
+with its last bit random has 16 to 20 in 970 samples, by -1 to 1 at random 23 to 27, standing pictures 3 at the most
+(noise 0.1 to 3 times the simulator's); measured with tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
 _ROUNDING_GREY2 = 1.0 / 12.0
 """Variance of rounding to whole grey levels."""
 STANDS_M, STANDS_RAD = 0.0005, 0.0003
