@@ -160,16 +160,15 @@ class Motion:
     """Planar motion between two frames, or none with its reason.
 
     Attributes:
-        prev_from_curr: (3,) [m, m, rad]; maps static points seen now to where they were seen before, which is the
-            robot's own displacement in its previous base frame.
-        cov: (3, 3); inliers, rms_m: correspondences used, and their residual of eq. 16.
+        prev_from_curr: (3,) [m, m, rad]; maps static points seen now to where they were before: the robot's own way.
+        cov: (3, 3); inliers, rms_m: correspondences used, and their residual of eq. 16; apart: see Registration.apart.
         failure: None, or why there is no motion (prev_from_curr is then a prediction).
         restarted: odometry goes on from this frame without having tied it to the last good one, so what was
             predicted in between is final. Otherwise the next good motion replaces the predictions before it.
         prior_cov: (3, 3) of prev_from_curr before anything was seen in this frame: what prediction alone knew.
         by_wheels, watched: as of WheelMotion, where the prediction is the wheels'; seen: vision measured it.
-        alternatives: (A, 3) other displacements prev_from_curr that this view fits too: whole tiles or quarter turns
-            off. Those are left out that are less likely than the rate of error that odometry may have.
+        alternatives: (A, 3) other displacements that this view fits too, whole tiles or quarter turns off, but those
+            that are less likely than the rate of error that odometry may have.
         log_ratio: (A,) logarithm of how much likelier the view is at each than at prev_from_curr, but for predictions.
         doubt: probability that it is another, or that somebody moved the robot; 0 where nothing gave reason to look.
         doubt_left: part that this view leaves of what frames without a motion before it said of a hand.
@@ -189,6 +188,7 @@ class Motion:
     log_ratio: Array = field(default_factory=lambda: np.empty(0))
     doubt: float = 0.0
     doubt_left: float = 1.0
+    apart: float = np.inf
 
     @property
     def ok(self) -> bool:

@@ -175,7 +175,7 @@ class Pipeline:
             stamp_ns=stamp_ns,
             motion_ok=motion.ok,
             failure=motion.failure or "",
-            inliers=motion.inliers,
+            inliers=int(min(motion.inliers, motion.apart)),
             crossings=crossings,
             position_sigma_m=math.sqrt(max(se2.greatest_variance(cov[:2, :2]), 0.0)),
             heading_sigma_rad=math.sqrt(max(float(cov[2, 2]), 0.0)),

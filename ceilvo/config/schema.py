@@ -216,7 +216,7 @@ class Filter:
 class States:
     dead_reckoning_s: float = key(0.15, "without vision for longer is DEAD_RECKONING", low=0.0, high=10.0)
     tracking_frames: int = key(5, "good frames in a row before TRACKING", low=1, high=100)
-    degraded_inliers: int = key(6, "fewer inliers is DEGRADED", low=2, high=100)
+    degraded_inliers: int = key(4, "fewer inliers that lie apart is DEGRADED", low=2, high=100)
     degraded_sigma_m: float = key(0.05, "larger position sigma is DEGRADED", low=0.001, high=10.0)
     degraded_heading_deg: float = key(1.0, "larger heading sigma is DEGRADED", low=0.01, high=90.0)
     degraded_within_m: float = key(

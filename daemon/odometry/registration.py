@@ -15,6 +15,7 @@ from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
 from ceilvo.daemon.odometry.matching import Bools, consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points, has_points
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
+from ceilvo.daemon.odometry.sight import lines_through
 from ceilvo.robust import median
 from ceilvo.types import Array, Crossings, Ints
 
@@ -33,6 +34,10 @@ _FEWEST_POINTS = 2
 """They determine a motion, and their distance tells whether they are the same two."""
 _MOST = 300
 """Crossings of a view that are laid on the other one, which may have more; chosen for time: open cells show 1,100."""
+_MANY = 32
+"""So many correspondences are never all of the same few lines; chosen."""
+_POINT_WORTH = 2.0 / 3.0
+"""Of a point, where a crossing of two lines is worth one: six points are as much as four crossings; chosen."""
 _MIN_VIEW_M = 1e-9
 """Crossings all in one place: not divided by 0."""
 
@@ -55,6 +60,7 @@ class Registration:
         seen, before: (N, 2) m, the matched points in both views; fit.used says which of them count.
         turn_rad: ref_from_curr rotation by the lines; by the prediction where not both views have a direction.
         by_lines: it is by the lines.
+        kinds: (N,) types of the matched points.
         shown: crossings of the view that has fewer.
         expected: how many of them both views must show, by their overlap.
         special, special_expected: those that move alike, and those that both must show, of all types but the commonest:
@@ -69,12 +75,27 @@ class Registration:
     expected: float
     special: int
     special_expected: float
+    kinds: Ints
     by_lines: bool = True
 
     @property
     def agreeing(self) -> int:
         """Crossings that move alike."""
         return int(np.count_nonzero(self.fit.used))
+
+    def apart(self, axis_rad: float) -> float:
+        """How many of the crossings that move alike err by themselves, along axes at axis_rad.
+
+        Those where the same two lines meet are one, for edges of lamps are double; those of one line in all are two,
+        for if it was mistaken they all were. A point is worth two thirds, for its place is not that of lines.
+        """
+        kinds = self.kinds[self.fit.used]
+        if len(kinds) > _MANY:
+            return float(len(kinds))
+        at, points = self.before[self.fit.used], kinds >= LINE_CROSSINGS
+        lines = np.unique(lines_through(at, kinds, axis_rad)[~points], axis=0)
+        on_one = len(lines) > 2 and min(len(np.unique(lines[:, axis])) for axis in (0, 1)) == 1
+        return _POINT_WORTH * np.count_nonzero(points) + (2.0 if on_one else float(len(lines)))
 
     def seen_from(self, at: Array, at_cov: Array) -> Registration:
         """The same on another view, at (3,) with covariance (3, 3) as seen from the one it is on."""
@@ -148,7 +169,9 @@ def register(
     special = int(np.count_nonzero(here[i[fit.used]]))
     special_shown = min(np.count_nonzero(here), np.count_nonzero(then))
     return (
-        Registration(fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap, by_lines),
+        Registration(
+            fit, seen, before, turn, shown, shown * overlap, special, special_shown * overlap, kinds[i], by_lines
+        ),
         "",
     )
 

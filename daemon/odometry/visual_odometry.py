@@ -217,7 +217,7 @@ class VisualOdometry:
         candidates, earlier = find_candidates(ref, crossings, turn, prior, known), self.state.earlier
         if len(candidates) > 1 and earlier.crossings is not None and candidates.doubt() > _FALSE_RATE:
             candidates = by_two_views(candidates, earlier.crossings, earlier.at, crossings, prior)
-        found = self._chosen(ref, crossings, candidates, near, why, course, narrow)
+        found = self._chosen(ref, crossings, candidates, near, why, course)
         return judged(found, found.doubt < _FALSE_RATE, course, self._config)
 
     def _by_points(self, ref: Crossings, crossings: Crossings, course: Course) -> Found | None:
@@ -240,7 +240,6 @@ class VisualOdometry:
         near: Registration | None,
         why: str,
         course: Course,
-        narrow: bool,
     ) -> Found:
         """The likeliest of all displacements that fit, with the others that may be right."""
         place = near if len(found) and near is not None and found.is_first(near.fit.b_from_a) else None
@@ -272,8 +271,8 @@ class VisualOdometry:
         before = s.twist
         s.twist, s.twist_span_s = measured_twist(fit, course, self._config)
         s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
-        var = np.diag(cov) / course.elapsed_s**2
-        s.recent = s.recent.then(s.twist, var, s.twist_span_s) if s.twist_known else RecentTwists()
+        recent = s.recent.then(s.twist, np.diag(cov) / course.elapsed_s**2, s.twist_span_s)
+        s.recent = recent if s.twist_known else RecentTwists()
         s.twist_change = s.twist - before
         s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
         special = _missing(place.special, place.special_expected)
@@ -292,6 +291,7 @@ class VisualOdometry:
             log_ratio=found.log_ratio,
             doubt=max(found.doubt, JUMPED * found.unpredicted),
             doubt_left=found.doubt_left,
+            apart=place.apart(ref.psi_rad),
         )
 
     def _set_reference(self, crossings: Crossings, moved: Array | None = None, cov: Array = _NOTHING) -> None:
@@ -304,9 +304,9 @@ class VisualOdometry:
 
     def _held(self, predicted: Motion, crossings: Crossings | None, course: Course) -> Motion:
         """The prediction with the rotation that lines tell, where they do."""
-        s, gate_rad, motion = self.state, self._config.heading_gate_rad, predicted
-        if crossings is not None and s.reference is not None:
-            motion = held(predicted, s.reference, crossings, course, s.ref_from_prev, s.ref_cov, gate_rad)
+        s, motion = self.state, predicted
+        if crossings is not None and (ref := s.reference) is not None:
+            motion = held(predicted, ref, crossings, course, s.ref_from_prev, s.ref_cov, self._config.heading_gate_rad)
         s.held_s = 0.0 if motion is predicted else course.step_s
         if s.held_s > 0.0:
             s.twist = np.array([*s.twist[:2], motion.prev_from_curr[2] / s.held_s])

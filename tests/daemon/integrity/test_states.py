@@ -27,7 +27,7 @@ GOOD = Evidence(
     landmarks_matched=20,
 )
 BLIND = replace(GOOD, motion_ok=False, failure="2 crossings", inliers=0, crossings=2, nis_dof=0, landmarks_matched=0)
-FEW = replace(GOOD, inliers=4)
+FEW = replace(GOOD, inliers=3)
 WIDE = replace(GOOD, position_sigma_m=0.08)
 TURNED = replace(GOOD, heading_sigma_rad=0.025)
 FAR = replace(GOOD, position_sigma_m=0.2)
@@ -67,7 +67,7 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
         "no vision for 0.03 s: no lines found",
     ),
     "one frame missed, back": ([GOOD] * 5 + [BLIND] + [GOOD] * 5, ["INIT", "TRACKING", "DEGRADED", "TRACKING"], "5 go"),
-    "few from the start": ([FEW] * 10, ["INIT", "DEGRADED"], "4 inliers of 30 crossings, fewer than 6"),
+    "few from the start": ([FEW] * 10, ["INIT", "DEGRADED"], "3 inliers of 30 crossings, fewer than 4"),
     "few from the start, not often enough": ([FEW] * 9, ["INIT"], "starting"),
     "few from the start, and unsure": (
         [replace(FEW, position_sigma_m=0.08)] * 20,
@@ -82,7 +82,7 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
         "position only within 0.60 m, not 0.3 m; say where it is (cmd/initial_pose)",
     ),
     "as far off, and blind": ([replace(FAR, motion_ok=False)] * 50, ["INIT"], "starting"),
-    "few inliers": ([GOOD] * 5 + [FEW], ["INIT", "TRACKING", "DEGRADED"], "4 inliers of 30 crossings, fewer than 6"),
+    "few inliers": ([GOOD] * 5 + [FEW], ["INIT", "TRACKING", "DEGRADED"], "3 inliers of 30 crossings, fewer than 4"),
     "position unsure": ([GOOD] * 5 + [WIDE], ["INIT", "TRACKING", "DEGRADED"], "position sigma 0.080 m, above 0.05"),
     "heading unsure": ([GOOD] * 5 + [TURNED], ["INIT", "TRACKING", "DEGRADED"], "heading sigma 1.43 deg, above 1 deg"),
     "position worse than DEGRADED promises": (
@@ -125,7 +125,7 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
     "sees again, but little": (
         [GOOD] * 5 + [BLIND] * 9 + [FEW] * 5,
         ["INIT", "TRACKING", "DEGRADED", "DEAD_RECKONING", "DEGRADED"],
-        "4 inliers",
+        "3 inliers",
     ),
     "lost by covariance": ([GOOD] * 5 + [GONE], ["INIT", "TRACKING", "LOST"], "position sigma 0.800 m, above 0.5 m"),
     "blind and in doubt until the pose is of no use": (
@@ -184,7 +184,7 @@ def test_story(name: str) -> None:
 @pytest.mark.parametrize(
     ("better", "worse"),
     [
-        (GOOD, replace(GOOD, inliers=6)),
+        (GOOD, replace(GOOD, inliers=4)),
         (GOOD, replace(GOOD, position_sigma_m=0.045)),
         (GOOD, replace(GOOD, heading_sigma_rad=0.017)),
         (GOOD, replace(GOOD, nis=2.0)),
@@ -202,7 +202,7 @@ def test_hovering_at_a_threshold_does_not_flap(better: Evidence, worse: Evidence
 @pytest.mark.parametrize(
     ("bad", "between"),
     [
-        (replace(GOOD, inliers=5), replace(GOOD, inliers=7)),
+        (replace(GOOD, inliers=3), replace(GOOD, inliers=4)),
         (replace(GOOD, position_sigma_m=0.051), replace(GOOD, position_sigma_m=0.045)),
         (replace(GOOD, heading_sigma_rad=0.0176), replace(GOOD, heading_sigma_rad=0.017)),
     ],
@@ -224,9 +224,9 @@ def test_dead_reckoning_starts_after_its_time_not_after_a_count() -> None:
 
 
 def test_reason_stays_while_its_cause_does() -> None:
-    counts = [5, 4, 3, 2, 3]
+    counts = [3, 2, 1, 2, 3]
     verdicts = run([GOOD] * 5 + [replace(GOOD, inliers=n) for n in counts])
-    assert {v.reason for v in verdicts[5:]} == {"5 inliers of 30 crossings, fewer than 6"}
+    assert {v.reason for v in verdicts[5:]} == {"3 inliers of 30 crossings, fewer than 4"}
     assert [v.changed for v in verdicts[5:]] == [True, False, False, False, False]
 
 

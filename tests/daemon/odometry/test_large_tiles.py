@@ -10,9 +10,11 @@ from crossing_camera import CrossingCamera, Flaws
 
 from ceilvo import se2
 from ceilvo.config import Odometry
+from ceilvo.crossing_types import LAMP
 from ceilvo.daemon.odometry.course import JUMPED, Course, met_as_foreseen, moved_though_met
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning
-from ceilvo.daemon.odometry.registration import register
+from ceilvo.daemon.odometry.registration import Registration, register
+from ceilvo.daemon.odometry.rigid import RigidFit
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 from ceilvo.sim.ceiling.spec import CeilingSpec
@@ -125,3 +127,35 @@ def test_a_view_on_an_earlier_one_is_seen_from_the_reference() -> None:
         drawn.append(se2.between(wrong, fit))
     np.testing.assert_allclose(there.fit.cov, np.cov(np.array(drawn).T), atol=0.08 * np.max(there.fit.cov))
     assert math.sqrt(there.fit.cov[2, 2]) > 0.003
+
+
+def agreeing(xy: list[list[float]], kinds: list[int]) -> Registration:
+    """All of them agree."""
+    at, used = np.array(xy), np.ones(len(xy), bool)
+    fit = RigidFit(np.zeros(3), used, 0.0, np.eye(3), 1e-6)
+    return Registration(fit, at, at, 0.0, len(xy), float(len(xy)), 0, 0.0, np.array(kinds))
+
+
+JOINT = 4
+
+
+@pytest.mark.parametrize(
+    ("xy", "kinds", "apart"),
+    [
+        ([[0, 0], [1.25, 0], [0, 1.25], [1.25, 1.25]], [JOINT] * 4, 4.0),
+        ([[0, 0], [1.25, 0], [0, 1.25], [1.25, 1.25], [2.5, 0]], [JOINT] * 5, 5.0),
+        ([[0, 0], [0.6, 0], [1.2, 0], [1.8, 0], [2.4, 0]], [JOINT] * 5, 2.0),
+        ([[-1.63, -0.58], [-1.63, -0.55], [-1.63, -0.01], [-1.63, 0.01]], [6, 6, 8, 8], 2.0),
+        ([[0, 0], [0.03, 0.0], [0.03, 0.03], [0, 0.03], [1.2, 0], [0, 0.6], [1.2, 0.6]], [JOINT] * 7, 4.0),
+        ([[0.1, 0.2], [0.9, 1.4], [1.3, 0.5]], [LAMP] * 3, 2.0),
+        ([[0.1 * k, 0.17 * k] for k in range(6)], [LAMP] * 6, 4.0),
+        ([[0, 0], [1.25, 0], [0, 1.25], [1.25, 1.25], [0.4, 0.4]], [JOINT] * 4 + [LAMP], 14.0 / 3.0),
+    ],
+    ids=["a tile", "and one", "a row", "a lamp's end", "double edges", "three points", "six points", "both"],
+)
+@pytest.mark.parametrize("axis_rad", [0.0, 0.3])
+def test_inliers_that_err_together_count_once(
+    xy: list[list[float]], kinds: list[int], apart: float, axis_rad: float
+) -> None:
+    turned = se2.transform(np.array([0.0, 0.0, axis_rad]), np.array(xy, float)).tolist()
+    assert agreeing(turned, kinds).apart(axis_rad) == pytest.approx(apart)
