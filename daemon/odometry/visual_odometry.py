@@ -29,6 +29,7 @@ from ceilvo.daemon.odometry.course import (
     judged,
     measured_twist,
     on_earlier,
+    with_parts,
 )
 from ceilvo.daemon.odometry.heading_fusion import (
     NEW_ERROR,
@@ -147,10 +148,10 @@ class VisualOdometry:
             usual = (s.disagreeing, s.special_disagreeing)
             found = on_earlier(s.earlier.views, crossings, usual, course, self._config) or found
         if found.place is None:
-            s.refused = found.jump
+            s.refused, found = found.jump, with_parts(found, ref, crossings, course)
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
-            failures = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy)
-            moved = by_hand(ref, crossings, found, failures, course, self._config)
+            views = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy)
+            moved = by_hand(ref, crossings, found, views, course, self._config)
             return self._after_failure(crossings, coasted, found.out_of_view, moved)
         return self._accept(ref, crossings, course, found, predicted)
 
@@ -327,16 +328,14 @@ class VisualOdometry:
         return replace(predicted, failure=why)
 
     def _after_failure(self, crossings: Crossings, motion: Motion, out_of_view: bool, by_hand: float) -> Motion:
-        """Where the reference is out of view, or several frames did not fit it, go on from here.
-
-        Frames that the prediction would have fit, but did not, show another place: somebody moved the robot.
-        """
+        """Where the reference is out of view, or several frames did not fit it, go on from here: where these show that
+        somebody moved the robot, anywhere."""
         s = self.state
         s.failed_frames, s.by_hand = s.failed_frames + 1, max(s.by_hand, by_hand)
         if s.reference is None or not (out_of_view or s.failed_frames >= _MAX_FAILED_FRAMES):
             return replace(motion, doubt=by_hand)
         cov = motion.cov
-        if not out_of_view:
+        if not out_of_view and s.by_hand > _HARDLY:
             away = view_size_m(s.reference)
             cov = cov + np.diag([away**2, away**2, _MOVED_RAD**2])
         self._set_reference(crossings)

@@ -175,7 +175,7 @@ class PlaceBelief:
     def weigh(self, log_ratio: Array, unmapped: Callable[[int], tuple[Array, bool]] | None = None) -> None:
         """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known, and what says
         (P,) how much of what speaks for one of them lies on ground that is not known at each (None: nothing), and
-        whether nobody can have brought the robot to that one.
+        whether how alike ceilings are there is a guess.
 
         What the likeliest other place than the tracked one explains so well may be because ceilings are alike: then
         new ground would show the same, so it is no worse for that: any, or while the tracked place leads, only its own.
@@ -184,9 +184,9 @@ class PlaceBelief:
             weight = self.log_weight + self.seen[:, 0] + log_ratio[:, 0]
             best = 1 + int(np.argmax(weight[1:]))
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
-            on_new, beyond = unmapped(best)
+            on_new, guess = unmapped(best)
             before, after = self.seen[best], self.seen[best] + view
-            if beyond:
+            if guess:
                 before, after = guessed(before), guessed(after)
             share = max(too_much(after) - too_much(before), 0.0) * on_new
             share[best] = 0.0

@@ -222,7 +222,7 @@ class Relocaliser:
         evidence.take(self._worth(view))
         poses, grid = rival_poses(s.belief.places, pose), s.survey.index.grid
         ratio = s.survey.log_ratio(evidence, poses, pose)
-        s.belief.weigh(ratio, lambda i: (evidence.unmapped(poses, poses[i], grid), s.reach.beyond(s.belief.places[i])))
+        s.belief.weigh(ratio, lambda i: (evidence.unmapped(poses, poses[i], grid), s.likeness_is_a_guess(i)))
         s.views, s.spot_m = s.views + 1, transform(Pose(pose), self._sharp.looked_at(view))
         return self._decided(pose) or bool(np.any(pose != before))
 

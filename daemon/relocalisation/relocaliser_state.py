@@ -157,6 +157,10 @@ class RelocaliserState:
         self.submap_from, self.apart, self.gap_cov, self.search = None, False, np.zeros((3, 3)), None
         self.reach = Reach()
 
+    def likeness_is_a_guess(self, place: int) -> bool:
+        """Whether nobody knows how alike the ceiling is there: of a map of a few lamps, or where no hand brought it."""
+        return self.survey.few or self.reach.beyond(self.belief.places[place])
+
     def gap_opens(self, pose: Array, cov: Array) -> None:
         """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""
         self.gap_cov, self.gap_at_m = self.left_open(pose) + cov, pose[:2].copy()

@@ -43,6 +43,7 @@ class MapSurvey:
         index: of the whole map.
         chance: how often a wrong place explains a feature, None before it was measured.
         measured_m: way since it was.
+        few: it was measured on so few landmarks that how alike the ceiling is, is a guess.
         watched_m: how far off rivals of a sure place are at most.
     """
 
@@ -51,6 +52,7 @@ class MapSurvey:
     chance: Chance | None = None
     measured_m: float = np.inf
     watched_m: float = WATCH_M
+    few: bool = False
 
     @staticmethod
     def of(landmarks: Landmarks, axis_rad: float) -> MapSurvey:
@@ -92,6 +94,7 @@ class MapSurvey:
             if len(wider) > len(out.landmarks):
                 own = self.index.named(wider.ids)
                 out = Surroundings.of(wider, self.coverage, out.chance, out.reach_m, axis_rad, own)
+        self.few = _rare(out.landmarks) < FEWEST_MEASURED
         named = out.landmarks.of(self.index.named(out.landmarks.ids))
         lattice = Lattice.of(out.landmarks, axis_rad)
         if lattice is not None and lattice.crossing_type == JOINTS:

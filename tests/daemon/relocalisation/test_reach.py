@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from place_maps import tiles, view_of
 
+from ceilvo.config import Filter
 from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.doubts import MOST_DOUBTS, Reach
 from ceilvo.daemon.relocalisation.evidence.wrong_places import guessed, too_much
+from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.lattice import rival_from_tracked
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
+from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.replay.snapshot import read_value, value_json
 
 POSE = np.array([3.0, -2.0, 0.7])
@@ -102,6 +107,20 @@ def test_a_twin_that_no_hand_can_have_reached_gains_nothing_on_new_ground(beyond
     share, _ = belief.shares()
     print(f"beyond reach {beyond}: tracked place {share[0]:.3f}, twin {share[1]:.3f}")
     assert (share[0] > 0.1) if beyond else (share[1] > 0.9)
+
+
+@pytest.mark.parametrize(("lamps", "few"), [(3, True), (25, False)])
+def test_how_alike_a_ceiling_is_that_shows_a_few_lamps_is_a_guess(lamps: int, few: bool) -> None:
+    """However near a place is: three lamps of a room say nothing of the others."""
+    at = np.random.default_rng(4).permutation(np.argwhere(np.ones((14, 14))))[:lamps]
+    landmarks, pose = tiles(14, 14, 0.6, at), np.array([4.0, 4.0, 0.1])
+    filter_, state = make_filter(Filter(), np.random.default_rng(1)), RelocaliserState()
+    filter_.reset(pose, 1e-6 * np.eye(3), landmarks)
+    state.survey = MapSurvey.of(landmarks, 0.0)
+    state.survey.around(filter_, view_of(landmarks, pose, np.random.default_rng(2)), pose, 2.0, 0.0)
+    assert state.survey.few == few
+    assert not state.reach.beyond(state.belief.places[0])
+    assert state.likeness_is_a_guess(0) == few
 
 
 @settings(max_examples=100, deadline=None)
