@@ -24,7 +24,6 @@ from ceilvo.daemon.odometry.registration import (
 )
 from ceilvo.daemon.odometry.rigid import RigidFit
 from ceilvo.daemon.odometry.sight import CROWD_M, FEW, SMALLEST_TILE_M, crowd
-from ceilvo.daemon.vision.thinning import ENOUGH
 from ceilvo.types import Array, Crossings
 
 _REACH_SIGMAS = 4.0
@@ -51,6 +50,8 @@ does as well; chosen."""
 _MISSES = 0.01
 """Of the crossings that a view must show, how many it misses; chosen: laps had 0.03 at most in most conditions (make
 bench-vision), and a hand that is overlooked is worse than a doubt."""
+_COUNTED = 64
+"""Crossings of a view that are counted so at most; chosen for time: of more there are enough in both."""
 NOWHERE = np.empty((0, 3))
 """No displacements."""
 
@@ -128,6 +129,11 @@ def judged(found: Found, sure: bool, course: Course, config: Odometry) -> Found:
     return Found(None, failure, jump=found.place.fit.b_from_a) if failure else found
 
 
+def foreseen(ref: Crossings, crossings: Crossings, predicted: Array) -> Array:
+    """(3,) ref_from_curr as it is predicted (3,), turned as the lines of both views say."""
+    return np.array([*predicted[:2], expected_turn(ref, crossings, float(predicted[2]))])
+
+
 def on_earlier(
     views: list[tuple[Crossings, Array, Array]],
     crossings: Crossings,
@@ -135,17 +141,15 @@ def on_earlier(
     course: Course,
     config: Odometry,
 ) -> Found | None:
-    """The view near its prediction on one before the reference, which shows what that misses; None if on none.
-
-    Under tiles of 1.25 m a reference that misses a line shares two crossings with the next view, and later one.
+    """The view near its prediction on one before the reference, which shows what that misses; None if on none. Under
+    tiles of 1.25 m a reference that misses a line shares two crossings with the next view, and later one.
 
     Args:
         views: each with earlier_from_ref (3,) and its covariance (3, 3).
         usual: as Registration.is_usual() takes it.
     """
     for view, at, at_cov in views if course.is_within(config.match_radius_m) else []:
-        guess = se2.compose(at, course.guess)
-        guess[2] = expected_turn(view, crossings, float(guess[2]))
+        guess = foreseen(view, crossings, se2.compose(at, course.guess))
         place, _ = register(view, crossings, guess, config.match_radius_m, config, narrow=True)
         if place is not None and place.is_usual(usual):
             found = judged(Found(place.seen_from(at, at_cov)), True, course, config)
@@ -156,14 +160,17 @@ def on_earlier(
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """What views that gave no motion have in common: so many in a row, and how usual it is that features disagree.
+    """Views in a row that gave no motion, and how usual it is that features disagree.
 
-    glossy: where features slide, all points in view may have been left out.
+    Attributes:
+        glossy: where features slide, all points in view may have been left out.
+        enough: so many do not all come and go at once.
     """
 
     failed: int
     disagreeing: float
     glossy: bool
+    enough: int
 
 
 def by_hand(
@@ -175,7 +182,7 @@ def by_hand(
         moved = moved_by_hand(found.jump, course, left)
         few = found.jump is None and min(n, len(ref)) <= FEW
         return min(moved, moved_though_met(*met_as_foreseen(ref, crossings, course))) if few else moved
-    if found.jump is not None or n >= ENOUGH:  # so many do not all come and go at once
+    if found.jump is not None or n >= failures.enough:
         return moved_or_mistaken(found.jump, failed, course, left)
     needed = max(fewest(crossings, config), math.ceil(MIN_AGREEING * n))
     return moved_or_flickered(n, needed, failures.disagreeing, failed, course.elapsed_s)
@@ -184,10 +191,9 @@ def by_hand(
 def met_as_foreseen(ref: Crossings, crossings: Crossings, course: Course) -> tuple[int, float]:
     """How many crossings of a view are where the prediction has them, to within its reach; and how many would be there
     on the way to another place."""
-    guess, reach_m = course.guess.copy(), course.reach_m
-    guess[2] = expected_turn(ref, crossings, float(guess[2]))
+    met = len(matched(ref, crossings, foreseen(ref, crossings, course.guess), course.reach_m)[0])
     each_m2 = 0.5 * view_size_m(ref) ** 2 / len(ref)  # over pi: half of a disc is within its median radius
-    return len(matched(ref, crossings, guess, reach_m)[0]), len(crossings) * reach_m**2 / each_m2
+    return met, len(crossings) * course.reach_m**2 / each_m2
 
 
 def with_parts(found: Found, ref: Crossings, crossings: Crossings, course: Course) -> Found:
@@ -199,10 +205,9 @@ def with_parts(found: Found, ref: Crossings, crossings: Crossings, course: Cours
 def must_be_in_both(ref: Crossings, crossings: Crossings, course: Course) -> float:
     """How many crossings, those close together as one, one of two views shows and the other must have shown, had the
     robot moved as predicted, for they lie among those that it shows; where none of them meet."""
-    guess = course.guess.copy()
-    guess[2] = expected_turn(ref, crossings, float(guess[2]))
-    there = se2.transform(guess, crossings.xy_base_m)
-    return _among(there, ref.xy_base_m) + _among(ref.xy_base_m, there)
+    now, before = (view.xy_base_m[:: -(-len(view) // _COUNTED)] for view in (crossings, ref))
+    there = se2.transform(foreseen(ref, crossings, course.guess), now)
+    return _among(there, before) + _among(before, there)
 
 
 def _among(xy: Array, shown: Array) -> float:
@@ -247,11 +252,6 @@ def moved_though_met(met: int, by_chance: float) -> float:
     return JUMPED * min(by_chance**met / math.factorial(met), 1.0)
 
 
-def _fewer(shown: int, needed: int, stays: float) -> float:
-    """Probability that fewer than needed of those that are shown stay, each with the same chance."""
-    return sum(math.comb(shown, k) * stays**k * (1.0 - stays) ** (shown - k) for k in range(min(needed, shown + 1)))
-
-
 def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int, elapsed_s: float) -> float:
     """Probability that somebody moved the robot, of `failed` views in a row that show few points and fit nothing: each
     point comes and goes by itself, so a few of them do all at once.
@@ -262,7 +262,8 @@ def moved_or_flickered(points: int, needed: int, disagreeing: float, failed: int
         disagreeing: fraction of the points that usually do not.
         elapsed_s: since the last good view.
     """
-    too_few = _fewer(points, needed, 1.0 - disagreeing)
+    stays = 1.0 - disagreeing
+    too_few = sum(math.comb(points, k) * stays**k * disagreeing ** (points - k) for k in range(min(needed, points + 1)))
     moved = CARRIED_PS * elapsed_s
     return min(JUMPED, moved / (moved + too_few**failed)) if moved > 0.0 else 0.0
 

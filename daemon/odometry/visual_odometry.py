@@ -26,6 +26,7 @@ from ceilvo.daemon.odometry.course import (
     Found,
     by_hand,
     contradicted,
+    foreseen,
     judged,
     measured_twist,
     on_earlier,
@@ -44,13 +45,13 @@ from ceilvo.daemon.odometry.odometry_state import EarlierView, VisualOdometrySta
 from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
 from ceilvo.daemon.odometry.registration import (
     Registration,
-    expected_turn,
     fewest,
     points_of,
     register,
     view_size_m,
 )
 from ceilvo.daemon.vision.rolling_shutter import TwistPrior
+from ceilvo.daemon.vision.thinning import ENOUGH
 from ceilvo.types import Array, Crossings, Displacement, Motion, WheelMotion
 
 _MAX_FAILED_FRAMES = 8
@@ -150,7 +151,7 @@ class VisualOdometry:
         if found.place is None:
             s.refused, found = found.jump, with_parts(found, ref, crossings, course)
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
-            views = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy)
+            views = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy, ENOUGH)
             moved = by_hand(ref, crossings, found, views, course, self._config)
             return self._after_failure(crossings, coasted, found.out_of_view, moved)
         return self._accept(ref, crossings, course, found, predicted)
@@ -198,8 +199,8 @@ class VisualOdometry:
 
     def _find(self, ref: Crossings, crossings: Crossings, course: Course) -> Found:
         """The view on the reference: near the prediction where that suffices, else wherever it fits."""
-        turn = expected_turn(ref, crossings, float(course.guess[2]))
-        guess = np.array([course.guess[0], course.guess[1], turn])
+        guess = foreseen(ref, crossings, course.guess)
+        turn = float(guess[2])
         carried = max(self.state.by_hand, min(CARRIED_PS * course.elapsed_s, JUMPED))
         usual = (self.state.disagreeing, self.state.special_disagreeing)
         carried_s = math.inf if self.state.failed_frames else course.elapsed_s
@@ -226,8 +227,7 @@ class VisualOdometry:
         way = laid(points_of(ref), points_of(crossings), course.guess, course.elapsed_s, self._config)
         if way is None or not way.alone:
             return None
-        x, y, turn = way.ref_from_curr.tolist()
-        guess = np.array([x, y, expected_turn(ref, crossings, turn)])
+        guess = foreseen(ref, crossings, way.ref_from_curr)
         off_m, sigmas = LEANS * self._config.residual_max_m, LEANS * self._config.residual_sigmas
         leaning = replace(self._config, residual_max_m=off_m, residual_sigmas=sigmas)
         place, _ = register(ref, crossings, guess, self._config.match_radius_m, leaning)

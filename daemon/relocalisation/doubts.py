@@ -217,6 +217,11 @@ class Reach:
         if len(self.doubts) <= MOST_DOUBTS:
             self.doubts.append((doubt, pose))
 
+    @property
+    def by_gaps(self) -> bool:
+        """Whether nothing but gaps brought the robot elsewhere: no claim, no jump."""
+        return bool(self.doubts) and all(doubt.elsewhere <= LIFTED for doubt, _ in self.doubts)
+
     def beyond(self, place: Array) -> bool:
         """Whether no single doubt explains that the robot is at a place (3,), place_from_tracked in map."""
         if not 0 < len(self.doubts) <= MOST_DOUBTS:

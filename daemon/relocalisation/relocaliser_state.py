@@ -158,8 +158,9 @@ class RelocaliserState:
         self.reach = Reach()
 
     def likeness_is_a_guess(self, place: int) -> bool:
-        """Whether nobody knows how alike the ceiling is there: of a map of a few lamps, or where no hand brought it."""
-        return self.survey.few or self.reach.beyond(self.belief.places[place])
+        """Whether nobody knows how alike the ceiling is there: after gaps, of a map of a few lamps; or where no hand
+        brought the robot."""
+        return (self.survey.few and self.reach.by_gaps) or self.reach.beyond(self.belief.places[place])
 
     def gap_opens(self, pose: Array, cov: Array) -> None:
         """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""

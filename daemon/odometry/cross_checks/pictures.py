@@ -5,7 +5,6 @@ A live camera has noise of its own in every picture. Two pictures that differ by
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,13 +49,6 @@ _LIGHT_CHANGED = 0.05
 """Relative change of brightness from one standing picture to the next after which noise is learnt anew; chosen."""
 _DIMMER = 0.7
 """Of the brightness at which noise was learnt: darker pictures have less noise; chosen."""
-_BOUNDED = 14.0
-"""Of the samples, how many a camera whose noise is normal would show to differ by more than any does, from which two
-pictures are one with noise of bounded size: e^-14 is one pair of a million. It takes two pairs in a row. One picture
-with its last bit random has 16 to 20 in 970 samples, by -1 to 1 at random 23 to 27, standing pictures 3 at the most
-(noise 0.1 to 3 times the simulator's); measured with tests/daemon/odometry/cross_checks/test_pictures.py's scenes."""
-_ROUNDING_GREY2 = 1.0 / 12.0
-"""Variance of rounding to whole grey levels."""
 STANDS_M, STANDS_RAD = 0.0005, 0.0003
 """Motion of a standing picture, five times the noise of one frame; chosen."""
 MOVES_M, MOVES_RAD = 0.002, 0.002
@@ -115,9 +107,6 @@ class Pictures:
         newest_first = s.last[::-1]
         like = self._may_be(new, newest_first)
         periods = [k + 1 for k, old in enumerate(newest_first) if like[k] and self._same(new, old)]
-        if not periods and s.noise_grey == 0.0:
-            pairs = [((new, s.last[-k]), (s.last[-1], s.last[-1 - k])) for k in range(1, len(s.last))]
-            periods = [k + 1 for k, (now, before) in enumerate(pairs) if _bounded(*now) and _bounded(*before)]
         if not periods or (wheels_stand and periods[0] == 1):
             return None
         if periods[0] == 1:
@@ -195,18 +184,8 @@ def _difference(a: Picture, b: Picture) -> float | None:
     """Mean absolute difference, grey levels, of the calm share of the samples; None without enough of them."""
     if len(a.sample) != len(b.sample):
         return None
-    clear, difference, *_ = kernel.calm_difference(a.sample, b.sample, _CALM_SHARE, _BLACK, _GLARE)
+    clear, difference = kernel.calm_difference(a.sample, b.sample, _CALM_SHARE, _BLACK, _GLARE)
     return difference if clear >= _FEWEST_SAMPLES else None
-
-
-def _bounded(a: Picture, b: Picture) -> bool:
-    """Whether no sample of two pictures differs by as much as many would, were the noise between them a camera's."""
-    if not len(a.sample) or len(a.sample) != len(b.sample):
-        return False
-    clear, _, mean, square, most = kernel.calm_difference(a.sample, b.sample, _CALM_SHARE, _BLACK, _GLARE)
-    sigma = math.sqrt(max(square - mean**2 - _ROUNDING_GREY2, 0.0))
-    beyond = math.erfc((most + abs(mean) + 0.5) / (math.sqrt(2.0) * sigma)) if sigma > 0.0 else 0.0
-    return clear >= _FEWEST_SAMPLES and clear * beyond > _BOUNDED
 
 
 def _same_crossings(a: Picture, b: Picture) -> bool:

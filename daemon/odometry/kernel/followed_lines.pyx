@@ -196,7 +196,7 @@ def alike(const uint8_t[::1] new not None, const uint8_t[:, ::1] before not None
 def calm_difference(const uint8_t[::1] a not None, const uint8_t[::1] b not None, double share, int black, int glare):
     cdef Py_ssize_t i, n = 0, calm, left
     cdef int64_t[256] of  # samples of each difference
-    cdef int64_t total = 0, signed = 0, squares = 0, most = 0
+    cdef int64_t total = 0
     check_length("b", b.shape[0], a.shape[0])
     with nogil:
         for i in range(256):
@@ -204,15 +204,9 @@ def calm_difference(const uint8_t[::1] a not None, const uint8_t[::1] b not None
         for i in range(a.shape[0]):
             if a[i] > black and a[i] < glare and b[i] > black and b[i] < glare:
                 of[a[i] - b[i] if a[i] > b[i] else b[i] - a[i]] += 1
-                signed += <int64_t>a[i] - <int64_t>b[i]
                 n += 1
         calm = left = <Py_ssize_t>rint(share * <double>n)
         for i in range(256):
             total += i * min(left, of[i])
             left -= min(left, of[i])
-            squares += i * i * of[i]
-            if of[i]:
-                most = i
-    if n == 0:
-        return 0, 0.0, 0.0, 0.0, 0
-    return n, <double>total / <double>calm if calm else 0.0, <double>signed / <double>n, <double>squares / <double>n, most
+    return n, <double>total / <double>calm if calm else 0.0

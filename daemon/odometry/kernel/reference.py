@@ -192,16 +192,13 @@ def alike(new: NDArray[np.uint8], before: NDArray[np.uint8], most: float, black:
 
 def calm_difference(
     a: NDArray[np.uint8], b: NDArray[np.uint8], share: float, black: int, glare: int
-) -> tuple[int, float, float, float, int]:
-    """How many samples (S,) are neither black nor glaring in two pictures; the mean difference of that share of them
-    that differ least; of all of them the mean of a less b, of its square, and its largest size; 0 without any."""
+) -> tuple[int, float]:
+    """How many samples (S,) are neither black nor glaring in two pictures, and the mean difference of that share of
+    them that differ least; 0 without any."""
     clear = (a > black) & (a < glare) & (b > black) & (b < glare)
-    off = a[clear].astype(np.int64) - b[clear]
-    if not len(off):
-        return 0, 0.0, 0.0, 0.0, 0
-    size, calm = np.abs(off), round(share * len(off))
-    least = float(np.partition(size, calm - 1)[:calm].mean()) if calm else 0.0
-    return len(off), least, float(off.mean()), float(np.mean(off**2)), int(size.max())
+    off = np.abs(a[clear].astype(np.int64) - b[clear])
+    calm = round(share * len(off))
+    return len(off), float(np.partition(off, calm - 1)[:calm].mean()) if calm else 0.0
 
 
 def line_ratios(sums: Array, noise: RatioNoise) -> tuple[Array, Array, Array]:

@@ -119,8 +119,12 @@ def test_how_alike_a_ceiling_is_that_shows_a_few_lamps_is_a_guess(lamps: int, fe
     state.survey = MapSurvey.of(landmarks, 0.0)
     state.survey.around(filter_, view_of(landmarks, pose, np.random.default_rng(2)), pose, 2.0, 0.0)
     assert state.survey.few == few
+    assert not state.likeness_is_a_guess(0), "nothing happened"
+    state.reach = reached(doubts.of_gap(1e-6 * np.eye(3), 1.5, 0.0, 0.0))
     assert not state.reach.beyond(state.belief.places[0])
     assert state.likeness_is_a_guess(0) == few
+    state.reach.take(gap(0.5), POSE)
+    assert not state.likeness_is_a_guess(0), "somebody may have carried the robot"
 
 
 @settings(max_examples=100, deadline=None)

@@ -138,26 +138,6 @@ def test_noise_that_no_camera_has_does_not_disguise_an_old_picture(
     assert "" not in said[len(drive(1.0)) :]
 
 
-@pytest.mark.parametrize("disguise", [last_bit, one_up_or_down])
-@pytest.mark.parametrize("ring", [1, 4])
-def test_noise_of_bounded_size_is_known_before_the_camera_ever_stood(
-    disguise: Callable[[np.ndarray, np.random.Generator], np.ndarray], ring: int
-) -> None:
-    """From the second picture of a kind on: nothing else tells a robot that begins while it drives."""
-    rng = np.random.default_rng(4)
-    live = drive(1.0)[STANDS:]
-    old = [disguise(gray, rng) for gray in live[-ring:] * (12 // ring)]
-    said = judged(crossings_of([*live, *old], 1.0))
-    assert set(said[: len(live)]) == {""}
-    assert "" not in said[len(live) + ring + 1 :]
-
-
-@pytest.mark.parametrize("noise", [0.1, 0.3, 0.6, 1.0, 3.0])
-def test_a_camera_whose_noise_is_not_known_is_live_while_it_stands(noise: float) -> None:
-    """Also where it begins to stand, and where its noise is that of rounding."""
-    assert set(judged(crossings_of([*drive(noise)[STANDS:], *stand(noise)], noise))) == {""}
-
-
 def test_a_lamp_that_goes_out_while_the_robot_stands_is_no_frozen_camera() -> None:
     """Darker pictures have less noise."""
     dim = [np.asarray(0.3 * gray + 2.0, np.uint8) for gray in stand(1.0)]
