@@ -173,17 +173,17 @@ class Failures:
     enough: int
 
 
-def by_hand(
+def chance_of_hand(
     ref: Crossings, crossings: Crossings, found: Found, failures: Failures, course: Course, config: Odometry
 ) -> float:
     """Probability that somebody moved the robot, of a view that gave no motion."""
-    n, failed, left = len(crossings), failures.failed, found.elsewhere
+    n, failed = len(crossings), failures.failed
     if not has_points(crossings) and not failures.glossy:
-        moved = moved_by_hand(found.jump, course, left)
+        moved = moved_by_hand(found.jump, course, found.elsewhere)
         few = found.jump is None and min(n, len(ref)) <= FEW
         return min(moved, moved_though_met(*met_as_foreseen(ref, crossings, course))) if few else moved
     if found.jump is not None or n >= failures.enough:
-        return moved_or_mistaken(found.jump, failed, course, left)
+        return moved_or_mistaken(found.jump, failed, course, found.elsewhere)
     needed = max(fewest(crossings, config), math.ceil(MIN_AGREEING * n))
     return moved_or_flickered(n, needed, failures.disagreeing, failed, course.elapsed_s)
 
@@ -247,7 +247,7 @@ def moved_though_met(met: int, by_chance: float) -> float:
     be on the way to another place, each by itself.
 
     Those of one lattice would be together, or none; but that lines are missed where few are seen is far likelier than
-    JUMPED has it (1 to 40 of 4,800 views under tiles of 1.25 m fit nothing, all but 2 of them with some that are met).
+    JUMPED has it (1 to 41 of 4,800 views under tiles of 1.25 m fit nothing, all but 2 of them with some that are met).
     """
     return JUMPED * min(by_chance**met / math.factorial(met), 1.0)
 

@@ -24,7 +24,7 @@ from ceilvo.daemon.odometry.course import (
     Course,
     Failures,
     Found,
-    by_hand,
+    chance_of_hand,
     contradicted,
     foreseen,
     judged,
@@ -151,9 +151,9 @@ class VisualOdometry:
         if found.place is None:
             s.refused, found = found.jump, with_parts(found, ref, crossings, course)
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
-            views = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy, ENOUGH)
-            moved = by_hand(ref, crossings, found, views, course, self._config)
-            return self._after_failure(crossings, coasted, found.out_of_view, moved)
+            failures = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy, ENOUGH)
+            hand = chance_of_hand(ref, crossings, found, failures, course, self._config)
+            return self._after_failure(crossings, coasted, found.out_of_view, hand)
         return self._accept(ref, crossings, course, found, predicted)
 
     def directed(self, crossings: Crossings) -> Crossings:
@@ -169,9 +169,10 @@ class VisualOdometry:
         if wheels is not None:
             told, cov = wheels.prev_from_curr, wheels.cov
             return Motion(told, cov, 0, 0.0, "", prior_cov=cov, by_wheels=True, watched=wheels.watched)
-        last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
         if s.twist_known and len(s.recent.twists):
             last = s.recent.median(s.since_twist_s)
+        else:
+            last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
         if turn is None and s.held_s > 0.0:
             turn = goes_on_turning(self._config, LastTwist(s.twist, s.held_s, 0.0), dt_s)
         moved, cov = coast(self._config, last, dt_s, turn)

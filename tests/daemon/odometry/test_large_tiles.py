@@ -7,15 +7,14 @@ import math
 import numpy as np
 import pytest
 from crossing_camera import CrossingCamera, Flaws
+from odometry_robot import Robot
 
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.crossing_types import LAMP
 from ceilvo.daemon.odometry.course import JUMPED, Course, met_as_foreseen, moved_though_met
-from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning
 from ceilvo.daemon.odometry.registration import Registration, register
 from ceilvo.daemon.odometry.rigid import RigidFit
-from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.wander import Wander, driven
@@ -30,14 +29,12 @@ SURE, FAR_M = 1e-4, 0.1
 def run(camera: CrossingCamera, poses: np.ndarray, rate_hz: float) -> np.ndarray:
     """(N, 4) of every pose: whether motion failed, the chance of a hand that is said, and of final motions how far they
     are off and whether they begin anew."""
-    vo, path, anchor, out = VisualOdometry(Odometry()), DeadReckoning(np.zeros((3, 3))), poses[0], []
-    for k, pose in enumerate(poses):
-        motion = vo.step(camera.sees(pose, k), 1.0 / rate_hz if k else 0.0)
-        track = path.advance(round(1e9 * (1.0 + k / rate_hz)), motion)
-        said, off_m = 0.0 if track.gap is None else track.gap.doubt, 0.0
-        if track.final is not None:
-            off = se2.between(anchor, pose) - track.final.prev_from_curr
-            said, off_m, anchor = max(said, track.final.doubt), float(np.hypot(off[0], off[1])), pose
+    robot, out = Robot(camera, poses[0], rate_hz), []
+    for pose in poses:
+        motion, track = robot.step(pose)
+        final, gap = track.final, track.gap
+        said = max(0.0 if gap is None else gap.doubt, 0.0 if final is None else final.doubt)
+        off_m = 0.0 if final is None else float(np.hypot(*robot.error(track)[:2]))
         out.append((not motion.ok, said, off_m, motion.restarted))
     return np.array(out, float)
 

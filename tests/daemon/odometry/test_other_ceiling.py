@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from crossing_camera import CrossingCamera
+from odometry_robot import RATE_HZ, Robot
 
 from ceilvo import se2
-from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.course import Course, Found, must_be_in_both, with_parts
-from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning
-from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.wander import Wander, driven
@@ -18,7 +18,7 @@ from ceilvo.types import Crossings
 
 TILES = CeilingSpec(room_m=40.0)
 LAMPS = CeilingSpec(room_m=40.0, joints=False, lamp_every=(3, 2), vents=0, spots=0, stains=0)
-RATE_HZ, DARK_S = 15.0, 0.7
+DARK_S = 0.7
 CHI2_3_IN_1000 = 16.3
 
 
@@ -28,28 +28,36 @@ def part(seen: Crossings, left: bool) -> Crossings:
     return seen.of(x < -0.8 if left else x > 0.9)
 
 
+@dataclass
+class Part:
+    """A camera that shows one side of its views only."""
+
+    camera: CrossingCamera
+    left: bool
+
+    def sees(self, pose: np.ndarray, seed: int) -> Crossings:
+        return part(self.camera.sees(pose, seed), self.left)
+
+
 def drive_into_the_dark(seed: int) -> tuple[float, float, float] | None:
     """A robot that saw the left part of views, nothing for DARK_S, then the right part: the chance of a hand that is
     said, and of the motion that ends it the error squared in units of its covariance, and its largest sigma in m; None
     where no lamp is in the one part before or in the other since."""
-    camera = CrossingCamera.under(LAMPS, seed % 4)
+    whole = CrossingCamera.under(LAMPS, seed % 4)
     poses = list(driven(Wander(seed), np.array([20.0, 20.0, 0.7 * seed]), 5.0, RATE_HZ))
-    vo, path, anchor, said = VisualOdometry(Odometry()), DeadReckoning(np.zeros((3, 3))), poses[0], 0.0
-    begin, dark = int(2.5 * RATE_HZ), round(DARK_S * RATE_HZ)
-    if len(part(camera.sees(poses[begin - 1], begin - 1), True)) < 4:
+    begin, dark, said = int(2.5 * RATE_HZ), round(DARK_S * RATE_HZ), 0.0
+    robot = Robot(Part(whole, left=True), poses[0])
+    if len(robot.camera.sees(poses[begin - 1], begin - 1)) < 4:
         return None
-    for k, pose in enumerate(poses):
-        seen = part(camera.sees(pose, k), k < begin)
-        motion = vo.step(None if begin <= k < begin + dark else seen, 1.0 / RATE_HZ if k else 0.0)
-        track = path.advance(round(1e9 * (1.0 + k / RATE_HZ)), motion)
-        said = max(said, 0.0 if track.gap is None else track.gap.doubt) if k >= begin else 0.0
+    robot.drive(poses[:begin])
+    robot.camera = Part(whole, left=False)
+    for k, pose in enumerate(poses[begin:]):
+        _, track = robot.step(pose, dark=k < dark)
+        said = max(said, 0.0 if track.gap is None else track.gap.doubt)
         if (final := track.final) is not None:
-            off = se2.between(anchor, pose) - final.prev_from_curr
-            off[2] = se2.wrap(float(off[2]))
-            if k >= begin + dark:
-                chi2 = float(off @ np.linalg.solve(final.cov, off))
-                return max(said, final.doubt), chi2, float(np.sqrt(np.max(np.diag(final.cov)[:2])))
-            anchor = pose
+            off = robot.error(track)
+            chi2 = float(off @ np.linalg.solve(final.cov, off))
+            return max(said, final.doubt), chi2, float(np.sqrt(np.max(np.diag(final.cov)[:2])))
     return None
 
 
