@@ -243,12 +243,14 @@ class JointFilter:
         """
         state, j = self._state, self._state.joint
         missed = upkeep.count(j, seen, obs.visible_m if 2 * len(seen) >= matched else obs.visible_m[:0])
-        gone = np.empty(0, np.int64)
+        gone, names = np.empty(0, np.int64), np.empty(0, np.int64)
         if state.weighed_at is None or np.hypot(*(j.pose - state.weighed_at)[:2]) > upkeep.APART_M:
             gone, state.weighed_at = upkeep.gone(j, seen, missed), j.pose.copy()
-        if len(gone):
-            state.counters["faded"] += len(gone)
-            j.forget(gone)
+            names = np.setdiff1d(upkeep.mistaken_names(j, missed[missed < j.size]), gone)
+        if len(gone) or len(names):
+            state.counters["faded"] += int(np.count_nonzero(gone < j.size))
+            state.counters["merges"] += len(names)
+            j.forget(np.concatenate([gone, names]))
             return
         pair = upkeep.duplicates(j, seen[:MOST_FEATURES], state.now, self.settings.association_gate_m)
         if pair is not None:
