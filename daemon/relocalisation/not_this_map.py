@@ -17,7 +17,15 @@ from ceilvo.daemon.relocalisation.doubts import PLACES_PER_M2, Doubt
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import CHANGED, CHANGED_CHANCE
 from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
-from ceilvo.daemon.relocalisation.lattice import FEWEST_PAIRS, Lattice, cells, offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.lattice import (
+    FEWEST_PAIRS,
+    Lattice,
+    cells,
+    offset,
+    rival_from_tracked,
+    rival_poses,
+    same_places,
+)
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Observations, Pose
 
@@ -70,7 +78,7 @@ class NotThisMapState:
         views: kept, each with the tracked pose (3,) it was seen from, its share of new ground, and the logarithm of the
             chance that the right place is not listed.
         ground: that they show; view_m2: of one view.
-        places: (G, 3) place_from_tracked; the first is the tracked one, zero.
+        places: (G, 3) place_from_tracked; the first is the tracked one, zero. prior: (G,) of each against that.
         ratio: (G, K, 2) of every view there; on: (G, K) whether its ground is known there.
         odds: log-odds of the map against ground that it does not know; said: that it is not this map; times: that it
             was said.
@@ -85,6 +93,7 @@ class NotThisMapState:
     ground: Coverage = field(default_factory=Coverage)
     view_m2: float = 0.0
     places: Array = field(default_factory=lambda: np.zeros((1, 3)))
+    prior: Array = field(default_factory=lambda: np.zeros(1))
     ratio: Array = field(default_factory=lambda: np.zeros((1, 0, 2)))
     on: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((1, 0), bool))
     odds: float = np.inf
@@ -92,6 +101,11 @@ class NotThisMapState:
     times: int = 0
     lattice: Lattice | None = None
     scales: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """States of older recordings knew the tracked place only."""
+        if len(self.prior) != len(self.places):
+            self.prior = np.append(0.0, np.full(len(self.places) - 1, self.each))
 
     @property
     def scale(self) -> float:
@@ -127,12 +141,14 @@ class NotThisMap:
         ground: Coverage,
         known: float,
         listed_m: float,
+        stood: Array,
     ) -> None:
         """Begin to ask, unless the robot was where the map does not know anyhow.
 
         Args:
             pose: (3,) where it should be; view: from there, known: of which the map knows so much of the ground.
             lattice: of the ceiling there; ground: that the map knows; listed_m: how far rivals are listed one by one.
+            stood: (N, 3) place_from_tracked, where the robot is as likely as at the tracked place.
         """
         if known < HALF:
             self.end()
@@ -146,6 +162,7 @@ class NotThisMap:
         beyond = ground.share_beyond(pose[:2], reach_m) if doubt.anywhere else 0.0
         before = self.state
         self.begin(unknown, ground.area_m2, beyond)
+        self._list(stood, np.zeros(len(stood)), [])
         # the calibration of a daemon that runs does not change: what it sees larger then is a step of the ceiling
         self.state.lattice, self.state.scales = (lattice, []) if doubt.stored > 0.0 else (before.lattice, before.scales)
 
@@ -245,23 +262,29 @@ class NotThisMap:
         view, pose, new, _ = s.views[-1]
         best = np.argsort(-combined(weigh(view, new, rival_poses(fresh, pose))[0]), kind="stable")[:MOST_PLACES]
         fresh = fresh[best]
-        told = [weigh(v, worth, rival_poses(fresh, at)) for v, at, worth, _ in s.views]
-        s.places = np.concatenate([s.places, fresh])
-        s.ratio = np.concatenate([s.ratio, np.stack([r for r, _ in told], axis=1)])
-        s.on = np.concatenate([s.on, np.stack([k >= HALF for _, k in told], axis=1)])
+        stood = s.places[1:][s.prior[1:] > s.each]  # may be put right by some centimetres
+        prior = np.where(np.any(same_places(fresh, stood), axis=1), 0.0, s.each)
+        self._list(fresh, prior, [weigh(v, worth, rival_poses(fresh, at)) for v, at, worth, _ in s.views])
         keep = np.append(0, 1 + np.argsort(-self._weights()[1:], kind="stable")[: MOST_PLACES - 1])
-        s.places, s.ratio, s.on = s.places[keep], s.ratio[keep], s.on[keep]
+        s.places, s.prior, s.ratio, s.on = s.places[keep], s.prior[keep], s.ratio[keep], s.on[keep]
+
+    def _list(self, places: Array, prior: Array, told: list[tuple[Array, Array]]) -> None:
+        """Places (N, 3) with (N,) log-odds before any view, and what every view that is kept tells of them."""
+        s = self.state
+        shape = len(places), 0
+        s.places, s.prior = np.concatenate([s.places, places]), np.append(s.prior, prior)
+        ratio = np.stack([r for r, _ in told], axis=1) if told else np.zeros((*shape, 2))
+        on = np.stack([k >= HALF for _, k in told], axis=1) if told else np.zeros(shape, bool)
+        s.ratio, s.on = np.concatenate([s.ratio, ratio]), np.concatenate([s.on, on])
 
     def _weights(self) -> Array:
         """(G,) log-odds of the places against the tracked one before any view; where none shows the map, -inf."""
         s = self.state
-        prior = np.full(len(s.places), s.each)
-        prior[0] = 0.0
         both = np.stack([self._with_changes(s.ratio[..., c]) for c in range(2)], axis=-1)
         off = ~s.on
         left = off & np.column_stack([np.ones(len(off), bool), s.on[:, :-1]])
         way = np.sum(np.where(left, np.log(LEAVES), np.where(off, np.log(STAYS_OFF), 0.0)), axis=1)
-        out = prior + combined(both) + way
+        out = s.prior + combined(both) + way
         out[1:][~np.any(s.on[1:], axis=1)] = _NEVER
         return np.asarray(out)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.evidence.wrong_places import combined, guessed, too_much
+from ceilvo.daemon.relocalisation.evidence.wrong_places import by_single_lamps, combined, guessed, too_much
 from ceilvo.daemon.relocalisation.lattice import CELL_M, beside, cells, rival_poses, same_places
 from ceilvo.se2 import compose, inverse
 from ceilvo.types import Array, Ints
@@ -32,9 +32,6 @@ SPOT_CAP = 25.0
 LEAD_M = 0.6
 """For so much of the way a place must have been the likeliest to take over; chosen: what people, dirt or a line that is
 called by another type add to it is gone then, and it may be as much as a lamp adds. Turning shows the same ceiling."""
-SAME_LAMP = 0.12
-"""Worth of what tells a place from ground that is alike where a ceiling may have been changed: one in eight, for a lamp
-is seen from some eight spots by several corners, and a new one that happens to hang there is seen as often; chosen."""
 MOST_PLACES = 20_000
 """Places kept: of a hall of 15,000 m^2 whose lamps hang in a pattern some 7,000 look alike; chosen for time."""
 
@@ -55,7 +52,8 @@ class PlaceBelief:
         leader, led_m: the likeliest place (3,) but for the tracked one, and for how much of the way it was.
         told, told_unknown: what of log_weight and unknown is of other senses, see tell().
         evidence: (P,) log-likelihoods of all that was seen and told, whatever was likely before; see beats_all().
-        changed: as unknown, of the tracked place below a ceiling that was changed while the robot was off.
+        changed: as unknown, of a robot that stands where it stood below a ceiling that was changed while it was off.
+        stood: (1, 3) place where that is, or none where it is the tracked one.
     """
 
     places: Array = field(default_factory=lambda: np.zeros((1, 3)))
@@ -73,6 +71,7 @@ class PlaceBelief:
     told_unknown: float = 0.0
     evidence: Array = field(default_factory=lambda: np.zeros(1))
     changed: float = -np.inf
+    stood: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         """States of older recordings were told nothing, and had one weight of a place."""
@@ -132,8 +131,8 @@ class PlaceBelief:
         """The place but for the tracked one beside which all others together are less likely than the rate."""
         share, unknown = self.shares()
         best = int(np.argmax(share))
-        changed = float(share[best]) * np.exp(min(self.changed_odds, 0.0))
-        rest = unknown + float(np.sum(share)) - float(share[best]) + changed
+        elsewhere = not np.any(same_places(self.stood, self.places[best, None]))
+        rest = unknown + float(np.sum(share) - share[best] * (1.0 - elsewhere * np.exp(min(self.changed_odds, 0.0))))
         if best == 0 or rest >= rate or self.cut or self.led_m < LEAD_M:
             return None
         return best if same_places(self.leader[None], self.places[best, None])[0, 0] else None
@@ -149,7 +148,7 @@ class PlaceBelief:
             return 0.0
         seen = self.seen + self._of_spot
         best = int(np.argmax(self.log_weight + seen[:, 0]))
-        return float(self.log_weight[best] + combined(seen[best] * [1.0, SAME_LAMP]))
+        return float(self.log_weight[best]) + by_single_lamps(seen[best])
 
     def beats_all(self, place: int) -> bool:
         """Whether what was seen is enough for a place without where the robot was before: a stored pose makes some
@@ -157,10 +156,6 @@ class PlaceBelief:
         weight = self.evidence + self._of_spot[:, 0]
         rest = np.delete(weight, place) - weight[place]
         return bool(np.sum(np.exp(np.minimum(rest, 0.0))) < EVEN_RATE)
-
-    def alike(self, least: float) -> int:
-        """How many places have at least this share of the belief."""
-        return int(np.count_nonzero(self.shares()[0] >= least))
 
     # -- what changes it
 
@@ -260,6 +255,7 @@ class PlaceBelief:
         settled = self.settled
         weight = log_odds + settled[0]
         likeliest, evidence = self.seen[np.argmax(settled)], self._of_new(late)
+        stood = np.flatnonzero(np.any(same_places(self.places, self.stood), axis=1))
         for n, (g, cell) in enumerate(zip(places, cells(places, CELL_M).tolist(), strict=True)):
             i = at.get(tuple(cell))
             if i is None:
@@ -267,13 +263,19 @@ class PlaceBelief:
                 fresh.append(n)
             elif 0 < i < len(self):
                 self.evidence[i] = max(self.evidence[i], evidence)
-                if weight[n] > settled[i]:  # most of its weight is new, and has the same past
+                if weight[n] > settled[i] or i in stood:
                     self.places[i] = g
+                if weight[n] > settled[i]:  # most of its weight is new, and has the same past
                     self.log_weight[i], self.seen[i] = settled[i] - combined(likeliest), likeliest
                 self.log_weight[i] += np.logaddexp(0.0, weight[n] - settled[i])
         self._append(places[fresh], weight[fresh], evidence)
         if len(self) > MOST_PLACES:
-            self._leave_out(_best(self.settled, MOST_PLACES))
+            self._leave_out(MOST_PLACES)
+
+    def may_stand(self, places: Array, log_odds: float) -> None:
+        """Where the robot stood (N, 3) if its ceiling was changed in part, with other tiles: none if that is here."""
+        self.stood = places
+        self.add(places, np.full(len(places), log_odds))
 
     def watch(self, places: Array) -> None:
         """Places (N, 3), all different, where the robot may have got to without a trace: weak evidence adds up.
@@ -305,8 +307,11 @@ class PlaceBelief:
         if weight > settled[0]:
             self.log_weight[0], self.seen[0] = weight - combined(likeliest), likeliest
 
-    def _leave_out(self, but: Ints) -> None:
-        self.cut |= bool(np.max(np.delete(self.settled, but), initial=LEAST) > LEAST)
+    def _leave_out(self, most: int) -> None:
+        """All but the heaviest; the first stays always."""
+        settled = self.settled
+        but = np.sort(np.append(0, 1 + np.argsort(-settled[1:], kind="stable")[: most - 1]))
+        self.cut |= bool(np.max(np.delete(settled, but), initial=LEAST) > LEAST)
         self._keep(but)
 
     def _keep(self, which: Ints | NDArray[np.bool_]) -> None:
@@ -335,7 +340,7 @@ class PlaceBelief:
     def jump(self, winner: int, tracked: Array) -> Array:
         """The winner becomes the tracked place; returns its pose (3,) for the tracked pose (3,)."""
         self._settle()
-        self.led_m, self.changed = 0.0, -np.inf
+        self.led_m, self.changed, self.stood = 0.0, -np.inf, self.stood[:0]
         there: Array = rival_poses(self.places[winner : winner + 1], tracked)[0]
         back = inverse(self.places[winner])
         order = np.concatenate([[winner], np.delete(np.arange(len(self)), winner)])
@@ -343,8 +348,3 @@ class PlaceBelief:
         self.places[0], self.log_weight, self.seen = 0.0, self.log_weight[order], self.seen[order]
         self.told, self.evidence = self.told[order], self.evidence[order]
         return there
-
-
-def _best(weight: Array, most: int) -> Ints:
-    """The heaviest, the first always among them, in order."""
-    return np.sort(np.append(0, 1 + np.argsort(-weight[1:], kind="stable")[: most - 1]))

@@ -21,7 +21,7 @@ from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import joined
-from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, better_of
+from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, beside_tiles, better_of
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import UpdateSchedule
@@ -254,12 +254,16 @@ class Relocaliser:
             off = offset(rival_poses(rivals, pose), centre)
             here, tile_m = offset(pose, centre), lattice.tile_m
             s.belief.add(rivals, doubt.log_odds(off, here, tile_m))
+        unknown, changed = doubt.off_map(here, tile_m)
+        stood = beside_tiles(expected, pose) if changed > -np.inf else s.belief.stood
         if doubt.elsewhere >= doubts.UNLIKELY:
             s.searched = False
             listed_m = max(doubt.search_m, WATCH_M if lattice is None else lattice.watched_m)
             known = float(evidence.known(expected[None])[0])
-            self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m)
-        s.belief.doubt_unknown(*doubt.off_map(here, tile_m))
+            self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m, stood)
+        if changed > -np.inf:
+            s.belief.may_stand(stood, changed)
+        s.belief.doubt_unknown(unknown, changed)
         bounded = lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
         s.listed = bounded and (s.listed or s.began == 0.0)
         s.belief.cut = not (s.searched or s.listed)

@@ -131,7 +131,7 @@ class RelocaliserState:
         if self.not_this_map.said:
             ground_m2 = self.not_this_map.ground.shown_m2
             return f"{NOT_THIS_MAP}: nowhere does it show these {ground_m2:.0f} m2 of ceiling; {why}"
-        alike = self.belief.alike(ALIKE)
+        alike = int(np.count_nonzero(self.belief.shares()[0] >= ALIKE))
         if self.pending is None and alike > 1:
             return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
         return f"to be confirmed by landmarks: {why}"

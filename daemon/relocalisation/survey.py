@@ -11,7 +11,7 @@ from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
-from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, repeats
+from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, repeats, rival_from_tracked, same_places
 from ceilvo.daemon.relocalisation.not_this_map import Weigh
 from ceilvo.daemon.relocalisation.place_index.place_index import PlaceIndex
 from ceilvo.daemon.relocalisation.submap import rest_of
@@ -166,6 +166,13 @@ def aligned_pose(lattice: Lattice, expected: Array, view: Observations, evidence
     poses = np.stack([lattice.aligned(expected, view), expected])
     poses[1, 2] = poses[0, 2]
     return np.asarray(poses[np.argmax(evidence.matches(poses))])
+
+
+def beside_tiles(expected: Array, pose: Array) -> Array:
+    """(N, 3) place_from_tracked of an expected pose (3,) where the tracked one (3,) was put onto tiles: none where that
+    is the same place. Turned as the tiles are, for others hang along the same walls."""
+    there = rival_from_tracked(np.array([[expected[0], expected[1], pose[2]]]), pose)
+    return np.asarray(there[~same_places(there, np.zeros((1, 3)))[:, 0]])
 
 
 def better_of(evidence: ViewEvidence, pose: Array, beside: Array, sigma_m: float) -> Array:
