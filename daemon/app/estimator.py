@@ -102,7 +102,7 @@ class Estimator:
         self._listener = listener
         self._lock = threading.Lock()
         self._last: Estimate | None = None
-        self._times_off_map = 0
+        self._times_said: dict[str, int] = {}
         self._late = 0
         self._lag_ns = 0
         self._stamps = StampRate()
@@ -268,7 +268,7 @@ class Estimator:
     def suspicions(self) -> Mapping[str, int]:
         """How often picture, wheels and stamps were against each other, by kind."""
         with self._lock:
-            place = {"not_this_map": self._pipeline.relocaliser.times_off_map}
+            place = self._pipeline.relocaliser.times_said
             return self._pipeline.checks.counters | {"stamp_rate": self._stamps.state.faults} | place
 
     def place_search(self) -> Mapping[str, object] | None:
@@ -281,8 +281,8 @@ class Estimator:
         """Name and reason of what senses noticed in the last frame for the first time."""
         place = self._pipeline.relocaliser
         marks = tuple(("mark", text) for text in place.take_news())
-        times, self._times_off_map = self._times_off_map, place.times_off_map
-        off = (("not_this_map", place.doubt),) if place.times_off_map > times else ()
+        before, self._times_said = self._times_said, place.times_said
+        off = tuple((name, place.doubt) for name, n in self._times_said.items() if n > before.get(name, 0))
         return tuple((s.kind.value, s.reason) for s in self._pipeline.checks.begun) + marks + off
 
     def know(self, beacons: Beacons) -> None:

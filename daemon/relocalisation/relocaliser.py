@@ -19,7 +19,7 @@ from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, of_tracked, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief
-from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
+from ceilvo.daemon.relocalisation.relocaliser_state import TURNS_BACK, PlaceSearch, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, beside_tiles, better_of
 from ceilvo.daemon.slam.association import associate
@@ -80,9 +80,9 @@ class Relocaliser:
         return self.state.doubt
 
     @property
-    def times_off_map(self) -> int:
-        """How often it was said that this is not the map."""
-        return self._on_map.state.times
+    def times_said(self) -> dict[str, int]:
+        """How often it was said that this is not the map, and that the picture is flipped."""
+        return {"not_this_map": self._on_map.state.times, "picture_flipped": self.state.flips}
 
     # -- what happens to the robot
 
@@ -97,6 +97,7 @@ class Relocaliser:
         s.close_submap()
         s.leads, s.searched = np.zeros((0, 3)), False
         s.survey.measured_m = s.doubted_m = np.inf
+        s.spun_rad, s.flipped = 0.0, np.zeros((0, 3))
         if known is None:
             self.state = RelocaliserState()
             return
@@ -127,6 +128,7 @@ class Relocaliser:
             s.shown(crossings)
         if (final := track.final) is None:
             return
+        s.follow_picture(track)
         gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
         if track.blind_s > doubts.LIFT_S and not (s.given or self.filter.size()):
             return self._begin_here(final)
@@ -254,6 +256,8 @@ class Relocaliser:
             off = offset(rival_poses(rivals, pose), centre)
             here, tile_m = offset(pose, centre), lattice.tile_m
             s.belief.add(rivals, doubt.log_odds(off, here, tile_m))
+        back = s.turned_back(doubt, centre, pose, self._calibration.mount_xy_m)
+        s.belief.add(back, np.full(len(back), np.log(TURNS_BACK)))
         unknown, changed = doubt.off_map(here, tile_m)
         stood = beside_tiles(expected, pose) if changed > -np.inf else s.belief.stood
         if doubt.elsewhere >= doubts.UNLIKELY:
@@ -306,12 +310,13 @@ class Relocaliser:
         s = self.state
         refused = self._on_map.refuses  # then no place of it is likely enough, whatever the belief has of this one
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not refused else None
-        if winner is not None and not (s.listed or len(s.leads) or s.belief.beats_all(winner)):
+        told = s.listed or len(s.leads) > 0 or s.spun_rad != 0.0  # where it may be, and not by a pose that was guessed
+        if winner is not None and not (s.turns_back(s.belief.places[winner]) and (told or s.belief.beats_all(winner))):
             winner = None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
-        if s.belief.doubt() >= self._rate or refused:
+        if s.belief.doubt() >= self._rate or refused or s.spun_rad:
             s.reason = s.reason or CONTRADICTION
             s.open_submap(self.filter.landmarks)
         elif s.views >= FEWEST_VIEWS:
@@ -328,6 +333,7 @@ class Relocaliser:
         s, cov, first_id = self.state, np.diag(JUMP_SIGMA**2), self.state.submap_from
         s.close_submap()
         tracked = self.filter.estimate()[0]
+        s.put_at(found, tracked)
         whole = None if first_id is None else joined(self.filter.landmarks(), first_id, tracked, found)
         if first_id is None or whole is None:
             self.filter.jump(Pose(found), cov)
