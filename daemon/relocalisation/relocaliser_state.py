@@ -9,7 +9,7 @@ import numpy as np
 
 from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.odometry.dead_reckoning import Track
-from ceilvo.daemon.relocalisation.doubts import BESIDE_M, CARRY_MPS, TURN_RADPS, Doubt, Reach
+from ceilvo.daemon.relocalisation.doubts import BESIDE_M, CARRY_MPS, Doubt, Reach
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.unmapped import Unmapped
 from ceilvo.daemon.relocalisation.lattice import offset, rival_from_tracked, rival_poses
@@ -37,8 +37,8 @@ FLIPPED_RAD, SPUN_RAD = 0.15, 0.5
 """A picture that is flipped on its way from the camera turns by half a turn, and so nearly; of a turn less is left when
 it is as it was; chosen: what a robot may have turned meanwhile besides what was foreseen."""
 FLIPPED_M, FLIP_S = 0.3, 1.0
-"""So near to where it was foreseen a camera is that went its way, and so long odometry takes at most to begin anew;
-chosen: half a tile of 0.6 m."""
+"""So near to where it was foreseen a camera is that went its way; and so long odometry takes at most to begin anew, in
+which few hands turn a robot by just half a turn; chosen: half a tile of 0.6 m."""
 WAY_M, MOST_WAY_M = 1.0, 10.0
 """Driven ahead, or backwards, that tells a robot which was turned from a picture that was, and how much of the way
 before is remembered; chosen: few robots back up for longer."""
@@ -165,13 +165,13 @@ class RelocaliserState:
     # -- a picture that is flipped on its way from the camera
 
     def follow_picture(self, track: Track) -> None:
-        """Note half a turn from one view to the next, faster than a hand turns a robot; and which way it drives."""
+        """Note half a turn from one view to the next, sooner than a hand turns a robot so; and which way it drives."""
         if track.final is None or not track.bridged:
             return
         turned_rad = float(track.final.prev_from_curr[2])
         unforeseen_rad = turned_rad - float(track.blind[2])  # 0 where no frame failed: then they measured both
         turned_rad = wrap(unforeseen_rad or turned_rad)
-        if np.pi - abs(turned_rad) < FLIPPED_RAD and TURN_RADPS * track.blind_s < np.pi:
+        if np.pi - abs(turned_rad) < FLIPPED_RAD and track.blind_s <= FLIP_S:
             self._flip(turned_rad)
         ahead_m = float(track.final.prev_from_curr[0])
         if not self.spun_rad:
