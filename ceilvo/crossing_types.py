@@ -31,22 +31,6 @@ joint's nearer edge may be all that is found of it; counted on 7000 crossings in
 points chosen, as of corners of lamps."""
 
 
-def _names() -> NDArray[np.uint16]:
-    out = np.zeros(CROSSING_TYPES, np.uint16)
-    kinds = np.arange(LINE_CROSSINGS)
-    apart = [np.abs(k[:, None] - k[None]) for k in (kinds // 3, kinds % 3)]
-    beside = (np.maximum(*apart) == 1) @ np.left_shift(1, kinds)
-    points = sum(1 << k for k in (LAMP, SPOT, CORNER))
-    out[:LINE_CROSSINGS] = beside
-    out[[LAMP, SPOT, CORNER]] = points
-    return out
-
-
-NAMES = _names()
-"""(T,) bits of the types that a crossing is mistaken for: an edge beside a joint is taken for the joint, or the joint
-for the edge, but a rising edge for no falling one. A point may be any other."""
-
-
 def crossing_type_of(kind_axis0: Ints, kind_axis1: Ints) -> Ints:
     """(M,) codes from two (M,) LineKind arrays."""
     return np.asarray(3 * (kind_axis0 + 1) + (kind_axis1 + 1), dtype=np.int64)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, JOINTS, NAMES, TYPE_MISTAKEN, commonest, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, commonest, turned_type
 from ceilvo.daemon.odometry.sight import is_in
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
-from ceilvo.daemon.relocalisation.evidence.type_raster import TypeRaster
+from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, TypeRaster
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Landmarks
 
@@ -41,7 +41,7 @@ class Chance:
 
     Attributes:
         same: (2, T) one of its type.
-        rare_one: (2, T) one of any rare type that it may be mistaken for, or of its own; never less than `same`.
+        rare_one: (2, T) one of any rare type; never less than `same`.
     """
 
     same: Array
@@ -118,8 +118,7 @@ def _tried(at: Array, kind: Ints, raster: TypeRaster, coverage: Coverage, shifts
     there = at + shifts[:, None]
     known, bits, of = coverage.knows(there, kind), raster.at(there), np.eye(CROSSING_TYPES)[kind]
     same = is_in(bits, np.broadcast_to(kind, there.shape[:2])) & known
-    mistaken = bits & NAMES[kind] & ~np.uint16(1 << JOINTS) > 0
-    return known @ of, same @ of, (same | mistaken & known) @ of
+    return known @ of, same @ of, (same | (bits & RARE > 0) & known) @ of
 
 
 def _measured_by(crossing_type: Ints) -> Ints:

@@ -18,7 +18,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, NAMES, TYPE_MISTAKEN, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, turned_type
 from ceilvo.daemon.odometry.sight import is_in, lines_through
 from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
@@ -193,9 +193,9 @@ class ViewEvidence:
         return self._without_missed(score, poses, partial(self._missed_in, grid))
 
     def _found_in(self, grid: TypeGrid, at: Array, types: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(M, K) whether features of types (M, K) are where a landmark of theirs is, or a rare one of another name."""
-        bits, names = grid.bits(fine(at[..., 0]), fine(at[..., 1])), NAMES[types] & self._rare
-        matched, other = is_in(bits, types), bits & (names | np.left_shift(1, types).astype(np.uint16)) & self._rare > 0
+        """(M, K) whether features of types (M, K) are where a landmark of theirs is, or another rare one."""
+        bits = grid.bits(fine(at[..., 0]), fine(at[..., 1]))
+        matched, other = is_in(bits, types), bits & self._rare > 0
         rare = np.nonzero(other & (self._rare >> types.astype(np.uint16) & 1 > 0))
         points, own, reach = (
             fine(at[rare]),
@@ -204,7 +204,7 @@ class ViewEvidence:
         )
         same, _ = grid.blocks.nearest(points, own, reach)
         matched[rare] = (same >= 0) & grid.blocks.named.take(same, mode="clip")
-        other[rare] = matched[rare] | (grid.blocks.nearest(points, names[rare], reach)[0] >= 0)
+        other[rare] = matched[rare] | (grid.blocks.nearest(points, np.full(len(own), self._rare), reach)[0] >= 0)
         return matched, other
 
     def _turns(self, poses: Array) -> Ints:
@@ -214,7 +214,7 @@ class ViewEvidence:
         """(M, R) of what is seen, for each fraction of change."""
         at, types = _moved(poses, self._view.xy_base_m), self._types[self._turns(poses)]
         bits = self._around.raster.at(at)
-        return self._scored(at, types, is_in(bits, types), bits & NAMES[types] & self._rare > 0)
+        return self._scored(at, types, is_in(bits, types), bits & RARE > 0)
 
     def _scored(self, at: Array, types: Ints, matched: NDArray[np.bool_], other: NDArray[np.bool_]) -> Array:
         """(M, R) of features (M, K) seen at (M, K, 2): whether a landmark of their type is there, or one beside."""

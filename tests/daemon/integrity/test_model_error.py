@@ -62,7 +62,7 @@ def nis(estimates: list[Estimate]) -> Array:
     return np.array([e.health.nis for e in estimates if e.health.nis_dof > 0])
 
 
-@pytest.mark.parametrize("curves", [1.0, 1.0 / 3.0, 1.0 / 6.0])
+@pytest.mark.parametrize("curves", [1.0, 1.0 / 3.0, 1.0 / 6.0, 1.0 / 10.0])
 def test_a_good_pose_is_tracking_whatever_the_curves_leave_out(curves: float) -> None:
     estimates = driven(fresh(curves))
     share, mean = tracking(estimates), float(np.mean(nis(estimates)))
@@ -75,7 +75,7 @@ def test_a_good_pose_is_tracking_whatever_the_curves_leave_out(curves: float) ->
 def test_without_floor_and_with_all_features_the_same_drive_is_degraded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(joint_rule, "MODEL_SIGMA_MAX_M", 0.0)
     monkeypatch.setattr(joint_rule, "MOST_OTHERS", 0.0)
-    pipeline = fresh(1.0 / 6.0)
+    pipeline = fresh(1.0 / 10.0)
     pipeline.filter.state.rule.model_var_m2 = 0.0
     estimates = driven(pipeline)
     assert tracking(estimates) < 0.9
