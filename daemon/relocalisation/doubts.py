@@ -117,6 +117,10 @@ class Doubt:
     def anywhere(self) -> bool:
         return self.reach_m > ANYWHERE_M
 
+    def jumped_within(self, most_s: float) -> bool:
+        """Whether the picture jumped, in a gap of so long at most."""
+        return self.elsewhere >= JUMPED and self.reach_m <= CARRY_MPS * most_s + BESIDE_M
+
     def bounded(self, listed_m: float) -> bool:
         """Whether somebody who moved the robot cannot have brought it further than rivals are listed one by one."""
         return self.elsewhere >= UNLIKELY and not len(self.leads) and max(self.search_m, self.reach_m) <= listed_m

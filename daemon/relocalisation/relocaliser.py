@@ -15,11 +15,12 @@ from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.sharp_view import SharpView
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
 from ceilvo.daemon.relocalisation.evidence.wrong_places import combined
+from ceilvo.daemon.relocalisation.flipped_picture import TURNS_BACK
 from ceilvo.daemon.relocalisation.floor_tracker import FloorTracker
 from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, of_tracked, offset, rival_from_tracked, rival_poses
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief
-from ceilvo.daemon.relocalisation.relocaliser_state import TURNS_BACK, PlaceSearch, RelocaliserState
+from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
 from ceilvo.daemon.relocalisation.submap import joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, beside_tiles, better_of
 from ceilvo.daemon.slam.association import associate
@@ -82,7 +83,7 @@ class Relocaliser:
     @property
     def times_said(self) -> dict[str, int]:
         """How often it was said that this is not the map, and that the picture is flipped."""
-        return {"not_this_map": self._on_map.state.times, "picture_flipped": self.state.flips}
+        return {"not_this_map": self._on_map.state.times, "picture_flipped": self.state.picture.times}
 
     # -- what happens to the robot
 
@@ -97,7 +98,7 @@ class Relocaliser:
         s.close_submap()
         s.leads, s.searched = np.zeros((0, 3)), False
         s.survey.measured_m = s.doubted_m = np.inf
-        s.spun_rad, s.flipped = 0.0, np.zeros((0, 3))
+        s.picture.forget()
         if known is None:
             self.state = RelocaliserState()
             return
@@ -128,7 +129,7 @@ class Relocaliser:
             s.shown(crossings)
         if (final := track.final) is None:
             return
-        s.follow_picture(track)
+        s.picture.follow(track)
         gapped, jumped, s.gapped, s.jumped = s.gapped or track.blind_s > doubts.LIFT_S, s.jumped, False, 0.0
         if track.blind_s > doubts.LIFT_S and not (s.given or self.filter.size()):
             return self._begin_here(final)
@@ -256,17 +257,16 @@ class Relocaliser:
             off = offset(rival_poses(rivals, pose), centre)
             here, tile_m = offset(pose, centre), lattice.tile_m
             s.belief.add(rivals, doubt.log_odds(off, here, tile_m))
-        back = s.turned_back(doubt, centre, pose, self._calibration.mount_xy_m)
+        back = s.picture.doubted(doubt, s.began == 0.0, centre, pose, self._calibration.mount_xy_m)
         s.belief.add(back, np.full(len(back), np.log(TURNS_BACK)))
         unknown, changed = doubt.off_map(here, tile_m)
-        stood = beside_tiles(expected, pose) if changed > -np.inf else s.belief.stood
+        if changed > -np.inf:
+            s.belief.may_stand(beside_tiles(expected, pose), changed)
         if doubt.elsewhere >= doubts.UNLIKELY:
             s.searched = False
             listed_m = max(doubt.search_m, WATCH_M if lattice is None else lattice.watched_m)
             known = float(evidence.known(expected[None])[0])
-            self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m, stood)
-        if changed > -np.inf:
-            s.belief.may_stand(stood, changed)
+            self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m, s.belief.stood)
         s.belief.doubt_unknown(unknown, changed)
         bounded = lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
         s.listed = bounded and (s.listed or s.began == 0.0)
@@ -310,13 +310,13 @@ class Relocaliser:
         s = self.state
         refused = self._on_map.refuses  # then no place of it is likely enough, whatever the belief has of this one
         winner = s.belief.winner(self._rate) if s.views >= FEWEST_VIEWS and not refused else None
-        told = s.listed or len(s.leads) > 0 or s.spun_rad != 0.0  # where it may be, and not by a pose that was guessed
-        if winner is not None and not (s.turns_back(s.belief.places[winner]) and (told or s.belief.beats_all(winner))):
-            winner = None
+        if winner is not None:
+            told = s.listed or len(s.leads) or s.picture.turned_rad or s.belief.beats_all(winner)
+            winner = winner if told and s.picture.turns_back(s.belief.places[winner]) else None
         if winner is not None:
             s.looked, s.spots, s.leads = Coverage(), 0, np.zeros((0, 3))
             self._put(s.belief.jump(winner, pose))
-        if s.belief.doubt() >= self._rate or refused or s.spun_rad:
+        if s.belief.doubt() >= self._rate or refused or s.picture.turned_rad:
             s.reason = s.reason or CONTRADICTION
             s.open_submap(self.filter.landmarks)
         elif s.views >= FEWEST_VIEWS:
@@ -333,7 +333,7 @@ class Relocaliser:
         s, cov, first_id = self.state, np.diag(JUMP_SIGMA**2), self.state.submap_from
         s.close_submap()
         tracked = self.filter.estimate()[0]
-        s.put_at(found, tracked)
+        s.picture.found(found, tracked)
         whole = None if first_id is None else joined(self.filter.landmarks(), first_id, tracked, found)
         if first_id is None or whole is None:
             self.filter.jump(Pose(found), cov)

@@ -7,18 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.daemon.odometry.course import JUMPED
-from ceilvo.daemon.odometry.dead_reckoning import Track
-from ceilvo.daemon.relocalisation.doubts import BESIDE_M, CARRY_MPS, Doubt, Reach
+from ceilvo.daemon.relocalisation.doubts import Doubt, Reach
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.unmapped import Unmapped
-from ceilvo.daemon.relocalisation.lattice import offset, rival_from_tracked, rival_poses
+from ceilvo.daemon.relocalisation.flipped_picture import FlippedPicture
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.submap import first_id_after, turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.schedule import ScheduleState
-from ceilvo.se2 import compose, rotation, wrap
 from ceilvo.types import Array, Landmarks
 
 USUAL_WEIGHT = 0.05
@@ -33,17 +30,6 @@ MAPPED_APART = "new ground is mapped apart; drive by odom, which goes on unbroke
 """Ends the reason while there is a submap, see submap.py: what an application may rely on."""
 FRESH_SPOTS = 12
 """While the place is sure, ground that was looked at from more spots ago, 3 m, is new again; chosen."""
-FLIPPED_RAD, SPUN_RAD = 0.15, 0.5
-"""A picture that is flipped on its way from the camera turns by half a turn, and so nearly; of a turn less is left when
-it is as it was; chosen: what a robot may have turned meanwhile besides what was foreseen."""
-FLIPPED_M, FLIP_S = 0.3, 1.0
-"""So near to where it was foreseen a camera is that went its way; and so long odometry takes at most to begin anew, in
-which few hands turn a robot by just half a turn; chosen: half a tile of 0.6 m."""
-WAY_M, MOST_WAY_M = 1.0, 10.0
-"""Driven ahead, or backwards, that tells a robot which was turned from a picture that was, and how much of the way
-before is remembered; chosen: few robots back up for longer."""
-TURNS_BACK = 0.5
-"""Chance that a picture which was flipped is as it was, once another view fits nothing before; chosen."""
 ALIKE = 0.05
 """Share of the belief from which a place is named among those that look alike; chosen."""
 
@@ -94,10 +80,7 @@ class RelocaliserState:
         unmapped: what the map lacks while the place is sure.
         search: the last one of this doubt.
         reach: where hands can have brought the robot since the place was sure.
-        spun_rad: by how much the picture is turned against how the robot stands, as no hand turns it; 0: it is not.
-        flipped: (N, 3) place where a flipped picture would put the robot, while the doubt is one of a jump.
-        forward_m, since_m: way ahead of late, less what was driven backwards; the same way since the picture turned.
-        flips: how often it did.
+        picture: whether it is flipped on its way from the camera.
     """
 
     belief: PlaceBelief = field(default_factory=PlaceBelief)
@@ -129,11 +112,7 @@ class RelocaliserState:
     unmapped: Unmapped = field(default_factory=Unmapped)
     search: PlaceSearch | None = None
     reach: Reach = field(default_factory=Reach)
-    spun_rad: float = 0.0
-    flipped: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    forward_m: float = 0.0
-    since_m: float = 0.0
-    flips: int = 0
+    picture: FlippedPicture = field(default_factory=FlippedPicture)
 
     @property
     def sure(self) -> bool:
@@ -148,8 +127,8 @@ class RelocaliserState:
         why = self.pending.reason if self.pending is not None else self.reason
         why = f"{why}, or the ceiling was changed meanwhile" if self.belief.changed_odds > 0.0 else why
         why = f"{why}; {MAPPED_APART}" if self.apart else why
-        if self.spun_rad:
-            return f"the picture turned by {np.degrees(self.spun_rad):+.0f} deg at once: a flipped picture? {why}"
+        if turned_rad := self.picture.turned_rad:
+            return f"the picture turned by {np.degrees(turned_rad):+.0f} deg at once: a flipped picture? {why}"
         scale = self.not_this_map.scale if self.pending is None else 0.0
         if scale != 0.0:
             than = f"{100.0 * abs(scale):.0f} % {'larger' if scale > 0.0 else 'smaller'} than its own"
@@ -161,59 +140,6 @@ class RelocaliserState:
         if self.pending is None and alike > 1:
             return f"{AMBIGUOUS}: {alike} places of the map look like this one; {why}"
         return f"to be confirmed by landmarks: {why}"
-
-    # -- a picture that is flipped on its way from the camera
-
-    def follow_picture(self, track: Track) -> None:
-        """Note half a turn from one view to the next, sooner than a hand turns a robot so; and which way it drives."""
-        if track.final is None or not track.bridged:
-            return
-        turned_rad = float(track.final.prev_from_curr[2])
-        unforeseen_rad = turned_rad - float(track.blind[2])  # 0 where no frame failed: then they measured both
-        turned_rad = wrap(unforeseen_rad or turned_rad)
-        if np.pi - abs(turned_rad) < FLIPPED_RAD and track.blind_s <= FLIP_S:
-            self._flip(turned_rad)
-        ahead_m = float(track.final.prev_from_curr[0])
-        if not self.spun_rad:
-            self.forward_m = min(max(self.forward_m + ahead_m, -MOST_WAY_M), MOST_WAY_M)
-        elif abs(self.forward_m) >= WAY_M:  # one that was turned drives on as before, one that is seen flipped backs up
-            self.since_m += ahead_m * float(np.sign(self.forward_m))
-            self.spun_rad = self.spun_rad if self.since_m < WAY_M else 0.0
-
-    def _flip(self, turned_rad: float) -> None:
-        left_rad = wrap(self.spun_rad + turned_rad)
-        self.spun_rad, self.since_m = (left_rad if abs(left_rad) > SPUN_RAD else 0.0), 0.0
-        self.flips += self.spun_rad != 0.0
-
-    def turns_back(self, place: Array) -> bool:
-        """Whether the robot stands at a place (3,) as it did before the picture turned, or it did not turn."""
-        return not self.spun_rad or abs(wrap(float(place[2]) + self.spun_rad)) < SPUN_RAD
-
-    def turned_back(self, doubt: Doubt, expected: Array, pose: Array, mount_xy_m: Array) -> Array:
-        """(N, 3) place_from_tracked of a robot that is tracked at a pose (3,) and expected at another one, once its
-        picture is as it was, turned about the camera's axis at mount_xy_m (2,) in base; none while it is not turned.
-
-        Where it is not, that is where a picture that flips puts the robot, and nobody in so short a time.
-        """
-        angle_rad = -self.spun_rad or np.pi
-        back = np.array([*(mount_xy_m - rotation(angle_rad) @ mount_xy_m), angle_rad])
-        there = rival_from_tracked(np.asarray(compose(expected, back))[None], pose)
-        short = doubt.elsewhere >= JUMPED and doubt.reach_m <= CARRY_MPS * FLIP_S + BESIDE_M
-        if self.spun_rad or self.began == 0.0:
-            self.flipped = self.flipped[:0]
-        if short and not self.spun_rad:
-            self.flipped = there
-        return there if self.spun_rad else there[:0]
-
-    def put_at(self, found: Array, tracked: Array) -> None:
-        """The robot, tracked at a pose (3,), was found at another one."""
-        if self.turns_back(found - tracked):
-            self.spun_rad = 0.0
-        if len(self.flipped):
-            off = offset(rival_poses(self.flipped, tracked)[0], found)
-            if np.hypot(off[0], off[1]) < FLIPPED_M and abs(off[2]) < FLIPPED_RAD:
-                self._flip(np.pi)
-        self.flipped = self.flipped[:0]
 
     def arrive(self) -> None:
         """What is seen again from another spot is worth less: the same lamp twice is not two lamps."""

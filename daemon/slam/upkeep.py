@@ -121,7 +121,8 @@ def duplicates(j: JointMap, seen: Ints, now: int, gate_m: float) -> tuple[int, i
 def mistaken_names(j: JointMap, labels: Ints) -> Ints:
     """Those of the landmarks `labels` that lie where one of another type is, which is seen more than twice as often.
 
-    A lamp's edge that crosses a joint, or lies near one, is called by another type now and then.
+    A lamp's edge that crosses a joint, or lies near one, is called by another type now and then. Maps that were made
+    before this was asked have such names: relocalisation/place_index/names.py tells them from the right ones.
     """
     labels = labels[j.crossing_type[labels] != JOINTS]
     if not len(labels):

@@ -31,8 +31,8 @@ FIRST, MORE, LAST = 45, 45, 30
 """Frames until the map is stored; with the changed one in the database; after it was taken."""
 MOVED = np.array([0.006, -0.004, np.radians(0.1)])
 """m, m, rad."""
-SEEN_BY_CHANCE = 3
-"""Sightings that confirm a landmark, filter.birth_sightings as it is by default."""
+SEEN_BY_CHANCE = Filter().birth_sightings
+"""Sightings that confirm a landmark: what showed so often and never again was none."""
 
 
 class Stops(SimCamera):

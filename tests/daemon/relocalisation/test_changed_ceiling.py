@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from beliefs import spot
+from known_room import in_known_room
 
-from ceilvo.bench.place.case import drive_in, load_known
 from ceilvo.bench.place.ceiling.truth import features_of, joined
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.bench.place.faults.changes import NIGHT_S
-from ceilvo.bench.place.robot.sights import CrossingSight
 from ceilvo.bench.place.robot.tally import Tally
 from ceilvo.daemon.relocalisation import doubts
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
@@ -105,18 +104,13 @@ def test_the_place_where_it_stood_is_put_right_when_a_view_finds_it() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_robot_below_a_part_that_was_renovated_is_found_where_it_was_stored(seed: int) -> None:
     """With lamps and tiles of another room all around it, which it leaves."""
-    rng = np.random.default_rng([71000, seed])
-    world = make_world(WorldSpec("5", 0.6, "raster", 71000 + seed))
-    drive = drive_in(world, rng, True, 10.0, True, 0.5)
-    load_known(drive, world, rng)
-    assert drive.settle(30.0)
-    drive.go(10.0)
+    drive, camera, world = in_known_room(71000, seed, wheels=True)
     kept = drive.stored()
-    assert kept is not None and isinstance(drive.camera, CrossingSight)
+    assert kept is not None
     other = make_world(WorldSpec("5", 0.6, "raster", 72000 + seed)).layout
     features = features_of(other, world.map_from_ceiling, world.room)
     here = transform(inverse(world.map_from_ceiling), drive.pose[None, :2])[0]
-    drive.camera.use(joined(world.features, features, world.map_from_ceiling, here - 1.4, here + 1.4))
+    camera.use(joined(world.features, features, world.map_from_ceiling, here - 1.4, here + 1.4))
     drive.begin_anew()
     drive.load(*kept, ago_s=NIGHT_S)
     tally = drive.tally = Tally()
