@@ -151,11 +151,16 @@ def _arc(twist: Array, start_s: float, end_s: float, turn: KnownTurn | None) -> 
     return np.array([along * vx - across * vy, across * vx + along * vy, w])
 
 
-def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float, known: KnownTurn | None) -> Array:
-    vx, vy, w = last.twist.tolist()
+def accelerations(config: Odometry, twist: Array) -> tuple[float, float]:
+    """Standard deviations of a robot's acceleration, m/s^2 along each axis, and rad/s^2, at a twist (3,)."""
+    vx, vy, w = twist.tolist()
     speed = math.hypot(vx, vy)
     accel = math.hypot(config.coast_accel_mps2, _ACCEL_PM * speed**2)
-    turn_accel = math.hypot(config.coast_turn_radps2, _CURVATURE_RATE_PM2 * speed**2, _SPIN_PS * w)
+    return accel, math.hypot(config.coast_turn_radps2, _CURVATURE_RATE_PM2 * speed**2, _SPIN_PS * w)
+
+
+def _cov(config: Odometry, last: LastTwist, start_s: float, end_s: float, known: KnownTurn | None) -> Array:
+    speed, (accel, turn_accel) = math.hypot(*last.twist[:2].tolist()), accelerations(config, last.twist)
     turn = math.hypot(_SPREAD * config.max_turn_radps, _CURVATURE_PM * speed)
     xy, theta = (accel, _SPREAD * config.max_speed_mps, last.span_s), (turn_accel, turn, last.span_s)
     var_xy, var_theta = (_off(*a, end_s) ** 2 - _off(*a, start_s) ** 2 for a in (xy, theta))

@@ -12,6 +12,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import knows_quarter
 from ceilvo.daemon.odometry.points.constellation import has_points
+from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import (
     DIRECTION_SIGMAS,
     MIN_AGREEING,
@@ -32,16 +33,12 @@ _COURSE_SIGMAS = 5.0
 """Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
 _WHEELS_CHI2 = 21.1
 """Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
-
-
 JUMPED = 0.5
 """Chance that somebody moved the robot, after a view that does not fit the reference as a robot moves: as likely as
 that it was damaged; chosen."""
-
 CARRIED_PS = 1e-4
 """Chance per second that somebody moves the robot, or that wheels say something else altogether; chosen: thrice in an
 eight-hour shift. Alternatives beyond all prediction are weighed with it."""
-
 _MISTAKEN, _AGAIN = 1e-3, 0.5
 """Chance that a view of few lines and points gives no motion, or one that no robot makes; chosen: on laps under
 lamps, slats and hexagons 0 to 8 of 1,666 frames did (seeds 153 and 154), on poor ones 16 to 132. And that the next one
@@ -100,6 +97,7 @@ class Found:
         jump: the displacement that no robot makes, where that is why.
         elsewhere: probability that the robot sees another part of the ceiling than the reference shows.
         doubt_left: as in Motion.
+        by_one: what is known where a single point laid it.
     """
 
     place: Registration | None
@@ -111,6 +109,7 @@ class Found:
     jump: Array | None = None
     elsewhere: float = 0.0
     doubt_left: float = 1.0
+    by_one: Turning | None = None
 
     @property
     def out_of_view(self) -> bool:

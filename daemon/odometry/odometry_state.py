@@ -11,12 +11,28 @@ from ceilvo.daemon.odometry.coasting import RecentTwists
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
 from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
+from ceilvo.daemon.odometry.points.turning import TWIST, Turning
+from ceilvo.daemon.odometry.registration import Registration
 from ceilvo.se2 import compose, compose_cov
 from ceilvo.types import Array, Crossings
 
 APART = 0.15
 """A view so far from another, in metres with a radian as one, misses other things; chosen: 3.5 cm further joints that
 were missed are missed again in 65 of 100, lamps in 70 (bench/place/ceiling/eye.py)."""
+
+_USUAL_FRAMES = 45.0
+"""Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
+_SIDEWAYS_M2PS2, _PRESUMED_S = 0.3**2, 0.05
+"""Mean square of the speed sideways of a robot of which nothing is known, and what that weighs in seconds of driving;
+chosen: some bases drive sideways at will, most never do."""
+_DRIVEN_S = 120.0
+"""Driving that counts; chosen."""
+_SLIPS_MPS = 0.005
+"""Of any base, whatever was seen so far; chosen: a hundredth of half a metre a second, or a camera .6 deg askew."""
+_DRIVES_MPS = 0.05
+"""A slower robot tells nothing of it; chosen."""
+_MOST_USUAL = 0.4
+"""Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +94,8 @@ class VisualOdometryState:
         sliding: features that are followed to see whether they are the ceiling's.
         earlier: a good view before the reference, for what that misses.
         recent: twists of the last good views, of which the median goes on in a gap.
+        turning: of the reference, where a single point laid it.
+        sideways_m2ps2, driven_s: mean square of the speed sideways, over so long a time in which the robot drove.
     """
 
     reference: Crossings | None = None
@@ -101,3 +119,40 @@ class VisualOdometryState:
     sliding: SlidingState = field(default_factory=SlidingState)
     earlier: EarlierView = field(default_factory=EarlierView)
     recent: RecentTwists = field(default_factory=RecentTwists)
+    turning: Turning | None = None
+    sideways_m2ps2: float = _SIDEWAYS_M2PS2
+    driven_s: float = _PRESUMED_S
+
+    def measured(self, twist: Array, var: Array, span_s: float, known: bool) -> None:
+        """A view told a twist (3,) with variances (3,), the mean over span_s; known: no other is as likely."""
+        self.twist_change, self.twist, self.twist_span_s = twist - self.twist, twist, span_s
+        self.twist_known, self.since_twist_s = known, 0.0
+        self.recent = self.recent.then(twist, var, span_s) if known else RecentTwists()
+
+    @property
+    def sideways_mps(self) -> float:
+        """Standard deviation of the speed sideways."""
+        return math.hypot(math.sqrt(self.sideways_m2ps2), _SLIPS_MPS)
+
+    def drove(self, twist: Array, span_s: float) -> None:
+        """How fast the robot drives sideways, with one more twist (3,) that was measured."""
+        if math.hypot(*twist[:2].tolist()) < _DRIVES_MPS:
+            return
+        self.driven_s = min(self.driven_s + span_s, _DRIVEN_S)
+        self.sideways_m2ps2 += (float(twist[1]) ** 2 - self.sideways_m2ps2) * span_s / self.driven_s
+
+    def turned(self, turning: Turning, step_s: float) -> None:
+        """The twist while a single point holds the position."""
+        self.turning, self.recent = turning, RecentTwists()
+        self.measured(turning.mean[TWIST].copy(), turning.twist_var, step_s, True)
+
+    def agreed(self, place: Registration) -> None:
+        """How many crossings usually do not agree, with those of one more view."""
+        self.disagreeing += (_missing(place.agreeing, place.expected) - self.disagreeing) / _USUAL_FRAMES
+        special = _missing(place.special, place.special_expected)
+        self.special_disagreeing += (special - self.special_disagreeing) / _USUAL_FRAMES
+
+
+def _missing(agreeing: int, expected: float) -> float:
+    """Fraction of the crossings that do not agree, as far as that may be usual."""
+    return min(max(1.0 - agreeing / max(expected, 1.0), 0.0), _MOST_USUAL)

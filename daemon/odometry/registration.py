@@ -14,6 +14,7 @@ from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
 from ceilvo.daemon.odometry.matching import Bools, consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points, has_points
+from ceilvo.daemon.odometry.points.turning import TURNED, Turning
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
 from ceilvo.daemon.odometry.sight import lines_through
 from ceilvo.robust import median
@@ -38,6 +39,10 @@ _MANY = 32
 """So many correspondences are never all of the same few lines; chosen."""
 _POINT_WORTH = 2.0 / 3.0
 """Of a point, where a crossing of two lines is worth one: six points are as much as four crossings; chosen."""
+_POINT_SIGMAS = 4.0
+"""How far off its prediction a single point is looked for; a normal error is beyond once in 16,000."""
+_VAGUE_RAD = 0.5
+"""Standard deviation of the heading up to which a pose is still about a Gaussian one; chosen."""
 _MIN_VIEW_M = 1e-9
 """Crossings all in one place: not divided by 0."""
 
@@ -183,6 +188,57 @@ def matched(ref: Crossings, crossings: Crossings, guess: Array, radius_m: float)
     kinds = turned_type(crossings.crossing_type, turn)
     at = se2.transform(guess, crossings.xy_base_m)
     return *mutual_nearest(at, kinds, ref.xy_base_m, ref.crossing_type, radius_m), kinds
+
+
+def held_by_one(
+    ref: Crossings, crossings: Crossings, turning: Turning, elapsed_s: float, config: Odometry
+) -> tuple[Registration, Turning] | None:
+    """A view on the reference by the one point that meets where it is predicted, and what is known then; None where
+    that tells nothing.
+
+    Args:
+        turning: at the reference, elapsed_s before the view.
+    """
+    before = turning
+    turning = turning.after(elapsed_s)
+    moved, by = turning.moved(elapsed_s)
+    reach_m = _reach_m(moved, by, turning, crossings)
+    if reach_m > config.match_radius_m:
+        return None
+    i, j, kinds = matched(ref, crossings, moved, config.match_radius_m)
+    shown = min(len(ref), len(crossings))
+    if len(i) != 1 or kinds[i[0]] < LINE_CROSSINGS or MIN_AGREEING * shown > 1.0:
+        return None
+    seen, there = crossings.xy_base_m[i], ref.xy_base_m[j]
+    var_m2 = float(_own_sigma_m(crossings, i)[0] ** 2 + _own_sigma_m(ref, j)[0] ** 2)
+    known = turning.with_point(moved, by, seen[0], there[0], var_m2)
+    if known is None or known.cov[TURNED, TURNED] > _VAGUE_RAD**2:
+        return None
+    fit = _about_point(before, known, seen, there, var_m2)
+    turn_rad = float(fit.b_from_a[2])
+    return Registration(fit, seen, there, turn_rad, shown, 1.0, 1, 1.0, kinds[i], by_lines=False), known
+
+
+def _about_point(before: Turning, known: Turning, seen: Array, there: Array, var_m2: float) -> RigidFit:
+    """The motion by a point (1, 2) of both views and the turn that is known with it, which was `before`.
+
+    A robot that is far off its heading is on an arc about the point; by how much that leaves its tangent is added.
+    """
+    turn_rad = float(known.mean[TURNED] - before.mean[TURNED])
+    var, was = float(known.cov[TURNED, TURNED]), float(before.cov[TURNED, TURNED])
+    one = RigidFit(np.zeros(3), np.ones(1, bool), 0.0, np.zeros((3, 3)), var_m2)
+    fit = with_known_rotation(one, seen, there, turn_rad, math.sqrt(max(var - was, 0.0)))
+    arc_m2 = 0.5 * float(seen[0] @ seen[0]) * max(var**2 - was**2, 0.0)
+    fit.cov[[0, 1], [0, 1]] += arc_m2
+    return fit
+
+
+def _reach_m(moved: Array, by: Array, turning: Turning, crossings: Crossings) -> float:
+    """How far from where they are predicted the points of a view may be."""
+    at = se2.transform(moved, crossings.xy_base_m) - moved[:2]
+    cov = by @ turning.cov @ by.T
+    far2 = np.max(np.sum(at**2, axis=1))
+    return _POINT_SIGMAS * math.sqrt(se2.greatest_variance(cov[:2, :2]) + far2 * float(cov[2, 2]))
 
 
 def _turned_as_lines(

@@ -16,7 +16,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, by_two_views, find_candidates
-from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, RecentTwists, coast, goes_on_turning, twist_prior
+from ceilvo.daemon.odometry.coasting import KnownTurn, RecentTwists, twist_prior
 from ceilvo.daemon.odometry.course import (
     CARRIED_PS,
     JUMPED,
@@ -43,9 +43,11 @@ from ceilvo.daemon.odometry.heading_fusion import (
 )
 from ceilvo.daemon.odometry.odometry_state import EarlierView, VisualOdometryState
 from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
+from ceilvo.daemon.odometry.prediction import course_of, predicted_motion, turning_of
 from ceilvo.daemon.odometry.registration import (
     Registration,
     fewest,
+    held_by_one,
     points_of,
     register,
     view_size_m,
@@ -64,10 +66,6 @@ _AS_LIKELY = 0.5
 """Doubt from which a displacement is as likely wrong as right."""
 _HARDLY = 0.01
 """Chance of a hand up to which a view is laid on an earlier one without a look at what else fits; chosen."""
-_USUAL_FRAMES = 45.0
-"""Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
-_MOST_USUAL = 0.4
-"""Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 _MOVED_RAD = np.pi / math.sqrt(3.0)
 """Standard deviation of the heading of a robot that was put somewhere else: all are alike."""
 _NOTHING = np.zeros((3, 3))
@@ -128,9 +126,12 @@ class VisualOdometry:
             A Motion; where it failed, prev_from_curr is the prediction and cov is the variance of that. A
             good motion after failures corrects their predictions: its cov is that of the whole gap.
         """
-        predicted = self._predicted(dt_s, wheels, turn)
-        course = self._course(predicted, dt_s)
+        predicted = predicted_motion(self.state, self._config, self._noise_floor, dt_s, wheels, turn)
+        course, told = course_of(self.state, predicted, dt_s), wheels is not None or turn is not None
         if crossings is None or len(crossings) < fewest(crossings, self._config):
+            one = self._by_one(self.state.reference, crossings, course, told)
+            if crossings is not None and one is not None and (ref := self.state.reference) is not None:
+                return self._accept(ref, crossings, course, one, predicted)
             self.state.refused = None
             predicted = self._held(predicted, crossings, course)
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
@@ -148,6 +149,7 @@ class VisualOdometry:
         if found.place is None and found.jump is None and s.by_hand < _HARDLY:
             usual = (s.disagreeing, s.special_disagreeing)
             found = on_earlier(s.earlier.views, crossings, usual, course, self._config) or found
+            found = found if found.place is not None else self._by_one(ref, crossings, course, told) or found
         if found.place is None:
             s.refused, found = found.jump, with_parts(found, ref, crossings, course)
             coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
@@ -160,41 +162,6 @@ class VisualOdometry:
         """Crossings that step() took, with the direction carried on to them where lines tell none."""
         ref, carried = self.state.reference, self.state.heading.carried
         return with_direction(crossings, ref.psi_rad) if ref is not None and carried else crossings
-
-    # -- before the view
-
-    def _predicted(self, dt_s: float, wheels: WheelMotion | None, turn: KnownTurn | None) -> Motion:
-        """The motion of dt_s by wheels or coasting, which has failed until a view confirms it."""
-        s = self.state
-        if wheels is not None:
-            told, cov = wheels.prev_from_curr, wheels.cov
-            return Motion(told, cov, 0, 0.0, "", prior_cov=cov, by_wheels=True, watched=wheels.watched)
-        if s.twist_known and len(s.recent.twists):
-            last = s.recent.median(s.since_twist_s)
-        else:
-            last = LastTwist(s.twist, s.twist_span_s if s.twist_known else None, s.since_twist_s)
-        if turn is None and s.held_s > 0.0:
-            turn = goes_on_turning(self._config, LastTwist(s.twist, s.held_s, 0.0), dt_s)
-        moved, cov = coast(self._config, last, dt_s, turn)
-        cov = cov + self._noise_floor
-        return Motion(moved, cov, 0, 0.0, "", prior_cov=cov)
-
-    def _course(self, predicted: Motion, dt_s: float) -> Course:
-        s = self.state
-        carried = s.heading.carried and s.reference is not None
-        return Course(
-            guess=se2.compose(s.ref_from_prev, predicted.prev_from_curr),
-            cov=predicted.cov
-            if not s.ref_cov.any()
-            else se2.compose_cov(s.ref_from_prev, s.ref_cov, predicted.prev_from_curr, predicted.cov),
-            elapsed_s=s.since_ref_s + dt_s,
-            step_s=dt_s,
-            twist=s.twist if s.twist_known else None,
-            span_s=s.twist_span_s,
-            by_wheels=s.by_wheels and predicted.by_wheels,
-            refused=s.refused,
-            carried_rad=s.reference.psi_sigma_rad if carried and s.reference is not None else 0.0,
-        )
 
     # -- the view
 
@@ -234,6 +201,17 @@ class VisualOdometry:
         place, _ = register(ref, crossings, guess, self._config.match_radius_m, leaning)
         return None if place is None or contradicted(place, self._config, course) else Found(place)
 
+    def _by_one(self, ref: Crossings | None, crossings: Crossings | None, course: Course, told: bool) -> Found | None:
+        """The view by a single point where it is expected; None where that does not do."""
+        s = self.state
+        if ref is None or crossings is None or not has_points(crossings):
+            return None
+        if s.by_hand >= _HARDLY or not (told or s.twist_known):
+            return None
+        turning = turning_of(s, self._config, course, told)
+        place, then = held_by_one(ref, crossings, turning, course.elapsed_s, self._config) or (None, None)
+        return None if place is None else Found(place, by_one=then)
+
     def _chosen(
         self,
         ref: Crossings,
@@ -265,22 +243,20 @@ class VisualOdometry:
     def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
         s, place = self.state, found.place
         assert place is not None
-        fit = HeadingFusion(s.heading).fused(ref, crossings, place, course)
+        fit = place.fit if found.by_one is not None else HeadingFusion(s.heading).fused(ref, crossings, place, course)
         motion = se2.between(s.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
         cov = fit.cov + self._noise_floor
         cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else NOWHERE
-        before = s.twist
-        s.twist, s.twist_span_s = measured_twist(fit, course, self._config)
-        s.twist_known, s.since_twist_s = found.doubt < _FALSE_RATE, 0.0
-        recent = s.recent.then(s.twist, np.diag(cov) / course.elapsed_s**2, s.twist_span_s)
-        s.recent = recent if s.twist_known else RecentTwists()
-        s.twist_change = s.twist - before
-        s.disagreeing += (_missing(place.agreeing, place.expected) - s.disagreeing) / _USUAL_FRAMES
-        special = _missing(place.special, place.special_expected)
-        s.special_disagreeing += (special - s.special_disagreeing) / _USUAL_FRAMES
+        if found.by_one is None:
+            twist, span_s = measured_twist(fit, course, self._config)
+            s.measured(twist, np.diag(cov) / course.elapsed_s**2, span_s, found.doubt < _FALSE_RATE)
+            s.agreed(place)
+            s.drove(twist, span_s)
         self._set_reference(with_carried(crossings, ref, fit), fit.b_from_a, cov)
         s.heading.carried = not crossings.directed
+        if found.by_one is not None:
+            s.turned(found.by_one, course.step_s)
         return replace(
             predicted,
             prev_from_curr=Displacement(motion),
@@ -301,6 +277,7 @@ class VisualOdometry:
         s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
         s.earlier = EarlierView() if moved is None else s.earlier.then(moved, cov, crossings)
         s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused, s.held_s = 0.0, 0, 0.0, True, None, 0.0
+        s.turning = None
 
     # -- without a motion
 
@@ -343,8 +320,3 @@ class VisualOdometry:
         s.twist_known, s.recent = False, RecentTwists()
         s.heading = HeadingState()
         return replace(motion, cov=cov, prior_cov=cov, restarted=True)
-
-
-def _missing(agreeing: int, expected: float) -> float:
-    """Fraction of the crossings that do not agree, as far as that may be usual."""
-    return min(max(1.0 - agreeing / max(expected, 1.0), 0.0), _MOST_USUAL)
