@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
+import numpy as np
+
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, accelerations, coast, goes_on_turning
 from ceilvo.daemon.odometry.course import Course
 from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.odometry.points.turning import Turning
+from ceilvo.daemon.odometry.registration import Registration
+from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
 from ceilvo.types import Array, Motion, WheelMotion
+
+_BESIDE_M = 0.05
+"""Edges of one thing lie no further apart: of a lamp and its frame, of a groove; chosen."""
+_OFF_CHI2 = 9.21
+"""Squared distance of a motion from its prediction: chi squared with 2 degrees of freedom exceeds it once in 100. Then
+features are asked one by one, which does no harm where all agree."""
+_APART = 3.0
+"""Times what they are known to, by which features differ that do not move alike; chosen."""
+_WITHIN = 3.0
+"""Standard deviations within which a feature is where it is foreseen: 99.7 %."""
+_FEWEST_WORTH = 4.0 / 3.0
+"""Of those that are, as Registration.apart() counts: two points, or two lines' crossings; chosen, for one lies there by
+chance."""
 
 
 def predicted_motion(
@@ -66,3 +86,30 @@ def turning_of(s: VisualOdometryState, config: Odometry, course: Course, told: b
             accel = accelerations(config, last.twist)
             turning = Turning.of(last.twist, last.var, last.span_s or 0.0, accel, s.sideways_mps)
     return turning.told(course.guess, course.cov, course.elapsed_s) if told else turning
+
+
+def steadied(fit: RigidFit, place: Registration, axis_rad: float, course: Course) -> RigidFit:
+    """A motion that is a little off its prediction, or whose features are at odds, by those that are where foreseen.
+
+    Where an edge is seen in place of the one beside it, all crossings on it move by a centimetre together, points do
+    not, and the motion is in between. No robot jumps so within a frame. Should it have, the next view shows that.
+
+    Args:
+        axis_rad: direction of the reference's lines.
+    """
+    off, spread = course.guess[:2] - fit.b_from_a[:2], course.cov[:2, :2] + fit.cov[:2, :2]
+    weight = place.fit.weight
+    if weight is None or np.hypot(*off) > _BESIDE_M:
+        return fit
+    apart = place.fit.rms_m**2 * float(np.mean(weight[place.fit.used])) > _APART**2
+    if not apart and off @ np.linalg.solve(spread, off) < _OFF_CHI2:
+        return fit
+    theta_rad = float(fit.b_from_a[2])
+    away = place.before - se2.transform(np.array([*course.guess[:2], theta_rad]), place.seen)
+    var = 1.0 / weight[:, None, None] * np.eye(2) + course.cov[:2, :2]
+    met = np.einsum("ni,nij,nj->n", away, np.linalg.inv(var), away) < _WITHIN**2
+    if place.apart(axis_rad, met) < _FEWEST_WORTH:
+        doubt = np.diag([place.fit.rms_m**2] * 2 + [0.0]) if apart else 0.0
+        return replace(fit, cov=fit.cov + doubt)
+    by_those = replace(place.fit, used=met, variance_m2=float(np.mean(1.0 / weight[met])))
+    return with_known_rotation(by_those, place.seen, place.before, theta_rad, math.sqrt(fit.cov[2, 2]))

@@ -88,16 +88,17 @@ class Registration:
         """Crossings that move alike."""
         return int(np.count_nonzero(self.fit.used))
 
-    def apart(self, axis_rad: float) -> float:
-        """How many of the crossings that move alike err by themselves, along axes at axis_rad.
+    def apart(self, axis_rad: float, which: Bools | None = None) -> float:
+        """How many of the crossings that move alike, or of others (N,), err by themselves, along axes at axis_rad.
 
         Those where the same two lines meet are one, for edges of lamps are double; those of one line in all are two,
         for if it was mistaken they all were. A point is worth two thirds, for its place is not that of lines.
         """
-        kinds = self.kinds[self.fit.used]
+        which = self.fit.used if which is None else which
+        kinds = self.kinds[which]
         if len(kinds) > _MANY:
             return float(len(kinds))
-        at, points = self.before[self.fit.used], kinds >= LINE_CROSSINGS
+        at, points = self.before[which], kinds >= LINE_CROSSINGS
         lines = np.unique(lines_through(at, kinds, axis_rad)[~points], axis=0)
         on_one = len(lines) > 2 and min(len(np.unique(lines[:, axis])) for axis in (0, 1)) == 1
         return _POINT_WORTH * np.count_nonzero(points) + (2.0 if on_one else float(len(lines)))

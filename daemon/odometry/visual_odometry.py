@@ -43,7 +43,7 @@ from ceilvo.daemon.odometry.heading_fusion import (
 )
 from ceilvo.daemon.odometry.odometry_state import EarlierView, VisualOdometryState
 from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
-from ceilvo.daemon.odometry.prediction import course_of, predicted_motion, turning_of
+from ceilvo.daemon.odometry.prediction import course_of, predicted_motion, steadied, turning_of
 from ceilvo.daemon.odometry.registration import (
     Registration,
     fewest,
@@ -243,7 +243,10 @@ class VisualOdometry:
     def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
         s, place = self.state, found.place
         assert place is not None
-        fit = place.fit if found.by_one is not None else HeadingFusion(s.heading).fused(ref, crossings, place, course)
+        fit = place.fit
+        if found.by_one is None:
+            fit = HeadingFusion(s.heading).fused(ref, crossings, place, course)
+            fit = steadied(fit, place, ref.psi_rad, course) if s.twist_known and crossings.directed else fit
         motion = se2.between(s.ref_from_prev, fit.b_from_a)  # eq. 8, from the previous frame
         cov = fit.cov + self._noise_floor
         cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision.edge_points import Points
 from ceilvo.daemon.vision.edges import framed_room, noise_samples, smoothed, thresholds
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX, SEGMENT_PX, Ends, Grids, Int32s, Look
 from ceilvo.daemon.vision.line_detection import NOISE_RATIO, LastFit
-from ceilvo.daemon.vision.line_fit import JointFit, Points
+from ceilvo.daemon.vision.line_fit import JointFit
 from ceilvo.daemon.vision.line_pairing import EdgeSet, pair_edges
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.angles import pixels
+from ceilvo.daemon.vision.edge_points import Points
 from ceilvo.daemon.vision.edges import Edges
-from ceilvo.daemon.vision.line_fit import LAST_GATE_PX, JointFit, Points
+from ceilvo.daemon.vision.line_fit import LAST_GATE_PX, JointFit
 from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior

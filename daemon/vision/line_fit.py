@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
-from ceilvo.daemon.vision.kernel.arguments import Ends, Step
+from ceilvo.daemon.vision.edge_points import Array32, Points
+from ceilvo.daemon.vision.kernel.arguments import Step
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior, widened
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
-
-Array32 = NDArray[np.float32]
 
 LAST_GATE_PX = (0.8, 2.0)
 """Bounds of the last gate; 0.8 from the prototype's gates of 2.2, 1.2 and 0.8, 2 for jagged edges: chosen."""
@@ -46,37 +42,15 @@ _DOUBT_SIGMAS = 3.0
 _DOUBLE, _DOUBLE_ROUNDS = 2.0, 3
 """A line is two whose points scatter by so many times what half of the points do; and how often that is asked; chosen:
 two lines half a pixel apart scatter by four times as much, and what they bent by twice at first."""
+_BENT_SIGMAS = 2.0
+"""A direction by whole lines that is off that of lines without gaps by more, in standard deviations of the latter, is
+by pieces of several lines; chosen: 5 % of those that are right lose accuracy."""
+_ONE_PX = 1.0
+"""Pieces whose offsets differ by less are of one line; chosen: twice what a piece's own is off by."""
+_LEAST_OF_LONGEST = 0.25
+"""A shorter piece, against the longest of its line, is none; chosen: clutter in a gap is of one or two points."""
 _PIECES_FACTOR = 4.0
 """On the variance of a tilt by lines that end at their gaps: twice the error, as of weak ones; chosen."""
-
-
-@dataclass(frozen=True, slots=True)
-class Points:
-    """Edge points as rays (x, y, 1), (P,) each, none further than `reach` from the centre.
-
-    `ends` bounds the four groups (see kernel/reference.py).
-    """
-
-    x: Array32
-    y: Array32
-    ends: Ends
-    reach: float
-
-    def stride_for(self, count: int) -> int:
-        """Taking every so many-th point leaves about `count`."""
-        return max(len(self.x) // count, 1)
-
-    def turned_back(self, tilt_rad: Array) -> Points:
-        """As a level robot would see them, when this one tilts by (2,)."""
-        x, y = kernel.project(self.x, self.y, len(self.x), 0.0, tilt_rad)
-        return Points(x, y, self.ends, float(np.max(np.hypot(x, y), initial=0.0)))
-
-    def thinned(self, stride: int) -> Points:
-        """Every stride-th point of each group."""
-        at = [slice(a, b, stride) for a, b in pairwise(self.ends)]
-        x, y = ([v[s] for s in at] for v in (self.x, self.y))
-        a, b, c, d, e = np.cumsum([0, *(len(v) for v in x)]).tolist()
-        return Points(np.concatenate(x), np.concatenate(y), (a, b, c, d, e), self.reach)
 
 
 class JointFit:
@@ -174,13 +148,12 @@ class JointFit:
             return False
         if self._tilts is not None:
             return self._tilts
-        moved, cov = self._step_by_pieces()
+        moved, cov = self._step_by_pieces(*self._pieces())
         return _is_tilt(self.tilt + moved[1:], widened(cov))
 
-    def _step_by_pieces(self) -> tuple[Array, Array]:
+    def _step_by_pieces(self, pieces: NDArray[np.int32], count: int, tilt: bool = True) -> tuple[Array, Array]:
         """(3,) by how much direction and tilt are off by lines that end at their gaps, and (3, 3) the error of that."""
-        pieces, count = self._pieces()
-        _, _, moved, cov = self._step(self.rho, self.tangent, pieces, self.ends[2], count, tilt=True)
+        _, _, moved, cov = self._step(self.rho, self.tangent, pieces, self.ends[2], count, tilt)
         return moved, cov
 
     def _pieces(self) -> tuple[NDArray[np.int32], int]:
@@ -252,13 +225,37 @@ class JointFit:
         self._y = (self._y + by_y @ wrong).astype(np.float32)
         self._settle()
 
-    def finish_held(self) -> None:
-        """The last round with the tilt where it is."""
+    def finish_held(self, pieces: bool = True) -> None:
+        """The last round with the tilt where it is; pieces: lines that turn out to be several are cut."""
         if self._readout is not None:
             self._unbend(tilt=False)
         self.assign(self.last_gate_px())
         self.solve(tilt=False)
+        if pieces and len(self.line):
+            self._straighten()
         self.covariance = self.covariance + np.diag([0.0, _HELD_RAD**2, _HELD_RAD**2])
+
+    def _straighten(self) -> None:
+        """Lines that are no single ones cut in pieces: the outer edge of one lamp and the inner one of the next, taken
+        for one line, turn all of it by a degree, and are sure of it."""
+        pieces, count = self._pieces()
+        moved, cov = self._step_by_pieces(pieces, count, tilt=False)
+        if count == len(self.offset) or moved[0] ** 2 < _BENT_SIGMAS**2 * cov[0, 0]:
+            return
+        points = np.bincount(pieces, minlength=count)
+        lines, of_line = len(self.offset), np.zeros(count, np.int64)
+        of_line[pieces] = self.line
+        self.line, self.line_group, self.offset = pieces, self.line_group[of_line], np.zeros(count)
+        self.psi += float(moved[0])
+        self._settle()
+        longest = np.zeros(lines, np.int64)
+        np.maximum.at(longest, of_line, points)
+        gate_px, long = self.last_gate_px(), points >= _LEAST_OF_LONGEST * longest[of_line]
+        self.restart([_apart(self.offset[long & (self.line_group == group)]) for group in range(4)])
+        self.assign(gate_px)
+        self.solve(tilt=False)
+        if len(self.line):
+            self.covariance[0, 0] = self._step_by_pieces(*self._pieces(), tilt=False)[1][0, 0]
 
     def apply_prior(self, prior: TiltPrior) -> None:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation.
@@ -308,7 +305,7 @@ class JointFit:
 
     def _trust_pieces(self) -> None:
         """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt."""
-        moved, cov = self._step_by_pieces()
+        moved, cov = self._step_by_pieces(*self._pieces())
         cov = _PIECES_FACTOR * cov
         self._tilts = _is_tilt(self.tilt + moved[1:], cov)
         if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):
@@ -337,6 +334,13 @@ class JointFit:
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""
         return np.asarray(self.noise_px * np.sqrt(self.correlated / np.maximum(self.support, 1)) + _SIGMA_FLOOR_PX)
+
+
+def _apart(offset_px: Array) -> Array:
+    """Rising offsets, of those that are one the mean."""
+    offset = np.sort(offset_px)
+    number = np.concatenate([[0], np.cumsum(np.diff(offset) > _ONE_PX)])[: len(offset)].astype(np.int64)
+    return np.asarray(np.bincount(number, offset) / np.maximum(np.bincount(number), 1))
 
 
 def _is_tilt(tilt_rad: Array, covariance: Array) -> bool:

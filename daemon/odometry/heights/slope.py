@@ -21,6 +21,7 @@ from ceilvo.daemon.odometry.heights.similarity import Similarity, similarity
 from ceilvo.daemon.odometry.heights.tiles import seen_high
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.odometry.registration import direction_change
+from ceilvo.daemon.odometry.sight import lines_through
 from ceilvo.types import Array, Crossings, Motion
 
 _AT_FIRST, _STEADY_RAD, _LEANS = 5, np.radians(0.1), math.tan(math.radians(2.5))
@@ -35,6 +36,12 @@ _OTHER_HIGH = 0.01
 taking its lean for the robot's does no harm until that turns."""
 _KEY_M, _KEY_RAD, _FEWEST = 0.3, math.radians(20.0), 8
 """A view serves for so much way and turn, while so many crossings are in both; chosen: half of them stay in view."""
+_FEWEST_LINES = 6
+"""Of both axes, that those crossings must be of: between the edges of two lamps a scale is one number of two places,
+and nothing tells that one of them was taken for its neighbour; chosen: twice what scale and place are."""
+_PLAUSIBLE = 0.3
+"""Of the height over the calibrated one: a plane that is further off is none; thrice what plane.py takes it to be off
+by."""
 _SCALE_SIGMA = 0.0005
 """Least, of the ratio of two views' sizes; chosen: 0.5 mm on a metre, as errors of lens and lines that move past."""
 _TILE_SIGMA = 0.002
@@ -197,7 +204,8 @@ class Slope:
         s = self.state
         stands = s.fit.frames == _AT_FIRST and s.steady and float(np.hypot(*plane.rise)) > _LEANS
         otherwise = s.by_tiles and abs(plane.high - 1.0) > _OTHER_HIGH
-        return stands or otherwise or plane.rises_for_sure(_LEAST, _SIGMAS)
+        plausible = abs(plane.high - 1.0) < _PLAUSIBLE
+        return plausible and (stands or otherwise or plane.rises_for_sure(_LEAST, _SIGMAS))
 
     def _misplaced(self, crossings: Crossings, plane: Plane) -> Array:
         """(N, 2) in base, where crossings were taken to be that are elsewhere on this plane."""
@@ -232,7 +240,7 @@ class Slope:
         for _ in range(2):
             i, j = mutual_nearest(guess.of(here[lines]), kinds[lines], then, key.crossing_type, radius_m)
             found = similarity(here[lines[i]], then[j], _FEWEST)
-            if found is None:
+            if found is None or _lines(key.of(j)) < _FEWEST_LINES:
                 return None
             guess, radius_m = found, _NEARER_M
         return guess
@@ -307,6 +315,12 @@ class Slope:
 def _once(places: Array) -> Array:
     """Places (N, 2) of the raster once each, the last _MOST_LEARNT of them in order."""
     return np.asarray(np.unique(places, axis=0)[-_MOST_LEARNT:])
+
+
+def _lines(crossings: Crossings) -> int:
+    """Lines that crossings are of; edges of one thing are one."""
+    through = lines_through(crossings.xy_base_m, crossings.crossing_type, crossings.psi_rad)
+    return sum(len(np.unique(through[:, axis])) for axis in (0, 1))
 
 
 def _lean(tilt_rad: Array) -> Array:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision.angles import pixels
+from ceilvo.daemon.vision.edge_points import Points
 from ceilvo.daemon.vision.faint.level_picture import Aligned, LevelPicture, rays_from_aligned
 from ceilvo.daemon.vision.faint.voting import RADIUS_PX, STRETCH_PX, Answers, Peaks, answers, peaks
-from ceilvo.daemon.vision.line_fit import JointFit, Points
+from ceilvo.daemon.vision.line_fit import JointFit
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Ints, LineKind, Lines
 
@@ -83,7 +84,7 @@ def find_faint(
         free = fit.finish(pieces=False)
         if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
-            fit.finish_held()
+            fit.finish_held(pieces=False)
         if prior is not None and config.estimate_tilt:
             fit.apply_prior(prior)
         off = abs(fit.psi - psi_rad) + float(np.max(np.abs(fit.tilt - tilt_rad)))

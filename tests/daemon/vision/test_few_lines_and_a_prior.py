@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo.config import Features
-from ceilvo.daemon.vision.line_fit import JointFit, Points
+from ceilvo.daemon.vision.edge_points import Points
+from ceilvo.daemon.vision.line_fit import JointFit
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 
 FOCAL_PX = 410.0
