@@ -188,3 +188,41 @@ def test_lines_that_do_not_stand_at_whole_tiles_tell_no_height() -> None:
     at = np.array([-0.9, -0.55, -0.1, 0.31, 0.62, 1.1])
     assert seen_high(at, np.ones(6), 0.25, 1.0) is None
     assert seen_high(at[:3], np.ones(3), TILE_M, 1.0) is None
+
+
+def rows(way_m: float, beside_m: float, rng: np.random.Generator) -> Crossings:
+    """Ends of two lamps 1.55 m apart in a row, double edges and all, from so far along it; the further end is seen so
+    far beside where it is."""
+    ends = np.array([-0.93, 0.62 + beside_m]) - way_m
+    xy = np.column_stack([v.ravel() for v in np.meshgrid(ends, [0.23, 0.26, 0.37, 0.4])])
+    xy = xy + rng.normal(0.0, NOISE_M, xy.shape)
+    groove = np.zeros(len(xy), np.int64)
+    return Crossings(
+        uv_px=np.zeros((len(xy), 2)),
+        xy_base_m=MOUNT + xy,
+        cov_base_m2=np.broadcast_to(1e-6 * np.eye(2), (len(xy), 2, 2)),
+        crossing_type=crossing_type_of(groove, groove),
+        psi_rad=0.0,
+        psi_sigma_rad=1e-4,
+        tilt_rad=np.zeros(2),
+        tilt_sigma_rad=np.zeros(2),
+        common_cov_m2=np.zeros((2, 2)),
+    )
+
+
+@pytest.mark.parametrize("fewest_lines, slopes", [(None, False), (0, True)])
+def test_an_edge_in_place_of_its_neighbour_is_no_slope(
+    fewest_lines: int | None, slopes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight crossings of two places: taken for a scale, as they were, they told one to a twentieth of a per cent."""
+    if fewest_lines is not None:
+        monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._FEWEST_LINES", fewest_lines)
+        monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._PLAUSIBLE", np.inf)
+    slope, rng, step_m = Slope(NO_SIZE), np.random.default_rng(SEED), 0.02
+    for k in range(20):
+        crossings = rows(k * step_m, -0.016 if k > 3 else 0.0, rng)
+        moved = np.array([step_m if k else 0.0, 0.0, 0.0])
+        slope.placed(crossings, moved)
+        slope.learn(Motion(Displacement(moved), 1e-6 * np.eye(3), len(crossings), 0.0, restarted=k == 0))
+    print(f"seed {SEED}: {slope.state.used}")
+    assert (slope.state.used is not None) == slopes
