@@ -22,6 +22,8 @@ were missed are missed again in 65 of 100, lamps in 70 (bench/place/ceiling/eye.
 
 _USUAL_FRAMES = 45.0
 """Frames that the usual number is the mean over: 1.5 s at 30 Hz; chosen."""
+_MOST_USUAL = 0.4
+"""Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 _SIDEWAYS_M2PS2, _PRESUMED_S = 0.3**2, 0.05
 """Mean square of the speed sideways of a robot of which nothing is known, and what that weighs in seconds of driving;
 chosen: some bases drive sideways at will, most never do."""
@@ -31,8 +33,6 @@ _SLIPS_MPS = 0.005
 """Of any base, whatever was seen so far; chosen: a hundredth of half a metre a second, or a camera .6 deg askew."""
 _DRIVES_MPS = 0.05
 """A slower robot tells nothing of it; chosen."""
-_MOST_USUAL = 0.4
-"""Fraction of crossings without agreement that never becomes usual; chosen: a tile too far leaves about so many."""
 
 
 @dataclass(frozen=True, slots=True)

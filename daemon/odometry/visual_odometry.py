@@ -132,14 +132,13 @@ class VisualOdometry:
         """
         predicted = predicted_motion(self.state, self._config, self._noise_floor, dt_s, wheels, turn)
         course, told = course_of(self.state, predicted, dt_s), wheels is not None or turn is not None
+        s, ref = self.state, self.state.reference
         if crossings is None or len(crossings) < fewest(crossings, self._config):
-            one = self._by_one(self.state.reference, crossings, course, told)
-            if crossings is not None and one is not None and (ref := self.state.reference) is not None:
+            if crossings is not None and ref is not None and (one := self._by_one(ref, crossings, course, told)):
                 return self._accept(ref, crossings, course, one, predicted)
-            self.state.refused = None
+            s.refused = None
             predicted = self._held(predicted, crossings, course)
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
-        s, ref = self.state, self.state.reference
         if ref is None:
             self._set_reference(crossings)
             still = Displacement(np.zeros(3))
@@ -208,12 +207,10 @@ class VisualOdometry:
         rough = place.fit.rms_m > self._config.residual_max_m and place.agreeing < _ALL_LEAN * len(place.kinds)
         return None if rough and off_course(place.fit, True, course, self._config) else Found(place)
 
-    def _by_one(self, ref: Crossings | None, crossings: Crossings | None, course: Course, told: bool) -> Found | None:
+    def _by_one(self, ref: Crossings, crossings: Crossings, course: Course, told: bool) -> Found | None:
         """The view by a single point where it is expected; None where that does not do."""
         s = self.state
-        if ref is None or crossings is None or not has_points(crossings):
-            return None
-        if s.by_hand >= _HARDLY or not (told or s.twist_known):
+        if not has_points(crossings) or s.by_hand >= _HARDLY or not (told or s.twist_known):
             return None
         turning = turning_of(s, self._config, course, told)
         place, then = held_by_one(ref, crossings, turning, course.elapsed_s, self._config) or (None, None)
@@ -258,15 +255,15 @@ class VisualOdometry:
         cov = fit.cov + self._noise_floor
         cov[:2, :2] += NEW_ERROR**2 * (ref.common_cov_m2 + crossings.common_cov_m2)
         alternatives = se2.between(s.ref_from_prev, found.others) if len(found.others) else NOWHERE
-        if found.by_one is None:
-            twist, span_s = measured_twist(fit, course, self._config)
-            s.measured(twist, np.diag(cov) / course.elapsed_s**2, span_s, found.doubt < _FALSE_RATE)
-            s.agreed(place)
-            s.drove(twist, span_s)
         self._set_reference(with_carried(crossings, ref, fit), fit.b_from_a, cov)
         s.heading.carried = not crossings.directed
         if found.by_one is not None:
             s.turned(found.by_one, course.step_s)
+        else:
+            twist, span_s = measured_twist(fit, course, self._config)
+            s.measured(twist, np.diag(cov) / course.elapsed_s**2, span_s, found.doubt < _FALSE_RATE)
+            s.agreed(place)
+            s.drove(twist, span_s)
         return replace(
             predicted,
             prev_from_curr=Displacement(motion),

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from drawn_crossings import crossings_at
 
 from ceilvo import se2
 from ceilvo.crossing_types import crossing_type_of, quarter_turns, turned_type
@@ -67,17 +68,8 @@ class CrossingCamera:
         psi = float((-pose[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4)
         turns = quarter_turns(psi + float(pose[2]), 0.0)
         xy = base[seen] + rng.normal(0.0, f.noise_m, (int(seen.sum()), 2))
-        return Crossings(
-            uv_px=186.0 * xy + [320, 240],
-            xy_base_m=xy,
-            cov_base_m2=np.tile(np.eye(2) * 1e-6, (len(xy), 1, 1)),
-            crossing_type=turned_type(crossing_type_of(kind[:, 0], kind[:, 1]), -turns),
-            psi_rad=psi + float(rng.normal(0.0, f.noise_rad)),
-            psi_sigma_rad=2e-4,
-            tilt_rad=np.zeros(2),
-            tilt_sigma_rad=np.zeros(2),
-            common_cov_m2=np.zeros((2, 2)),
-        )
+        kinds = turned_type(crossing_type_of(kind[:, 0], kind[:, 1]), -turns)
+        return crossings_at(xy, kinds, 1e-3, psi + float(rng.normal(0.0, f.noise_rad)), 2e-4)
 
 
 def _mistaken(kind: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from ceilvo.se2 import rotation
 from ceilvo.types import Array
 
-_RISE_SIGMA, _HIGH_SIGMA, _LEAN_SIGMA = 0.1, 0.1, 0.009
+_RISE_SIGMA, HIGH_SIGMA, _LEAN_SIGMA = 0.1, 0.1, 0.009
 """Beforehand: rise in a metre; height at the start over the calibrated one; lean of a robot, rad. Chosen: attics; a
 room calibrated somewhere else in it; and half a degree, for a camera is calibrated on the robot that it stays on."""
 _LEAN_NOISE, _CORRELATED = 0.0035, 4.0
@@ -27,11 +27,11 @@ _RISE, _HIGH, _LEAN = slice(0, 2), 2, slice(3, 5)
 
 
 def _prior_info() -> Array:
-    return np.diag(np.array([_RISE_SIGMA, _RISE_SIGMA, _HIGH_SIGMA, _LEAN_SIGMA, _LEAN_SIGMA]) ** -2.0)
+    return np.diag(np.array([_RISE_SIGMA, _RISE_SIGMA, HIGH_SIGMA, _LEAN_SIGMA, _LEAN_SIGMA]) ** -2.0)
 
 
 def _prior_vector() -> Array:
-    return np.array([0.0, 0.0, _HIGH_SIGMA**-2.0, 0.0, 0.0])
+    return np.array([0.0, 0.0, HIGH_SIGMA**-2.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)

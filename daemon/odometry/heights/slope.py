@@ -15,7 +15,7 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
-from ceilvo.daemon.odometry.heights.plane import Plane, PlaneFit
+from ceilvo.daemon.odometry.heights.plane import HIGH_SIGMA, Plane, PlaneFit
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.similarity import Similarity, similarity
 from ceilvo.daemon.odometry.heights.tiles import seen_high
@@ -39,9 +39,8 @@ _KEY_M, _KEY_RAD, _FEWEST = 0.3, math.radians(20.0), 8
 _FEWEST_LINES = 6
 """Of both axes, that those crossings must be of: between the edges of two lamps a scale is one number of two places,
 and nothing tells that one of them was taken for its neighbour; chosen: twice what scale and place are."""
-_PLAUSIBLE = 0.3
-"""Of the height over the calibrated one: a plane that is further off is none; thrice what plane.py takes it to be off
-by."""
+_PLAUSIBLE = 3.0 * HIGH_SIGMA
+"""Of the height over the calibrated one: a plane that is further off is none; 99.7 %."""
 _SCALE_SIGMA = 0.0005
 """Least, of the ratio of two views' sizes; chosen: 0.5 mm on a metre, as errors of lens and lines that move past."""
 _TILE_SIGMA = 0.002

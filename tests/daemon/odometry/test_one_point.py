@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_crossings import crossings_at
 
 from ceilvo import se2
 from ceilvo.config import Odometry
@@ -19,17 +20,7 @@ LAMPS = np.stack(np.meshgrid(np.arange(-12.0, 12.1, 1.6), np.arange(-12.0, 12.1,
 def seen(pose: Array, at: Array, rng: np.random.Generator) -> Crossings:
     """Lamps of the map at (N, 2) as a robot at a pose sees them."""
     xy = se2.transform(se2.inverse(pose), at) + rng.normal(0.0, SIGMA_M, at.shape)
-    return Crossings(
-        uv_px=186.0 * xy + np.array([320.0, 240.0]),
-        xy_base_m=xy,
-        cov_base_m2=np.broadcast_to(SIGMA_M**2 * np.eye(2), (len(at), 2, 2)).copy(),
-        crossing_type=np.full(len(at), LAMP),
-        psi_rad=0.0,
-        psi_sigma_rad=np.pi,
-        tilt_rad=np.zeros(2),
-        tilt_sigma_rad=np.zeros(2),
-        common_cov_m2=np.zeros((2, 2)),
-    )
+    return crossings_at(xy, LAMP, SIGMA_M)
 
 
 class Drive:

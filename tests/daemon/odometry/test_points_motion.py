@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from drawn_crossings import crossings_at
 
 from ceilvo import se2
 from ceilvo.config import Odometry
@@ -10,7 +11,7 @@ from ceilvo.crossing_types import CORNER, JOINTS, LAMP
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
 from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap
-from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
+from ceilvo.types import Array, Crossings
 
 STEP_S = 1.0 / 15.0
 SIGMA_M = 0.0005
@@ -22,17 +23,8 @@ MOTION = np.array([0.02, 0.0, 0.01])
 def seen(pose: Array, at: Array, kind: int, rng: np.random.Generator, psi_rad: float | None = None) -> Crossings:
     """Points of the map at (N, 2) as a robot at a pose sees them; with the direction of lines, or without one."""
     xy = se2.transform(se2.inverse(pose), at) + rng.normal(0.0, SIGMA_M, at.shape)
-    return Crossings(
-        uv_px=186.0 * xy + np.array([320.0, 240.0]),
-        xy_base_m=xy,
-        cov_base_m2=np.broadcast_to(SIGMA_M**2 * np.eye(2), (len(at), 2, 2)).copy(),
-        crossing_type=np.full(len(at), kind),
-        psi_rad=0.0 if psi_rad is None else psi_rad,
-        psi_sigma_rad=NO_DIRECTION_RAD if psi_rad is None else 1e-4,
-        tilt_rad=np.zeros(2),
-        tilt_sigma_rad=np.zeros(2),
-        common_cov_m2=np.zeros((2, 2)),
-    )
+    directed = {} if psi_rad is None else {"psi_rad": psi_rad, "psi_sigma_rad": 1e-4}
+    return crossings_at(xy, kind, SIGMA_M, **directed)
 
 
 def test_two_lamps_give_the_motion_and_say_how_well() -> None:

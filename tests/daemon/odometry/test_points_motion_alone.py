@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from drawn_crossings import crossings_at
 
 from ceilvo import se2
 from ceilvo.config import Odometry
@@ -24,17 +25,7 @@ JERK = np.array([0.14, 0.03, 0.03])
 
 
 def crossings_of(xy: Array, kind: int, directed: bool) -> Crossings:
-    return Crossings(
-        uv_px=186.0 * xy + np.array([320.0, 240.0]),
-        xy_base_m=xy,
-        cov_base_m2=np.broadcast_to(SIGMA_M**2 * np.eye(2), (len(xy), 2, 2)).copy(),
-        crossing_type=np.full(len(xy), kind),
-        psi_rad=0.0,
-        psi_sigma_rad=1e-4 if directed else NO_DIRECTION_RAD,
-        tilt_rad=np.zeros(2),
-        tilt_sigma_rad=np.zeros(2),
-        common_cov_m2=np.zeros((2, 2)),
-    )
+    return crossings_at(xy, kind, SIGMA_M, psi_sigma_rad=1e-4 if directed else NO_DIRECTION_RAD)
 
 
 def after_a_stand(at: Array, kind: int, moved: Array, rng: np.random.Generator) -> VisualOdometry:

@@ -5,6 +5,7 @@ Independent truth: an image is where a straight line from the camera to the ligh
 
 import numpy as np
 import pytest
+from drawn_crossings import crossings_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.snapshot import freeze, restore, snapshot_json
 from ceilvo.sim.rig import simulated_calibration
-from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings, Ints, Motion
+from ceilvo.types import Array, Crossings, Ints, Motion
 
 STEP_S = 1.0 / 30.0
 SIGMA_M = 0.0005
@@ -49,21 +50,7 @@ class Room:
         near = np.max(np.abs(at - camera), axis=1) < VIEW_M
         xy = se2.transform(se2.inverse(pose), at[near])
         xy = xy + self._rng.normal(0.0, SIGMA_M, xy.shape)
-        return _crossings(xy, kind[near]), (np.arange(len(at)) >= len(self._at))[near]
-
-
-def _crossings(xy: Array, kind: Ints) -> Crossings:
-    return Crossings(
-        uv_px=186.0 * xy + np.array([320.0, 240.0]),
-        xy_base_m=xy,
-        cov_base_m2=np.broadcast_to(SIGMA_M**2 * np.eye(2), (len(xy), 2, 2)).copy(),
-        crossing_type=kind,
-        psi_rad=0.0,
-        psi_sigma_rad=NO_DIRECTION_RAD,
-        tilt_rad=np.zeros(2),
-        tilt_sigma_rad=np.zeros(2),
-        common_cov_m2=np.zeros((2, 2)),
-    )
+        return crossings_at(xy, kind[near], SIGMA_M), (np.arange(len(at)) >= len(self._at))[near]
 
 
 def _step(odometry: HeightsOdometry, crossings: Crossings) -> tuple[Motion, Crossings]:
@@ -120,8 +107,8 @@ def test_a_light_on_the_robot_is_left_out_as_well() -> None:
     room = Room(calibration, lamps, np.full(len(lamps), LAMP), np.zeros((0, 2)), 1.0, 6)
     for k in range(STANDS + 90):
         crossings, _ = room.seen(pose)
-        with_image = _crossings(
-            np.vstack([crossings.xy_base_m, [[0.3, 0.4]]]), np.append(crossings.crossing_type, LAMP)
+        with_image = crossings_at(
+            np.vstack([crossings.xy_base_m, [[0.3, 0.4]]]), np.append(crossings.crossing_type, LAMP), SIGMA_M
         )
         _, placed = _step(odometry, with_image)
         pose = se2.compose(pose, BEND) if k >= STANDS else pose
@@ -175,7 +162,7 @@ def test_nothing_slides_under_a_lens_that_is_off_or_where_the_robot_rocks(
         radius2 = np.sum(crossings.xy_base_m**2, axis=1, keepdims=True)
         lens = 1.0 + (stretched - 1.0) * radius2 / VIEW_M**2
         xy = _leaning(calibration, crossings.xy_base_m * lens, lean)
-        _, placed = _step(odometry, _crossings(xy, crossings.crossing_type))
+        _, placed = _step(odometry, crossings_at(xy, crossings.crossing_type, SIGMA_M))
         assert len(placed) == len(crossings), f"frame {k}"
         pose = se2.compose(pose, 2.0 * speed * BEND)
 
@@ -193,9 +180,8 @@ def test_a_lamp_under_a_glossy_ceiling_counts_once_it_is_known_not_to_slide() ->
     for _ in range(20):
         crossings, _ = room.seen(pose)
         own = se2.transform(se2.inverse(pose), lamp)
-        _, placed = _step(
-            odometry, _crossings(np.vstack([crossings.xy_base_m, own]), np.append(crossings.crossing_type, LAMP))
-        )
+        kinds = np.append(crossings.crossing_type, LAMP)
+        _, placed = _step(odometry, crossings_at(np.vstack([crossings.xy_base_m, own]), kinds, SIGMA_M))
         taken.append(bool(np.any(np.all(placed.xy_base_m == own, axis=1))))
         pose = se2.compose(pose, BEND)
     assert not taken[0] and taken[-1], taken

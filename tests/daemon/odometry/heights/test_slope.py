@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from drawn_crossings import crossings_at
 
 from ceilvo import se2
 from ceilvo.crossing_types import crossing_type_of
@@ -50,16 +51,9 @@ class Room:
         fitted = _turned(ray, _back(tilt) @ np.linalg.inv(_back(self.lean)))
         level = fitted * HIGH_M + rng.normal(0.0, NOISE_M, ray.shape)
         groove = np.zeros(len(ray), np.int64)
-        crossings = Crossings(
-            uv_px=np.zeros((len(ray), 2)),
-            xy_base_m=MOUNT + level,
-            cov_base_m2=np.broadcast_to(1e-6 * np.eye(2), (len(ray), 2, 2)),
-            crossing_type=crossing_type_of(groove, groove),
-            psi_rad=float(se2.wrap(-float(pose[2]))),
-            psi_sigma_rad=1e-4,
-            tilt_rad=np.array([-tilt[1], tilt[0]]),
-            tilt_sigma_rad=np.zeros(2),
-            common_cov_m2=np.zeros((2, 2)),
+        psi_rad, tilt_rad = float(se2.wrap(-float(pose[2]))), np.array([-tilt[1], tilt[0]])
+        crossings = crossings_at(
+            MOUNT + level, crossing_type_of(groove, groove), 1e-3, psi_rad, 1e-4, tilt_rad=tilt_rad
         )
         return crossings, true
 
@@ -197,27 +191,21 @@ def rows(way_m: float, beside_m: float, rng: np.random.Generator) -> Crossings:
     xy = np.column_stack([v.ravel() for v in np.meshgrid(ends, [0.23, 0.26, 0.37, 0.4])])
     xy = xy + rng.normal(0.0, NOISE_M, xy.shape)
     groove = np.zeros(len(xy), np.int64)
-    return Crossings(
-        uv_px=np.zeros((len(xy), 2)),
-        xy_base_m=MOUNT + xy,
-        cov_base_m2=np.broadcast_to(1e-6 * np.eye(2), (len(xy), 2, 2)),
-        crossing_type=crossing_type_of(groove, groove),
-        psi_rad=0.0,
-        psi_sigma_rad=1e-4,
-        tilt_rad=np.zeros(2),
-        tilt_sigma_rad=np.zeros(2),
-        common_cov_m2=np.zeros((2, 2)),
-    )
+    return crossings_at(MOUNT + xy, crossing_type_of(groove, groove), 1e-3, psi_sigma_rad=1e-4)
 
 
-@pytest.mark.parametrize("fewest_lines, slopes", [(None, False), (0, True)])
+@pytest.mark.parametrize(
+    "fewest_lines, plausible, slopes", [(6, 0.3, False), (6, np.inf, False), (0, 0.3, False), (0, np.inf, True)]
+)
 def test_an_edge_in_place_of_its_neighbour_is_no_slope(
-    fewest_lines: int | None, slopes: bool, monkeypatch: pytest.MonkeyPatch
+    fewest_lines: int, plausible: float, slopes: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Eight crossings of two places: taken for a scale, as they were, they told one to a twentieth of a per cent."""
-    if fewest_lines is not None:
-        monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._FEWEST_LINES", fewest_lines)
-        monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._PLAUSIBLE", np.inf)
+    """Eight crossings of two places: taken for a scale, as they were, they told one to a twentieth of a per cent.
+
+    Either rule alone refuses it, and without both it is one.
+    """
+    monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._FEWEST_LINES", fewest_lines)
+    monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._PLAUSIBLE", plausible)
     slope, rng, step_m = Slope(NO_SIZE), np.random.default_rng(SEED), 0.02
     for k in range(20):
         crossings = rows(k * step_m, -0.016 if k > 3 else 0.0, rng)
