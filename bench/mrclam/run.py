@@ -97,7 +97,7 @@ def make(name: str, particles: int, seed: int) -> PoseFilter:
 
 def step(f: PoseFilter, event: Event, noise: Noise) -> None:
     """Predict to the moment of an event, then update with its observations, one after the other."""
-    f.predict(Motion(Displacement(event.motion), noise.motion_cov(event.motion, event.seconds), 0, 0.0))
+    f.predict(Motion(Displacement(event.motion), noise.motion_cov(event.motion, event.seconds), 0, 0.0, by_wheels=True))
     turned = 0.0
     for i, bearing in enumerate(event.bearing_rad):
         kind = event.subject[i : i + 1].astype(np.int64)

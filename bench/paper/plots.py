@@ -151,7 +151,7 @@ def _followed(recording: Recording, name: str, seed: int) -> tuple[Array, Landma
     path = []
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks())
-        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0))
+        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0, by_wheels=True))
         f.update(observations)
         path.append(f.estimate()[0])
     return np.array(path), f.landmarks()

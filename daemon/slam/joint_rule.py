@@ -19,7 +19,7 @@ from ceilvo.daemon.slam.joint_map import along_the_turn, turn_about
 from ceilvo.daemon.slam.log_quadratic import ROUNDS, WIDEN, Fitted, Weighing, normals, proposal
 from ceilvo.daemon.slam.modes import Mode
 from ceilvo.daemon.slam.pose_filter import normalised
-from ceilvo.daemon.slam.slip import KINDS, NO_SLIP, NONE, YAW, Slip, SlipState
+from ceilvo.daemon.slam.slip import KINDS, NO_SLIP, NONE, YAW, Slip, SlipState, TurnScale
 from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Ints, Motion
 
@@ -73,6 +73,7 @@ class JointRuleState:
         white: (N, 3) standard normals of the next first round, and of the particles that are shown.
         slip: the path since the last update, and how often wheels slip.
         slipping: (3,) probability that the wheels were slipping at the last update, by kind.
+        turns: by how much the wheels misreport turns.
         modes: hypotheses that are kept apart, with the joint map as what is reported of them; none when there is one.
         sure: weight of the modes that are reported.
         model_var_m2: variance of what the noise curves leave out.
@@ -83,6 +84,7 @@ class JointRuleState:
     white: Array
     slip: SlipState = field(default_factory=SlipState)
     slipping: Array = field(default_factory=lambda: np.zeros(KINDS))
+    turns: TurnScale = field(default_factory=TurnScale)
     modes: list[Mode] = field(default_factory=list)
     sure: float = 1.0
     model_var_m2: float = MODEL_SIGMA_M**2
@@ -101,15 +103,21 @@ class JointRule:
     def move(self, state: JointFilterState, motion: Motion) -> None:
         rule: JointRuleState = state.rule
         before = state.joint.pose[:2].copy()
+        scaled = rule.turns.scaled(motion)
         for m in rule.modes:
             m.follow(state.joint)
-            m.move(motion)
-        state.joint.move(motion)
-        rule.slip.moved(state.joint.pose[:2] - before, motion)
+            m.move(scaled)
+        state.joint.move(scaled)
+        step_m = state.joint.pose[:2] - before
+        rule.slip.moved(step_m, scaled)
+        spread = rule.turns.moved(step_m, motion)
+        for cov in (state.joint.cov, *(m.cov for m in rule.modes)):
+            cov[:3, :3] += spread
 
     def jumped(self, state: JointFilterState) -> None:
         rule: JointRuleState = state.rule
         rule.slip.rest()
+        rule.turns.lever = np.zeros(3)
         rule.slipping, rule.modes, rule.sure = np.zeros(KINDS), [], 1.0
 
     def curve(self, state: JointFilterState) -> tuple[float, float]:
@@ -150,6 +158,8 @@ class JointRule:
         rule.white = normals(self._settings.particles, state.rng)
         kept = [(b, float(w)) for b, w in zip(branches, weight, strict=True) if w > modes.FAINT]
         after = [_after(state, b, w, rows) for b, w in kept]
+        _learn_turns(rule.turns, [b for b, _ in kept], after)
+        rule.turns.told = state.known is not None or bool(np.isfinite(view.heading_var))
         rule.modes, told = modes.settled(after, mapping=state.known is None)
         joint.mean, joint.cov = told.mean, told.cov
         rule.slipping, rule.sure = told.slipping, told.weight
@@ -258,6 +268,13 @@ def _starts(branches: list[Branch], weight: Array) -> Array:
         if b.slip.kind != NONE:
             out[b.slip.kind] += w * b.began
     return out
+
+
+def _learn_turns(turns: TurnScale, branches: list[Branch], after: list[Mode]) -> None:
+    before = [b.weighing.cov for b in branches]
+    step = [m.mean[:3] - b.weighing.mu for m, b in zip(after, branches, strict=True)]
+    step = [np.append(s[:2], wrap(float(s[2]))) for s in step]
+    turns.learn(before, step, [m.cov[:3, :3] for m in after], np.array([m.weight for m in after]))
 
 
 def learnt_model_var(var_m2: float, view: View, pose_cov: Array, chi2: Array) -> float:

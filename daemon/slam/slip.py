@@ -1,14 +1,15 @@
-"""Wheels that slip: what a slip does to the pose, how likely one is, and how often slips have been seen."""
+"""Wheels that slip or misreport turns: what that does to the pose, how likely it is, and what was learnt of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ceilvo.config import Filter
 from ceilvo.se2 import rotation
-from ceilvo.types import Array, Motion
+from ceilvo.types import Array, Displacement, Motion
 
 NONE, LOSS, OVER_RUN, YAW = -1, 0, 1, 2
 """Kinds: the wheels held; the robot moved less than they say, more, or turned by more or less."""
@@ -35,6 +36,10 @@ WIDE_RAD = 0.2
 """A wider spread of turns is tried in pieces, for features do not move on straight lines over it; chosen."""
 PIECES = 12
 """Of 2.5 standard deviations either way; chosen: 0.3 rad each where the wheels reported half a turn."""
+SCALE_SIGMA = 0.1
+"""Standard deviation of the share of turns that wheels misreport before any was seen; chosen: a tenth of the track."""
+SCALE_SIGMA_LEAST = 0.005
+"""The same, however many were seen; chosen: floors and loads change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,3 +149,58 @@ def _turn(way: Array, turn_rad: float, var: float, share: float) -> Slip:
     half = rotation(0.5 * turn_rad)
     direction = np.append(0.5 * (half @ [-way[1], way[0]]), 1.0)
     return Slip(YAW, np.append(half @ way - way, turn_rad), direction, var, share)
+
+
+@dataclass(slots=True)
+class TurnScale:
+    """By which share wheels misreport turns, all the time: learnt from how much further updates turn the pose.
+
+    Where the map turns with the pose and no heading is measured, no update tells (`told`).
+
+    Attributes:
+        share: the robot turns by 1 + share of what wheels report; with a variance.
+        lever: (3,) how the pose moves with the share, on the path since the last update.
+        told: the last update would have told a turn.
+    """
+
+    share: float = 0.0
+    var: float = SCALE_SIGMA**2
+    lever: Array = field(default_factory=lambda: np.zeros(3))
+    told: bool = False
+
+    def scaled(self, motion: Motion) -> Motion:
+        """A motion with the turn as it will have been; what vision measured or foresaw, or is exact, is as it is."""
+        if not _wheels_alone(motion):
+            return motion
+        x, y, turn_rad = motion.prev_from_curr
+        way = rotation(0.5 * self.share * turn_rad) @ [x, y]
+        return replace(motion, prev_from_curr=Displacement(np.append(way, (1.0 + self.share) * turn_rad)))
+
+    def moved(self, step_m: Array, motion: Motion) -> Array:
+        """(3, 3) by how much a motion by (2,) in map makes the pose less certain, as the share is not known."""
+        across = np.array([-step_m[1], step_m[0]])
+        carried = self.lever + np.append(self.lever[2] * across, 0.0)
+        self.lever = carried
+        if self.told and _wheels_alone(motion):
+            self.lever = carried + motion.prev_from_curr[2] * np.append(0.5 * across, 1.0)
+        return np.asarray(self.var * (np.outer(self.lever, self.lever) - np.outer(carried, carried)), np.float64)
+
+    def learn(self, before: Sequence[Array], step: Sequence[Array], after: Sequence[Array], weight: Array) -> None:
+        """What an update says of the share by the pose it corrected; a new path begins.
+
+        Args:
+            before, after: (3, 3) covariances of the pose, of every hypothesis of weight (B,).
+            step: (3,) its correction.
+        """
+        if np.any(self.lever):
+            gain = [np.linalg.solve(cov, self.var * self.lever) for cov in before]
+            moved = np.array([g @ s for g, s in zip(gain, step, strict=True)])
+            less = np.array([g @ (b - a) @ g for g, b, a in zip(gain, before, after, strict=True)])
+            mean = float(weight @ moved) / float(np.sum(weight))
+            var = self.var + float(weight @ ((moved - mean) ** 2 - less)) / float(np.sum(weight))
+            self.share, self.var = self.share + mean, max(var, SCALE_SIGMA_LEAST**2)
+        self.lever = np.zeros(3)
+
+
+def _wheels_alone(motion: Motion) -> bool:
+    return motion.by_wheels and not motion.seen and bool(motion.cov[2, 2] > 0.0)
