@@ -172,6 +172,18 @@ def test_few_lines_do_not_imitate_a_tilt() -> None:
     assert tracker.prior() is None
 
 
+@pytest.mark.parametrize("lean_deg", [(0.0, 2.6), (2.6, 0.0), (3.0, 3.0)])
+def test_a_lean_that_no_line_tells_is_not_kept(lean_deg: tuple[float, float]) -> None:
+    """Slats tell the tilt about one axis only: what a frame with a lamp in it mistook is gone with the next."""
+    slats = [s for s in GRID if s[0] == 0]
+    last = LastFit(np.radians(lean_deg), 0.2)
+    assert last.leans
+    for seed in range(5):
+        found = detect(edges(slats, 0.1, seed), Features(), FOCAL_PX, None, last)
+        assert found is not None
+        assert np.abs(found[0].tilt_rad).max() < 1e-3, f"seed {seed}"
+
+
 @pytest.mark.parametrize("several", [False, True])
 def test_points_that_leave_every_line_are_no_lines(several: bool) -> None:
     """A few short segments in clutter, looked for at another tilt: the last round may be left with none."""
