@@ -14,7 +14,7 @@ from ceilvo.bench.paper.world import ROOM_M, SETTINGS, Recording, record, room_s
 from ceilvo.daemon.slam.paper import curve_fit
 from ceilvo.daemon.slam.pose_filter import systematic
 from ceilvo.errors import CeilvoError
-from ceilvo.types import Array, Displacement, Landmarks, Motion
+from ceilvo.types import Array, Landmarks
 
 COLOURS = {
     "ukf": "tab:gray",
@@ -151,7 +151,7 @@ def _followed(recording: Recording, name: str, seed: int) -> tuple[Array, Landma
     path = []
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks())
-        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0, by_wheels=True))
+        f.predict(step.motion)
         f.update(observations)
         path.append(f.estimate()[0])
     return np.array(path), f.landmarks()

@@ -27,11 +27,9 @@ from ceilvo.types import (
     NO_LANDMARK,
     UNLABELLED,
     Array,
-    Displacement,
     FilterHealth,
     Ints,
     Landmarks,
-    Motion,
     Observations,
     State,
 )
@@ -96,7 +94,7 @@ def mapping(f: PoseFilter, recording: Recording, labelled: bool) -> Figures:
     for step in recording.steps:
         observations = observed(step, recording.scene, f.landmarks() if labelled else None)
         begun = time.process_time()
-        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0, by_wheels=True))
+        f.predict(step.motion)
         f.update(observations)
         pose, cov, depletion = f.estimate()
         elapsed += time.process_time() - begun
@@ -143,7 +141,7 @@ def on_a_map(f: PoseFilter, recording: Recording, anywhere: bool) -> Figures:
     f.reset(start, cov, known_map(scene.xy_m, scene.kind), known=True)
     machine, errors, claimed, health = StateMachine(States()), [], [], Health()
     for i, step in enumerate(recording.steps):
-        f.predict(Motion(Displacement(step.reported), step.reported_cov, len(step.seen), 0.0, by_wheels=True))
+        f.predict(step.motion)
         f.update(observed(step, scene, None))
         errors.append(float(np.hypot(*(f.estimate()[0] - step.truth)[:2])))
         health.add(f.estimate()[2])

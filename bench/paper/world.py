@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ceilvo.se2 import compose, inverse, transform, wrap_array
-from ceilvo.types import Array, Ints
+from ceilvo.types import Array, Displacement, Ints, Motion
 
 ROOM_M = 5.0  # side; the paper, section 3
 INSET_M = 0.45
@@ -103,6 +103,11 @@ class Step:
     sigma_m: Array
     heading_rad: float
     heading_sigma_rad: float
+
+    @property
+    def motion(self) -> Motion:
+        """What the wheels report of it."""
+        return Motion(Displacement(self.reported), self.reported_cov, len(self.seen), 0.0, by_wheels=True)
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ class JointRule:
     def jumped(self, state: JointFilterState) -> None:
         rule: JointRuleState = state.rule
         rule.slip.rest()
-        rule.turns.lever = np.zeros(3)
+        rule.turns.rest()
         rule.slipping, rule.modes, rule.sure = np.zeros(KINDS), [], 1.0
 
     def curve(self, state: JointFilterState) -> tuple[float, float]:

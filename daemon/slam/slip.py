@@ -196,9 +196,14 @@ class TurnScale:
             gain = [np.linalg.solve(cov, self.var * self.lever) for cov in before]
             moved = np.array([g @ s for g, s in zip(gain, step, strict=True)])
             less = np.array([g @ (b - a) @ g for g, b, a in zip(gain, before, after, strict=True)])
-            mean = float(weight @ moved) / float(np.sum(weight))
-            var = self.var + float(weight @ ((moved - mean) ** 2 - less)) / float(np.sum(weight))
+            weight = weight / np.sum(weight)
+            mean = float(weight @ moved)
+            var = self.var + float(weight @ ((moved - mean) ** 2 - less))
             self.share, self.var = self.share + mean, max(var, SCALE_SIGMA_LEAST**2)
+        self.rest()
+
+    def rest(self) -> None:
+        """A new path begins."""
         self.lever = np.zeros(3)
 
 

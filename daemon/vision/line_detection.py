@@ -202,11 +202,10 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
     vague = fit.is_vague(free, prior)
     if not vague and not fit.is_doubtful(expected, prior):
         return fit, free
+    level = problem.start(_LEVEL_RAD if vague else expected, tilt=False)
     if vague:  # so few lines that any tilt fits: then none is read from them, nor kept from one frame before
-        level = problem.start(_LEVEL_RAD, tilt=False)
         level.finish_held()
         return level, free
-    level = problem.start(expected, tilt=False)
     return _best(problem, [(fit, free), (level, level.finish())], last.tilt_rad)
 
 

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ceilvo.bench.paper.run import known_map
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam import slip
 from ceilvo.daemon.slam.slip import KINDS, LOSS, OVER_RUN, SlipState
 from ceilvo.se2 import compose, inverse, transform, wrap
-from ceilvo.types import Array, Displacement, Landmarks, Motion, Observations
+from ceilvo.types import Array, Displacement, Motion, Observations
 
 SEED = 31
 CFG = replace(Filter(), feature_independence=1.0)
@@ -121,8 +122,7 @@ def drive(error: Array, slip_per_m: float, seed: int = SEED, seen: bool = False)
     rng = np.random.default_rng(seed)
     points = rng.uniform([-1, -1.5], [5, 1.5], (40, 2))
     f = make_filter(replace(CFG, slip_per_m=slip_per_m, particles=50), np.random.default_rng(seed))
-    n = len(points)
-    known = Landmarks(np.arange(n), points, np.tile(1e-6 * np.eye(2), (n, 1, 1)), np.zeros(n, np.int64), np.full(n, 9))
+    known = known_map(points, np.zeros(len(points), np.int64))
     truth = np.zeros(3)
     f.reset(truth, np.eye(3) * 1e-8, known, known=True)
     worst = np.zeros(2)

@@ -174,7 +174,7 @@ def test_few_lines_do_not_imitate_a_tilt() -> None:
 
 @pytest.mark.parametrize("lean_deg", [(0.0, 2.6), (2.6, 0.0), (3.0, 3.0)])
 def test_a_lean_that_no_line_tells_is_not_kept(lean_deg: tuple[float, float]) -> None:
-    """Slats tell the tilt about one axis only: what a frame with a lamp in it mistook is gone with the next."""
+    """Slats tell the tilt about one axis only: what one frame took it for is gone with the next."""
     slats = [s for s in GRID if s[0] == 0]
     last = LastFit(np.radians(lean_deg), 0.2)
     assert last.leans
