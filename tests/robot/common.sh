@@ -21,7 +21,7 @@ wait_for() {
   local until=$(($(mono) + $1 * 1000000000))
   shift
   until "$@"; do
-    [ "$(mono)" -lt "$until" ] || { step "gave up waiting for: $*"; return 1; }
+    [ "$(mono)" -lt "$until" ] || { gave_up=$* && step "gave up waiting for: $*"; return 1; }
     sleep "${EVERY_S:-0.05}"
   done
 }

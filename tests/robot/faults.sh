@@ -40,7 +40,8 @@ last_pose() { tail -n 40 "$out/samples.jsonl" 2>/dev/null | grep '/pose"' | tail
 in_state() { last_pose | grep -qE "\"state\": \"($1)\""; }
 is_good() { in_state 'TRACKING|DEGRADED'; }
 is_bad() { in_state 'DEAD_RECKONING|LOST|RELOCALISING'; }
-said() { journalctl -u ceilvod --no-pager -o cat | grep -q "$1"; }
+# Not a pipe: grep -q leaves at the first match, journalctl is then killed while it writes, and pipefail calls that a failure.
+said() { grep -q "$1" <<<"$(journalctl -u ceilvod --no-pager -o cat)"; }
 begin() { note "$1_begin_ns" "$(mono)"; }
 end() { note "$1_end_ns" "$(mono)"; }
 health() { tail -n 80 "$out/samples.jsonl" | grep '/health"' | tail -1; }
@@ -224,10 +225,11 @@ rm -f "$out/facts.txt" "$out/samples.jsonl"
 for phase in ${PHASES:-setup stalled frozen black white replugged wrong_format formats silent_base clock_steps disk_full read_only \
   starved kills memory corrupt_state corrupt_calibration}; do
   enter "$phase"
+  gave_up=
   if $phase; then note "phase_$phase" ok; else
     step "$phase failed"
     last_pose | cut -c1-400
-    note "phase_$phase" failed
+    note "phase_$phase" "failed${gave_up:+, last waited for $gave_up}"
     rc=1
     rm -f "$feed/mode" "$out/base.stop" /fill /fill2
     [ "$phase" = setup ] && break

@@ -107,7 +107,7 @@ def _installation(run: Run) -> Iterator[Check]:
 def phases(f: Mapping[str, str]) -> Check:
     """Whether all that should happen did, and the guest came to its end."""
     failed = [f["failed_phase"]] if "failed_phase" in f else []
-    failed += [k[6:] for k, v in f.items() if k.startswith("phase_") and v != "ok"]
+    failed += [k[6:] + v.removeprefix("failed") for k, v in f.items() if k.startswith("phase_") and v != "ok"]
     bad = [f"failed: {', '.join(failed)}"] if failed else []
     if f.get("in_phase") != "end":
         bad.append(f"the guest stood still in {f.get('in_phase', 'its beginning')}")

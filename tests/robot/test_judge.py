@@ -210,6 +210,9 @@ def test_a_fault_without_effect_or_end_is_noticed() -> None:
     broken = fault_life(timed=True)
     broken.facts.update(phase_stalled="failed", status_stall="TRACKING x=1", calibration_end="status 0, active")
     assert faults_failed(broken) == {"phases", "stall: STATUS=", "half a calibration"}
+    assert judge.phases({"phase_disk": "failed, last waited for said full", "in_phase": "end"}).found == (
+        "failed: disk, last waited for said full"
+    )
 
 
 judge_deb = load("judge_deb.py", "robot_judge_deb")
