@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.crossing_types import JOINTS, LINE_CROSSINGS
+from ceilvo.crossing_types import JOINTS
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
@@ -47,7 +47,7 @@ class MapSurvey:
         watched_m: how far off rivals of a sure place are at most.
     """
 
-    coverage: Coverage = field(default_factory=lambda: Coverage(of_points=Coverage()))
+    coverage: Coverage = field(default_factory=Coverage.of_kinds)
     index: PlaceIndex = field(default_factory=PlaceIndex)
     chance: Chance | None = None
     measured_m: float = np.inf
@@ -130,10 +130,10 @@ class MapSurvey:
 
     def learnt(self, filter_: PoseFilter, visible_m: Array, kind: Ints) -> None:
         """The filter has learnt from a view of features of types (K,), that showed all there is in a polygon (V, 2) in
-        base, (0, 2) for none; points are looked for where it shows some."""
+        base, (0, 2) for none."""
         pose = Pose(filter_.estimate()[0])
         if len(visible_m):
-            self.coverage.show(transform(pose, visible_m), bool(np.any(kind >= LINE_CROSSINGS)))
+            self.coverage.show(transform(pose, visible_m), kind)
         reach_m = max(INDEXED_M, float(np.max(np.hypot(*visible_m.T), initial=0.0)))
         near = filter_.landmarks_near(pose[None, :2], reach_m)[1]
         self.index.sync(near)

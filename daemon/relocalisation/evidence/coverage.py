@@ -44,13 +44,19 @@ class Coverage:
     Attributes:
         block: (B,) numbers of the blocks there are, rising.
         shown: (B, 32, 32) views of each cell.
-        of_points: the same of the views in which points were looked for, as they are where lines do not suffice; None:
-            in all of them.
+        of_lines, of_points: the same of the views that had crossings of lines, and of those that had points: points are
+            taken where lines do not suffice, and may be all that a view has. None: kinds are not told apart.
     """
 
     block: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     shown: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, SIDE, SIDE), np.uint8))
+    of_lines: Coverage | None = None
     of_points: Coverage | None = None
+
+    @staticmethod
+    def of_kinds() -> Coverage:
+        """Nothing yet, of lines and of points apart."""
+        return Coverage(of_lines=Coverage(), of_points=Coverage())
 
     @staticmethod
     def of(landmarks: Landmarks, tile_m: float) -> Coverage:
@@ -58,8 +64,9 @@ class Coverage:
 
         Each landmark says how often it should have been seen; tile_m: side of a tile, 0 where there are none.
         """
-        out = Coverage._between(landmarks, tile_m)
-        out.of_points = Coverage._between(landmarks.of(landmarks.crossing_type >= LINE_CROSSINGS), 0.0)
+        out, points = Coverage._between(landmarks, tile_m), landmarks.crossing_type >= LINE_CROSSINGS
+        out.of_lines = Coverage._between(landmarks.of(~points), tile_m)
+        out.of_points = Coverage._between(landmarks.of(points), 0.0)
         return out
 
     @staticmethod
@@ -75,11 +82,14 @@ class Coverage:
             out._add(cell[own], views[own])
         return out
 
-    def show(self, corners_m: Array, points: bool = True) -> None:
-        """One more view of the convex polygon (V, 2) in map, in which points were looked for, or lines alone."""
+    def show(self, corners_m: Array, kind: Ints | None = None) -> None:
+        """One more view of the convex polygon (V, 2) in map, that had features of types (K,); None: where no kinds are
+        told apart."""
         if len(corners_m) < 3:
             return
-        if points and self.of_points is not None:
+        if kind is not None and self.of_lines is not None and np.any(kind < LINE_CROSSINGS):
+            self.of_lines.show(corners_m)
+        if kind is not None and self.of_points is not None and np.any(kind >= LINE_CROSSINGS):
             self.of_points.show(corners_m)
         low = np.floor(np.min(corners_m, axis=0) / CELL_M).astype(np.int64)
         high = np.floor(np.max(corners_m, axis=0) / CELL_M).astype(np.int64)
@@ -90,13 +100,14 @@ class Coverage:
 
     def views(self, xy_m: Array, kind: Ints | None = None) -> Ints:
         """(...,) views that showed the ground at (..., 2), and where a feature is said, would have shown its type."""
-        out: Ints = kernel.views(Ground(self.block, self.shown, CELL_M), xy_m.reshape(-1, 2))
-        out = out.reshape(xy_m.shape[:-1])
-        if kind is None or self.of_points is None:
-            return out
-        points = np.broadcast_to(kind >= LINE_CROSSINGS, out.shape)
-        if np.any(points):
-            out[points] = self.of_points.views(xy_m[points])
+        if kind is None or self.of_lines is None or self.of_points is None:
+            views: Ints = kernel.views(Ground(self.block, self.shown, CELL_M), xy_m.reshape(-1, 2))
+            return views.reshape(xy_m.shape[:-1])
+        points = np.broadcast_to(kind >= LINE_CROSSINGS, xy_m.shape[:-1])
+        if not np.any(points):
+            return self.of_lines.views(xy_m)
+        out = np.empty(xy_m.shape[:-1], np.int64)
+        out[points], out[~points] = self.of_points.views(xy_m[points]), self.of_lines.views(xy_m[~points])
         return out
 
     def knows(self, xy_m: Array, kind: Ints | None = None) -> NDArray[np.bool_]:

@@ -21,18 +21,22 @@ def test_ground_is_known_once_enough_views_have_shown_it() -> None:
     assert coverage.knows(points.reshape(2, 2, 2)).shape == (2, 2)
 
 
-def test_ground_that_views_of_lines_showed_is_not_known_for_its_points() -> None:
-    coverage = Coverage(of_points=Coverage())
-    for k in range(3 * VIEWS):
-        coverage.show(SQUARE, points=k < VIEWS)
+def test_ground_is_known_for_the_kinds_of_features_that_its_views_had() -> None:
+    coverage = Coverage.of_kinds()
+    joints, points = np.array([JOINTS, JOINTS]), np.array([LAMP, CORNER])
+    for kinds, times in ((joints, 2 * VIEWS), (points, 3), (np.append(joints, points), VIEWS)):
+        for _ in range(times):
+            coverage.show(SQUARE, kinds)
     kinds = np.array([JOINTS, CORNER, LAMP, CORNER])
     at = np.array([[0.2, 0.3], [0.2, 0.3], [-0.4, 0.1], [9.0, 9.0]])
-    assert coverage.views(at, kinds).tolist() == [3 * VIEWS, VIEWS, VIEWS, 0]
-    assert coverage.views(at).tolist() == [3 * VIEWS, 3 * VIEWS, 3 * VIEWS, 0]
-    assert coverage.views(np.tile(at, (2, 1, 1)), kinds).tolist() == [[3 * VIEWS, VIEWS, VIEWS, 0]] * 2
-    lines_alone = Coverage(of_points=Coverage())
-    lines_alone.show(SQUARE, points=False)
-    assert lines_alone.views(at, kinds).tolist() == [1, 0, 0, 0]
+    by_kind = [3 * VIEWS, VIEWS + 3, VIEWS + 3, 0]
+    assert coverage.views(at, kinds).tolist() == by_kind
+    assert coverage.views(at).tolist() == [3 * VIEWS + 3] * 3 + [0]
+    assert coverage.views(np.tile(at, (2, 1, 1)), kinds).tolist() == [by_kind] * 2
+    for seen, known in ((joints, [1, 0, 0, 0]), (points, [0, 1, 1, 0])):
+        alone = Coverage.of_kinds()
+        alone.show(SQUARE, seen)
+        assert alone.views(at, kinds).tolist() == known
 
 
 def test_of_a_map_that_came_without_points_nothing_is_known_for_them() -> None:
@@ -46,7 +50,9 @@ def test_of_a_map_that_came_without_points_nothing_is_known_for_them() -> None:
         np.full(len(landmarks), CORNER),
         np.full(len(landmarks), 20),
     )
-    assert Coverage.of(corners, 0.0).knows(corners.xy_map_m, corners.crossing_type).all()
+    of_corners = Coverage.of(corners, 0.0)
+    assert of_corners.knows(corners.xy_map_m, corners.crossing_type).all()
+    assert not of_corners.knows(landmarks.xy_map_m, landmarks.crossing_type).any()
 
 
 def test_blocks_are_kept_apart_however_far_they_are() -> None:
