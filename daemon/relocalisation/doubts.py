@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.daemon.odometry.course import JUMPED
 from ceilvo.daemon.odometry.dead_reckoning import Track
@@ -22,13 +23,15 @@ fewer places are near enough, as its square."""
 UNNOTICED = 1e-3
 """Part of those lifts that neither wheels nor gyro notice; chosen: nobody carries a robot without turning it."""
 CARRY_MPS = 4.0
-"""How fast a hand moves it at most, as standing.py has it: at 2.0, a walk, a robot that was swung further than it was
-listed had e^-8 of the chance of its twins under a raster of lamps, and never caught up (tuning seed 700 number 2)."""
+"""How fast a hand moves it at most; chosen: at 2.0, a walk, a robot that was swung further than it was listed had e^-8
+of the chance of its twins under a raster of lamps, and never caught up (tuning seed 700 number 2)."""
 TURN_RADPS, PUT_DOWN_RAD = 5.0, 0.5
 """How fast a hand turns a robot at most, and how much more while it puts it down; chosen."""
 BESIDE_M, BESIDE_RAD = 1.0, 0.25 * np.pi
 """Besides how far a robot was moved and turned: its pose was put onto the nearest tiles, and turned onto them; half a
 tile of 1.25 m either way."""
+FASTER = 2.0
+"""Than a hand by so much nobody moves it, and what the index finds further off is left out; chosen: 8 m/s."""
 ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
 OFF_MAP = 0.05
@@ -133,24 +136,27 @@ class Doubt:
         carried_m = self.reach_m if self.elsewhere > 0.0 and not len(self.leads) else 0.0
         return min(max(drift_m, carried_m), ANYWHERE_M)
 
-    def beyond(self, off: Array) -> bool:
-        """Whether nobody who moved the robot then can have brought it off by (3,); False where that is not known."""
+    def beyond(self, off: Array, faster: float = 1.0) -> NDArray[np.bool_]:
+        """(N,) whether nobody, were he so much faster, can have brought it off by (N, 3); False where not known."""
         if self.elsewhere == 0.0 or len(self.leads) or self.anywhere or np.isinf(self.reach_rad):
-            return False
+            return np.zeros(len(off), bool)
         drift_rad = 4.0 * float(np.sqrt(max(self.cov[2, 2], 0.0))) + abs(float(self.centre[2]))
         turned_rad = max(self.reach_rad, drift_rad) + BESIDE_RAD
-        return bool(np.hypot(off[0], off[1]) > self.search_m + BESIDE_M or abs(off[2]) > turned_rad)
+        moved_m = self.search_m + (faster - 1.0) * max(self.reach_m - BESIDE_M, 0.0) + BESIDE_M
+        return np.asarray((np.hypot(off[:, 0], off[:, 1]) > moved_m) | (np.abs(off[:, 2]) > turned_rad))
 
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
         inverse = np.linalg.inv(self.cov + np.diag(_SIGMA2))
         carried = 0.0 if len(self.leads) else (1.0 - OFF_MAP) * self.elsewhere
-        moved = np.log(max(carried, TINY) / (len(off) + 1))
-        moved += self._left(0.0, min(max(self.alignment(here, tile_m), 0.0), np.log(STORED_ALIGNED)), here, tile_m)
+        moved = np.log(np.where(self.beyond(off, FASTER), TINY, max(carried, TINY)) / (len(off) + 1))
+        moved = moved + self._left(
+            0.0, min(max(self.alignment(here, tile_m), 0.0), np.log(STORED_ALIGNED)), here, tile_m
+        )
         stayed = np.log1p(-self.elsewhere)
         bumped = stayed - max(self._untouched(here, tile_m) - self.alignment(here, tile_m), 0.0)
         there = np.logaddexp(moved, bumped - 0.5 * np.sum((off @ inverse) * off, axis=-1))
-        near = np.logaddexp(moved, stayed - 0.5 * here @ inverse @ here)
+        near = np.logaddexp(np.max(moved, initial=np.log(TINY)), stayed - 0.5 * here @ inverse @ here)
         return np.asarray(np.maximum(there - near, LEAST))
 
     def alignment(self, here: Array, tile_m: Array, turned: bool = True) -> float:
@@ -226,11 +232,13 @@ class Reach:
         """Whether nothing but gaps brought the robot elsewhere: no claim, no jump."""
         return bool(self.doubts) and all(doubt.elsewhere <= LIFTED for doubt, _ in self.doubts)
 
-    def beyond(self, place: Array) -> bool:
-        """Whether no single doubt explains that the robot is at a place (3,), place_from_tracked in map."""
-        if not 0 < len(self.doubts) <= MOST_DOUBTS:
-            return False
-        return all(doubt.beyond(offset(rival_poses(place[None], pose)[0], pose)) for doubt, pose in self.doubts)
+    def beyond(self, places: Array, faster: float = 1.0) -> NDArray[np.bool_]:
+        """(N,) whether no single doubt, were it so much faster, explains places (N, 3), place_from_tracked in map."""
+        known = 0 < len(self.doubts) <= MOST_DOUBTS
+        out = np.full(len(places), known)
+        for doubt, pose in self.doubts if known else []:
+            out &= doubt.beyond(offset(rival_poses(places, pose), pose), faster)
+        return out
 
 
 def _fit(here: Array, var: Array, tile_m: Array, turned: bool = True) -> float:

@@ -283,11 +283,11 @@ class Relocaliser:
         found = s.survey.index.candidates(view)
         wrong = float(np.min(found.false_alarm_probability[:1], initial=1.0))
         s.search = PlaceSearch(len(found), found.complete, wrong)
-        few, s.belief.cut = len(found) <= MOST_FOUND or s.belief.led_by_another, False
-        whole = found.complete and few and not s.searched
+        whole = found.complete and not s.searched and (len(found) <= MOST_FOUND or s.belief.led_by_another)
+        s.belief.cut = False
         poses = s.survey.index.refined(found.pose if whole else found.pose[:MOST_FOUND], view)
-        odds = s.belief.unknown - s.belief.settled[0]
-        late = s.searched and s.spots > 0
+        poses = poses[~s.reach.beyond(rival_from_tracked(poses, pose), doubts.FASTER)]
+        late, odds = s.searched and s.spots > 0, s.belief.unknown - s.belief.settled[0]
         odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, late)
         places = rival_from_tracked(poses, pose)
         s.belief.add(places, odds, late)

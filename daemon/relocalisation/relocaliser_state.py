@@ -165,7 +165,7 @@ class RelocaliserState:
     def likeness_is_a_guess(self, place: int) -> bool:
         """Whether nobody knows how alike the ceiling is there: after gaps, of a map of a few lamps; or where no hand
         brought the robot."""
-        return (self.survey.few and self.reach.by_gaps) or self.reach.beyond(self.belief.places[place])
+        return (self.survey.few and self.reach.by_gaps) or bool(self.reach.beyond(self.belief.places[place, None])[0])
 
     def gap_opens(self, pose: Array, cov: Array) -> None:
         """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""

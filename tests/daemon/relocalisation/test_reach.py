@@ -13,13 +13,13 @@ from ceilvo.daemon.relocalisation.doubts import MOST_DOUBTS, Reach
 from ceilvo.daemon.relocalisation.evidence.wrong_places import guessed, too_much
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.relocalisation.lattice import rival_from_tracked
-from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
+from ceilvo.daemon.relocalisation.place_belief import LEAST, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.replay.snapshot import read_value, value_json
 
 POSE = np.array([3.0, -2.0, 0.7])
-HALF_TURN_BESIDE = rival_from_tracked((POSE + np.array([0.4, 0.2, np.pi]))[None], POSE)[0]
+HALF_TURN_BESIDE = rival_from_tracked((POSE + np.array([0.4, 0.2, np.pi]))[None], POSE)
 """A place half a turn from where the robot stands: transforms in map leave it there as the robot drives on."""
 
 
@@ -40,7 +40,7 @@ def test_what_a_hand_does_in_a_gap_is_within_its_reach(blind_s: float, speed: fl
     """Moved at up to 4 m/s in any direction and turned at up to 5 rad/s, anywhere on the map."""
     moved_m, turned_rad = doubts.CARRY_MPS * speed * blind_s, doubts.TURN_RADPS * turn * blind_s
     there = POSE + np.array([moved_m * np.cos(way), moved_m * np.sin(way), turned_rad])
-    assert not reached(gap(blind_s)).beyond(rival_from_tracked(there[None], POSE)[0])
+    assert not np.any(reached(gap(blind_s)).beyond(rival_from_tracked(there[None], POSE)))
 
 
 @pytest.mark.parametrize(
@@ -75,23 +75,41 @@ def test_what_a_hand_does_in_a_gap_is_within_its_reach(blind_s: float, speed: fl
     ],
 )
 def test_half_a_turn_takes_a_hand_its_time(all_doubts: tuple[doubts.Doubt, ...], beyond: bool) -> None:
-    assert reached(*all_doubts).beyond(HALF_TURN_BESIDE) == beyond
+    assert reached(*all_doubts).beyond(HALF_TURN_BESIDE).tolist() == [beyond]
 
 
 def test_reach_is_counted_from_where_the_robot_was_when_the_doubt_came() -> None:
     """A quarter turn about a point 8 m away is 11 m from there, and none at all at that point."""
-    quarter_about = rival_from_tracked(np.array([[0.0, 0.0, 0.5 * np.pi]]), np.zeros(3))[0]
+    quarter_about = rival_from_tracked(np.array([[0.0, 0.0, 0.5 * np.pi]]), np.zeros(3))
     near, far = Reach(), Reach()
     near.take(gap(0.3), np.array([0.1, 0.0, 0.2]))
     far.take(gap(0.3), np.array([8.0, 0.0, 0.2]))
-    assert not near.beyond(quarter_about) and far.beyond(quarter_about)
+    assert not near.beyond(quarter_about)[0] and far.beyond(quarter_about)[0]
+
+
+def test_what_the_index_finds_is_left_out_only_beyond_what_a_fast_carry_reaches() -> None:
+    """In 0.3 s a hand moves it by 1.2 m, which a metre before and one after make 3.2 m; twice as fast 4.4 m."""
+    off = np.array([[2.0, 0.0, 0.0], [4.3, 0.0, 0.0], [4.5, 0.0, 0.0], [0.0, 0.0, np.pi]])
+    places, reach = rival_from_tracked(POSE + off, POSE), reached(gap(0.3))
+    assert reach.beyond(places).tolist() == [False, True, True, True]
+    assert reach.beyond(places, doubts.FASTER).tolist() == [False, False, True, True]
+    assert not np.any(Reach().beyond(places, doubts.FASTER))
+
+
+def test_a_rival_that_nobody_can_have_carried_it_to_is_no_rival() -> None:
+    """Half a turn at the same spot within 0.13 s: not the share of it that a hand's other places get."""
+    off = np.array([[0.6, 0.0, 0.0], [0.0, 0.0, np.pi], [0.0, 0.6, 0.5 * np.pi]])
+    within, half_turn, quarter = gap(0.13).log_odds(off, np.zeros(3), np.array([0.6, 0.6]))
+    assert half_turn == LEAST and within > -4.0 and quarter == within
+    slower = gap(0.6).log_odds(off, np.zeros(3), np.array([0.6, 0.6]))
+    assert np.ptp(slower) < 1e-9
 
 
 def test_a_recording_keeps_what_hands_may_have_done() -> None:
     reach = reached(gap(0.1), gap(0.2), doubts.both(gap(0.1), gap(0.1)))
     again = read_value(value_json(reach), Reach)
     assert again is not None and value_json(again) == value_json(reach)
-    assert again.beyond(HALF_TURN_BESIDE) and reach.beyond(HALF_TURN_BESIDE)
+    assert again.beyond(HALF_TURN_BESIDE)[0] and reach.beyond(HALF_TURN_BESIDE)[0]
 
 
 @pytest.mark.parametrize("beyond", [False, True])
@@ -121,7 +139,7 @@ def test_how_alike_a_ceiling_is_that_shows_a_few_lamps_is_a_guess(lamps: int, fe
     assert state.survey.few == few
     assert not state.likeness_is_a_guess(0), "nothing happened"
     state.reach = reached(doubts.of_gap(1e-6 * np.eye(3), 1.5, 0.0, 0.0))
-    assert not state.reach.beyond(state.belief.places[0])
+    assert not np.any(state.reach.beyond(state.belief.places))
     assert state.likeness_is_a_guess(0) == few
     state.reach.take(gap(0.5), POSE)
     assert not state.likeness_is_a_guess(0), "somebody may have carried the robot"
