@@ -55,6 +55,8 @@ def pair_edges(
 ) -> tuple[Lines, EdgeSet] | None:
     """Falling and rising edges that lie close together are the two sides of one groove: keep its centre line.
 
+    Only where they lie beside each other: the edges of a lamp and of a grille further on may be in lines as near.
+
     Args:
         fraction: of the edge points there may be, how many were looked at; fewer make a line then.
         free: tilt from this frame alone.
@@ -65,8 +67,9 @@ def pair_edges(
     """
     least = max(_SUPPORT_RATIO * fraction * pixels(config.min_line_deg, fit.focal_px), _MIN_SUPPORT)
     widths = Widths(_SAME_LINE_PX, pixels(config.groove_deg, fit.focal_px, BLURRED_PX), _NARROW_PX)
+    extents = fit.extents()
     order, new_of_old, axis, offset, sigma, kind, support = kernel.join(
-        fit.offset, fit.sigma_px(), fit.line_group, fit.support, least, widths
+        fit.offset, fit.sigma_px(), fit.line_group, fit.support, *extents, least, widths
     )
     if not len(order):
         return None
@@ -89,11 +92,11 @@ def pair_edges(
         fraction=fraction,
         uniform=uniform,
     )
-    return turn_axes(lines, turned), _edge_set(fit, order, fraction)
+    return turn_axes(lines, turned), _edge_set(fit, order, extents, fraction)
 
 
-def _edge_set(fit: JointFit, order: Ints, fraction: float) -> EdgeSet:
-    start, end = (v[order] for v in fit.extents())
+def _edge_set(fit: JointFit, order: Ints, extents: tuple[Array, Array], fraction: float) -> EdgeSet:
+    start, end = (v[order] for v in extents)
     rising = fit.line_group[order] % 2 == 1
     coverage = np.minimum(fit.support[order] / (fraction * np.maximum(end - start, 1.0)), 1.0)
     return EdgeSet(fit.psi, fit.axis[order], rising, fit.offset[order], start, end, coverage, fit.noise_px)

@@ -58,9 +58,15 @@ cdef Py_ssize_t distinct(
     return kept
 
 
+cdef inline bint beside(const double[::1] start, const double[::1] end, Py_ssize_t a, Py_ssize_t b) noexcept nogil:
+    """Whether a part of one edge lies beside a part of the other."""
+    return min(end[a], end[b]) > max(start[a], start[b])
+
+
 cdef void pair(
-    const double[::1] offset, const int64_t[::1] group, const int64_t[::1] support, double groove, double narrow,
-    const int64_t *order, Py_ssize_t n, int64_t *partner, int64_t *ranked, double *score
+    const double[::1] offset, const int64_t[::1] group, const int64_t[::1] support, const double[::1] start,
+    const double[::1] end, double groove, double narrow, const int64_t *order, Py_ssize_t n,
+    int64_t *partner, int64_t *ranked, double *score
 ) noexcept nogil:
     """partner: of every edge in order, or -1. ranked, score: room for n each."""
     cdef Py_ssize_t i, k, a, b, found = 0
@@ -71,6 +77,8 @@ cdef void pair(
         a, b = order[i], order[i + 1]
         gap = offset[b] - offset[a]
         if group[a] // 2 != group[b] // 2 or group[a] == group[b] or not gap < groove:
+            continue
+        if not beside(start, end, a, b):
             continue
         score[i] = <double>min(support[a], support[b]) / (gap if gap > narrow else narrow)
         k = found
@@ -87,11 +95,15 @@ cdef void pair(
 
 def join(
     const double[::1] offset_px not None, const double[::1] sigma_px not None, const int64_t[::1] group not None,
-    const int64_t[::1] support not None, double least, widths
+    const int64_t[::1] support not None, const double[::1] start_px not None, const double[::1] end_px not None,
+    double least, widths
 ):
     cdef double same = widths.same_px, groove = widths.groove_px, narrow = widths.narrow_px
     cdef Py_ssize_t n = offset_px.shape[0], i, a, b, m, lines = 0
-    for name, items in (("sigma_px", sigma_px.shape[0]), ("group", group.shape[0]), ("support", support.shape[0])):
+    for name, items in (
+        ("sigma_px", sigma_px.shape[0]), ("group", group.shape[0]), ("support", support.shape[0]),
+        ("start_px", start_px.shape[0]), ("end_px", end_px.shape[0]),
+    ):
         check_length(name, items, n)
     order_out, new_out, whole, real = (
         np.empty(n, np.int64), np.full(n, -1, np.int64), np.empty((5, n), np.int64), np.empty((3, n))
@@ -105,7 +117,9 @@ def join(
     with nogil:
         m = sorted_edges(offset_px, group, support, least, &order[0])
         m = distinct(offset_px, group, support, same, &order[0], &drop[0], m) if m >= 2 else 0
-        pair(offset_px, group, support, groove, narrow, &order[0], m, &w[3, 0], &w[4, 0], &r[2, 0])
+        pair(
+            offset_px, group, support, start_px, end_px, groove, narrow, &order[0], m, &w[3, 0], &w[4, 0], &r[2, 0]
+        )
         for i in range(m):
             a = order[i]
             if w[3, i] >= 0 and w[3, i] < i:

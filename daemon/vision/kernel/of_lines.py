@@ -135,13 +135,21 @@ def picture(
 
 
 def join(
-    offset_px: Array, sigma_px: Array, group: Int64s, support: Int64s, least: float, widths: Widths
+    offset_px: Array,
+    sigma_px: Array,
+    group: Int64s,
+    support: Int64s,
+    start_px: Array,
+    end_px: Array,
+    least: float,
+    widths: Widths,
 ) -> tuple[Int64s, Int64s, Int64s, Array, Array, Int64s, Int64s]:
     """Edges (L,) that lie close together made one: those of one polarity the stronger, two sides a groove.
 
     Args:
         group: of each edge, as the groups of points.
         support: points of each edge, `least` of them at the least.
+        start_px, end_px: where each edge begins and ends.
 
     Returns:
         (K,) the edges that are left, by axis and offset, and (L,) the line that each became, or -1; then of the lines
@@ -153,7 +161,7 @@ def join(
     order = keep[np.lexsort((offset_px[keep], group[keep] // 2))]
     order = order[_distinct(offset_px[order], group[order], support[order], widths.same_px)]
     offset, sigma, axis, count = offset_px[order], sigma_px[order], group[order] // 2, support[order]
-    own, partner = np.arange(len(order)), _pairs(offset, group[order], count, widths)
+    own, partner = np.arange(len(order)), _pairs(offset, group[order], count, start_px[order], end_px[order], widths)
     paired = partner >= 0
     other = np.where(paired, partner, own)
     first = other >= own  # one entry a pair
@@ -182,7 +190,7 @@ def _distinct(offset_px: Array, group: Int64s, support: Int64s, same_px: float) 
     return good
 
 
-def _pairs(offset_px: Array, group: Int64s, support: Int64s, widths: Widths) -> Int64s:
+def _pairs(offset_px: Array, group: Int64s, support: Int64s, start_px: Array, end_px: Array, widths: Widths) -> Int64s:
     """Index of every line's partner, or -1: neighbours of opposite polarity, narrow and well supported pairs first.
 
     Where three edges could pair in two ways, the gap alone must not decide: where both are alike it would flip from
@@ -191,6 +199,7 @@ def _pairs(offset_px: Array, group: Int64s, support: Int64s, widths: Widths) -> 
     partner = np.full(len(offset_px), -1, np.int64)
     gap = np.diff(offset_px)
     fits = (np.diff(group // 2) == 0) & (np.diff(group) != 0) & (gap < widths.groove_px)
+    fits &= np.minimum(end_px[1:], end_px[:-1]) > np.maximum(start_px[1:], start_px[:-1])
     score = np.minimum(support[1:], support[:-1]) / np.maximum(gap, widths.narrow_px)
     for k in np.argsort(-score, kind="stable"):
         if fits[k] and partner[k] < 0 and partner[k + 1] < 0:

@@ -61,7 +61,15 @@ def calls(height: int, width: int, points: int) -> dict[str, tuple[Any, ...]]:
         "align": (x, y, line, ends[2], np.zeros(3), 0.1, 100.0, np.ones(5), np.full(3, 9.0), np.ones(25)),
         "fit": (x, y, line, ends[2], 3, 0.1, np.zeros(2), Step(100.0, 9.0, 0.1, 1e-3, 1.0, False)),
         "picture": (x, y, line, ends[2], 0.1, 100.0, np.arange(3)),
-        "join": (np.arange(float(points)), x.astype(float), line.astype(int), line.astype(int), 0.0, Widths(2, 6, 1)),
+        "join": (
+            np.arange(float(points)),
+            x.astype(float),
+            line.astype(int),
+            line.astype(int),
+            *(np.zeros(points),) * 2,
+            0.0,
+            Widths(2, 6, 1),
+        ),
         "arms": (uv, line.astype(int), line[:3], np.array([1.0, 0.0]), np.zeros(20), Arm(0.5, 0.1, 0.1, 2.0)),
     }
 

@@ -111,7 +111,10 @@ def test_edges_are_joined_alike(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     offset = np.round(rng.uniform(-60, 60, count), int(rng.integers(0, 3)))  # also equal ones
     group, support = rng.integers(0, 4, count), rng.integers(0, 90, count)
-    arguments = (offset, rng.uniform(0.02, 0.1, count), group, support, 20.0, Widths(3.0, 7.0, 1.0))
+    start = rng.uniform(-200.0, 200.0, count)
+    end = start + rng.uniform(0.0, 300.0, count)
+    widths = Widths(3.0, 7.0, 1.0)
+    arguments = (offset, rng.uniform(0.02, 0.1, count), group, support, start, end, 20.0, widths)
     for a, b in zip(reference.join(*arguments), kernel.join(*arguments), strict=True):
         np.testing.assert_array_equal(b, a)
 
@@ -121,15 +124,33 @@ def test_two_sides_are_one_groove_and_twins_one_edge(k: ModuleType) -> None:
     offset = np.array([50.0, -10.0, 0.0, 4.0, 52.0, 90.0])
     group = np.array([1, 0, 0, 1, 1, 3])
     support = np.array([40, 30, 60, 70, 90, 50])
-    order, new, axis, at, sigma, kind, points = k.join(
-        offset, np.full(6, 0.1), group, support, 35.0, Widths(3.0, 7.0, 1.0)
-    )
+    ends, widths = (np.zeros(6), np.full(6, 100.0)), Widths(3.0, 7.0, 1.0)
+    order, new, axis, at, sigma, kind, points = k.join(offset, np.full(6, 0.1), group, support, *ends, 35.0, widths)
     assert order.tolist() == [2, 3, 4, 5]  # -10 has too few points, 50 is beside a stronger one
     assert new.tolist() == [-1, -1, 0, 0, 1, 2]
     assert (axis.tolist(), at.tolist(), points.tolist()) == ([0, 0, 1], [2.0, 52.0, 90.0], [130, 90, 50])
     assert kind.tolist() == [LineKind.GROOVE, LineKind.RISING, LineKind.RISING]
     np.testing.assert_allclose(sigma, [0.1 / np.sqrt(2.0), 0.1, 0.1])
-    assert not len(k.join(offset[:1], offset[:1], group[:1], support[:1], 1.0, Widths(3.0, 7.0, 1.0))[0])
+    one = (offset[:1], offset[:1], group[:1], support[:1], *(e[:1] for e in ends))
+    assert not len(k.join(*one, 1.0, widths)[0])
+
+
+@BOTH
+@pytest.mark.parametrize(("begins", "groove"), [(0.0, True), (99.0, True), (101.0, False), (300.0, False)])
+def test_the_sides_of_a_groove_lie_beside_each_other(k: ModuleType, begins: float, groove: bool) -> None:
+    """A falling edge of 200 px and 4 px from it a rising one of 60, as of a lamp and of a grille further on."""
+    start, end = np.array([-100.0, begins]), np.array([100.0, begins + 60.0])
+    found = k.join(
+        np.array([0.0, 4.0]),
+        np.full(2, 0.1),
+        np.array([0, 1]),
+        np.array([200, 60]),
+        start,
+        end,
+        20.0,
+        Widths(3.0, 7.0, 1.0),
+    )
+    assert found[5].tolist() == ([LineKind.GROOVE] if groove else [LineKind.FALLING, LineKind.RISING])
 
 
 @given(SEEDS)
