@@ -148,13 +148,12 @@ class Doubt:
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
         inverse = np.linalg.inv(self.cov + np.diag(_SIGMA2))
-        carried = 0.0 if len(self.leads) else (1.0 - OFF_MAP) * self.elsewhere
-        moved = np.log(np.where(self.beyond(off, FASTER), TINY, max(carried, TINY)) / (len(off) + 1))
-        moved = moved + self._left(
-            0.0, min(max(self.alignment(here, tile_m), 0.0), np.log(STORED_ALIGNED)), here, tile_m
-        )
+        carried = TINY if len(self.leads) else max((1.0 - OFF_MAP) * self.elsewhere, TINY)
+        moved = np.log(np.where(self.beyond(off, FASTER), TINY, carried) / (len(off) + 1))
+        aligned = self.alignment(here, tile_m)
+        moved += self._left(0.0, float(np.clip(aligned, 0.0, np.log(STORED_ALIGNED))), here, tile_m)
         stayed = np.log1p(-self.elsewhere)
-        bumped = stayed - max(self._untouched(here, tile_m) - self.alignment(here, tile_m), 0.0)
+        bumped = stayed - max(self._untouched(here, tile_m) - aligned, 0.0)
         there = np.logaddexp(moved, bumped - 0.5 * np.sum((off @ inverse) * off, axis=-1))
         near = np.logaddexp(np.max(moved, initial=np.log(TINY)), stayed - 0.5 * here @ inverse @ here)
         return np.asarray(np.maximum(there - near, LEAST))
@@ -234,9 +233,8 @@ class Reach:
 
     def beyond(self, places: Array, faster: float = 1.0) -> NDArray[np.bool_]:
         """(N,) whether no single doubt, were it so much faster, explains places (N, 3), place_from_tracked in map."""
-        known = 0 < len(self.doubts) <= MOST_DOUBTS
-        out = np.full(len(places), known)
-        for doubt, pose in self.doubts if known else []:
+        out = np.full(len(places), 0 < len(self.doubts) <= MOST_DOUBTS)
+        for doubt, pose in self.doubts:
             out &= doubt.beyond(offset(rival_poses(places, pose), pose), faster)
         return out
 
