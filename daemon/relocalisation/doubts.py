@@ -31,7 +31,7 @@ BESIDE_M, BESIDE_RAD = 1.0, 0.25 * np.pi
 """Besides how far a robot was moved and turned: its pose was put onto the nearest tiles, and turned onto them; half a
 tile of 1.25 m either way."""
 FASTER = 2.0
-"""Than a hand by so much nobody moves it, and what the index finds further off is left out; chosen: 8 m/s."""
+"""Than a hand by so much nobody moves it, so that places further off are no rivals; chosen: 8 m/s."""
 ANYWHERE_M = 6.0
 """One that may have been carried further may be anywhere on the map: for time, nearer rivals are listed one by one."""
 OFF_MAP = 0.05
@@ -148,14 +148,14 @@ class Doubt:
     def log_odds(self, off: Array, here: Array, tile_m: Array) -> Array:
         """(M,) of being off by (M, 3) in map from where the robot should be, against being off by `here` (3,)."""
         inverse = np.linalg.inv(self.cov + np.diag(_SIGMA2))
-        carried = TINY if len(self.leads) else max((1.0 - OFF_MAP) * self.elsewhere, TINY)
-        moved = np.log(np.where(self.beyond(off, FASTER), TINY, carried) / (len(off) + 1))
-        aligned = self.alignment(here, tile_m)
-        moved += self._left(0.0, float(np.clip(aligned, 0.0, np.log(STORED_ALIGNED))), here, tile_m)
+        carried = 0.0 if len(self.leads) else (1.0 - OFF_MAP) * self.elsewhere
+        moved = np.log(max(carried, TINY) / (len(off) + 1))
+        moved += self._left(0.0, min(max(self.alignment(here, tile_m), 0.0), np.log(STORED_ALIGNED)), here, tile_m)
+        by_hand = np.where(self.beyond(off, FASTER), np.log(TINY), moved)
         stayed = np.log1p(-self.elsewhere)
-        bumped = stayed - max(self._untouched(here, tile_m) - aligned, 0.0)
-        there = np.logaddexp(moved, bumped - 0.5 * np.sum((off @ inverse) * off, axis=-1))
-        near = np.logaddexp(np.max(moved, initial=np.log(TINY)), stayed - 0.5 * here @ inverse @ here)
+        bumped = stayed - max(self._untouched(here, tile_m) - self.alignment(here, tile_m), 0.0)
+        there = np.logaddexp(by_hand, bumped - 0.5 * np.sum((off @ inverse) * off, axis=-1))
+        near = np.logaddexp(moved, stayed - 0.5 * here @ inverse @ here)
         return np.asarray(np.maximum(there - near, LEAST))
 
     def alignment(self, here: Array, tile_m: Array, turned: bool = True) -> float:

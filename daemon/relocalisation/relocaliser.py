@@ -286,10 +286,10 @@ class Relocaliser:
         whole = found.complete and not s.searched and (len(found) <= MOST_FOUND or s.belief.led_by_another)
         s.belief.cut = False
         poses = s.survey.index.refined(found.pose if whole else found.pose[:MOST_FOUND], view)
-        poses = poses[~s.reach.beyond(rival_from_tracked(poses, pose), doubts.FASTER)]
-        late, odds = s.searched and s.spots > 0, s.belief.unknown - s.belief.settled[0]
-        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, late)
         places = rival_from_tracked(poses, pose)
+        within, late = ~s.reach.beyond(places, doubts.FASTER), s.searched and s.spots > 0
+        poses, places, odds = poses[within], places[within], s.belief.unknown - s.belief.settled[0]
+        odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, late)
         s.belief.add(places, odds, late)
         s.searched = (s.searched or whole) and not s.belief.cut
         s.belief.cut = not (s.searched or s.listed)

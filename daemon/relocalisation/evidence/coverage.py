@@ -65,7 +65,10 @@ class Coverage:
         Each landmark says how often it should have been seen; tile_m: side of a tile, 0 where there are none.
         """
         out, points = Coverage._between(landmarks, tile_m), landmarks.crossing_type >= LINE_CROSSINGS
-        out.of_lines = Coverage._between(landmarks.of(~points), tile_m)
+        if np.any(points):
+            out.of_lines = Coverage._between(landmarks.of(~points), tile_m)
+        else:  # the same ground; the search for it takes its time on a large map
+            out.of_lines = Coverage(out.block, out.shown.copy())
         out.of_points = Coverage._between(landmarks.of(points), 0.0)
         return out
 
@@ -83,31 +86,31 @@ class Coverage:
         return out
 
     def show(self, corners_m: Array, kind: Ints | None = None) -> None:
-        """One more view of the convex polygon (V, 2) in map, that had features of types (K,); None: where no kinds are
-        told apart."""
+        """One more view of the convex polygon (V, 2) in map, that had features of types (K,); None: no kind is told."""
         if len(corners_m) < 3:
             return
-        if kind is not None and self.of_lines is not None and np.any(kind < LINE_CROSSINGS):
-            self.of_lines.show(corners_m)
-        if kind is not None and self.of_points is not None and np.any(kind >= LINE_CROSSINGS):
-            self.of_points.show(corners_m)
         low = np.floor(np.min(corners_m, axis=0) / CELL_M).astype(np.int64)
         high = np.floor(np.max(corners_m, axis=0) / CELL_M).astype(np.int64)
         picture = np.zeros((high - low + 1)[::-1], np.uint8)
         cv2.fillConvexPoly(picture, np.round(corners_m / CELL_M - 0.5 - low).astype(np.int32), 1)
         row, column = np.nonzero(picture)
-        self._add(np.column_stack([column, row]) + low, 1)
+        cell = np.column_stack([column, row]) + low
+        self._add(cell, 1)
+        points = np.empty(0, bool) if kind is None else kind >= LINE_CROSSINGS
+        for coverage, had in ((self.of_lines, np.any(~points)), (self.of_points, np.any(points))):
+            if coverage is not None and had:
+                coverage._add(cell, 1)
 
     def views(self, xy_m: Array, kind: Ints | None = None) -> Ints:
         """(...,) views that showed the ground at (..., 2), and where a feature is said, would have shown its type."""
-        if kind is None or self.of_lines is None or self.of_points is None:
+        if kind is None:
             views: Ints = kernel.views(Ground(self.block, self.shown, CELL_M), xy_m.reshape(-1, 2))
             return views.reshape(xy_m.shape[:-1])
-        points = np.broadcast_to(kind >= LINE_CROSSINGS, xy_m.shape[:-1])
+        points, of_lines = np.broadcast_to(kind >= LINE_CROSSINGS, xy_m.shape[:-1]), self.of_lines or self
         if not np.any(points):
-            return self.of_lines.views(xy_m)
+            return of_lines.views(xy_m)
         out = np.empty(xy_m.shape[:-1], np.int64)
-        out[points], out[~points] = self.of_points.views(xy_m[points]), self.of_lines.views(xy_m[~points])
+        out[points], out[~points] = (self.of_points or self).views(xy_m[points]), of_lines.views(xy_m[~points])
         return out
 
     def knows(self, xy_m: Array, kind: Ints | None = None) -> NDArray[np.bool_]:

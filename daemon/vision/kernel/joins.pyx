@@ -76,9 +76,7 @@ cdef void pair(
     for i in range(n - 1):
         a, b = order[i], order[i + 1]
         gap = offset[b] - offset[a]
-        if group[a] // 2 != group[b] // 2 or group[a] == group[b] or not gap < groove:
-            continue
-        if not beside(start, end, a, b):
+        if group[a] // 2 != group[b] // 2 or group[a] == group[b] or not (gap < groove and beside(start, end, a, b)):
             continue
         score[i] = <double>min(support[a], support[b]) / (gap if gap > narrow else narrow)
         k = found

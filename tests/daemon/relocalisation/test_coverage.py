@@ -37,6 +37,9 @@ def test_ground_is_known_for_the_kinds_of_features_that_its_views_had() -> None:
         alone = Coverage.of_kinds()
         alone.show(SQUARE, seen)
         assert alone.views(at, kinds).tolist() == known
+    of_an_old_recording = Coverage(of_points=Coverage())
+    of_an_old_recording.show(SQUARE, joints)
+    assert of_an_old_recording.views(at, kinds).tolist() == [1, 0, 0, 0]
 
 
 def test_of_a_map_that_came_without_points_nothing_is_known_for_them() -> None:
