@@ -168,14 +168,14 @@ class Doubt:
         return float(np.clip(_fit(here, var, tile_m, turned), -MOST_ALIGNED, MOST_ALIGNED))
 
     @property
-    def _listed(self) -> float:
-        """Share of the places that somebody can have moved it to which are on the map and are listed one by one."""
-        return (1.0 - OFF_MAP) * min((ANYWHERE_M / self.reach_m) ** 2, 1.0) if self.reach_m > 0.0 else 1.0 - OFF_MAP
+    def unlisted(self) -> float:
+        """Share of the places that somebody can have moved it to which are on the map and are not listed one by one."""
+        return (1.0 - OFF_MAP) * (1.0 - (ANYWHERE_M / max(self.reach_m, ANYWHERE_M)) ** 2)
 
     @property
     def unknown(self) -> float:
         """Log-odds of standing where the map does not know, or where no rival was listed."""
-        share = 1.0 - self._listed
+        share = OFF_MAP + self.unlisted
         return float(np.log(max(share * self.elsewhere, TINY)) - np.log1p(-self.elsewhere))
 
     def off_map(self, here: Array, tile_m: Array) -> tuple[float, float]:
@@ -225,11 +225,6 @@ class Reach:
         """One more doubt came at a pose (3,)."""
         if len(self.doubts) <= MOST_DOUBTS:
             self.doubts.append((doubt, pose))
-
-    @property
-    def by_gaps(self) -> bool:
-        """Whether nothing but gaps brought the robot elsewhere: no claim, no jump."""
-        return bool(self.doubts) and all(doubt.elsewhere <= LIFTED for doubt, _ in self.doubts)
 
     def beyond(self, places: Array, faster: float = 1.0) -> NDArray[np.bool_]:
         """(N,) whether no single doubt, were it so much faster, explains places (N, 3), place_from_tracked in map."""

@@ -167,10 +167,10 @@ class PlaceBelief:
     def at_another_spot(self) -> bool:
         return self.spot_m > SPOT_M or self.spot_rad > SPOT_RAD
 
-    def weigh(self, log_ratio: Array, unmapped: Callable[[int], tuple[Array, bool]] | None = None) -> None:
+    def weigh(self, log_ratio: Array, unmapped: Callable[[int], tuple[Array, NDArray[np.bool_]]] | None = None) -> None:
         """Take in a view: (P, 2) log-likelihood ratios of the places against ground that is not known, and what says
         (P,) how much of what speaks for one of them lies on ground that is not known at each (None: nothing), and
-        whether how alike ceilings are there is a guess.
+        (P,) beside which how alike the ceiling is there is a guess.
 
         What the likeliest other place than the tracked one explains so well may be because ceilings are alike: then
         new ground would show the same, so it is no worse for that: any, or while the tracked place leads, only its own.
@@ -181,9 +181,8 @@ class PlaceBelief:
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
             on_new, guess = unmapped(best)
             before, after = self.seen[best], self.seen[best] + view
-            if guess:
-                before, after = guessed(before), guessed(after)
-            share = max(too_much(after) - too_much(before), 0.0) * on_new
+            measured, guesses = (too_much(f(after)) - too_much(f(before)) for f in (np.asarray, guessed))
+            share = np.maximum(np.where(guess, guesses, measured), 0.0) * on_new
             share[best] = 0.0
             if weight[best] < weight[0]:
                 share[1:] = 0.0

@@ -267,7 +267,7 @@ class Relocaliser:
             listed_m = max(doubt.search_m, WATCH_M if lattice is None else lattice.watched_m)
             known = float(evidence.known(expected[None])[0])
             self._on_map.doubt(doubt, expected, view, lattice, s.survey.coverage, known, listed_m, s.belief.stood)
-        s.belief.doubt_unknown(unknown, changed)
+        s.doubt_unknown(doubt, unknown, changed)
         bounded = lattice is not None and doubt.bounded(lattice.reach_m(doubts.ANYWHERE_M))
         s.listed = bounded and (s.listed or s.began == 0.0)
         s.belief.cut = not (s.searched or s.listed)
@@ -291,8 +291,7 @@ class Relocaliser:
         poses, places, odds = poses[within], places[within], s.belief.unknown - s.belief.settled[0]
         odds = odds + log_odds_of_found(poses, pose, s.leads, s.survey.coverage.area_m2, late)
         s.belief.add(places, odds, late)
-        s.searched = (s.searched or whole) and not s.belief.cut
-        s.belief.cut = not (s.searched or s.listed)
+        s.were_listed(whole)
         own = np.flatnonzero(of_tracked(places))
         if not len(own):
             return pose

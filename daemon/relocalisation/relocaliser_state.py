@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ceilvo.daemon.relocalisation.doubts import Doubt, Reach
+from ceilvo.daemon.relocalisation.doubts import OFF_MAP, Doubt, Reach
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.unmapped import Unmapped
 from ceilvo.daemon.relocalisation.flipped_picture import FlippedPicture
-from ceilvo.daemon.relocalisation.not_this_map import NotThisMapState
+from ceilvo.daemon.relocalisation.not_this_map import UNLISTED, NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.submap import first_id_after, turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
@@ -77,6 +78,7 @@ class RelocaliserState:
         doubted_m: way since a view and the one before it gave a small doubt.
         listed: all places where the robot may be were listed one by one; what the index leaves out is none of them.
         searched: since the doubt a view told all places of the map that it can be from, and all of them were listed.
+        unlisted: share of what the belief has of ground that is not known which is of places of the map.
         unmapped: what the map lacks while the place is sure.
         search: the last one of this doubt.
         reach: where hands can have brought the robot since the place was sure.
@@ -109,6 +111,7 @@ class RelocaliserState:
     doubted_m: float = np.inf
     listed: bool = False
     searched: bool = False
+    unlisted: float = 0.0
     unmapped: Unmapped = field(default_factory=Unmapped)
     search: PlaceSearch | None = None
     reach: Reach = field(default_factory=Reach)
@@ -162,10 +165,29 @@ class RelocaliserState:
         self.submap_from, self.apart, self.gap_cov, self.search = None, False, np.zeros((3, 3)), None
         self.reach = Reach()
 
-    def likeness_is_a_guess(self, place: int) -> bool:
-        """Whether nobody knows how alike the ceiling is there: after gaps, of a map of a few lamps; or where no hand
-        brought the robot."""
-        return (self.survey.few and self.reach.by_gaps) or bool(self.reach.beyond(self.belief.places[place, None])[0])
+    def doubt_unknown(self, doubt: Doubt, unknown: float, changed: float) -> None:
+        """Something happened after which no listed place may be right, see PlaceBelief.doubt_unknown."""
+        before = self.belief.unknown
+        self.belief.doubt_unknown(unknown, changed)
+        new = -np.expm1(before - self.belief.unknown)
+        self.unlisted += new * (doubt.unlisted / (doubt.unlisted + OFF_MAP) - self.unlisted)
+
+    def were_listed(self, whole: bool) -> None:
+        """A view told places of the map that it can be from, the whole map's if whole, but for what the belief cut:
+        then ground that is not known is hardly on the map."""
+        self.searched &= not self.belief.cut
+        if whole and not self.belief.cut:
+            self.searched, of_map = True, self.unlisted
+            self.belief.unknown += float(np.log1p(-(1.0 - UNLISTED) * of_map))
+            self.unlisted = UNLISTED * of_map / (1.0 - (1.0 - UNLISTED) * of_map)
+        self.belief.cut = not (self.searched or self.listed)
+
+    def likeness_is_a_guess(self, place: int) -> NDArray[np.bool_]:
+        """(P,) places beside which nobody knows how alike the ceiling is at another: all where no hand brought the
+        robot there; where it is tracked, on a map of a few lamps."""
+        out = np.full(len(self.belief), bool(self.reach.beyond(self.belief.places[place, None])[0]))
+        out[0] |= self.survey.few
+        return out
 
     def gap_opens(self, pose: Array, cov: Array) -> None:
         """The tracked pose (3,) was moved onto tiles; before it was known by a covariance (3, 3) only."""
