@@ -133,7 +133,7 @@ class Pipeline:
         self.relocaliser.followed(self.dead_reckoning.state, track, 0 if crossings is None else len(crossings), heard)
         self.relocaliser.follow_lamps(self.dead_reckoning.state, track, heard.lamps)
         if len(misplaced) and track.gap is None:
-            self.relocaliser.state.survey.forget_near(self.filter, misplaced)
+            self.relocaliser.forget_near(misplaced)
         jump = suspicions.gravest(Severity.IN_DOUBT)
         if jump is not None:
             self.relocaliser.suspect(jump.reason, jump.jump_m)

@@ -85,8 +85,6 @@ class Relocaliser:
         """How often it was said that this is not the map, and that the picture is flipped."""
         return {"not_this_map": self._on_map.state.times, "picture_flipped": self.state.picture.times}
 
-    # -- what happens to the robot
-
     def start_at(self, pose: Array, cov: Array, landmarks: Landmarks | None, doubt: Doubt | None = None) -> None:
         """Begin at a pose (3,); with landmarks it is a claim that views must bear out."""
         known = landmarks if landmarks is not None and len(landmarks) else None
@@ -158,8 +156,6 @@ class Relocaliser:
         if s.survey.coverage.area_m2 > self._sharp.young_m2 and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
-    # -- a view
-
     def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:
         """Weigh what is seen, teach the filter what may be learnt from it; the view, None when it is no news.
 
@@ -179,6 +175,10 @@ class Relocaliser:
             if self.sure and not self.state.surprised and len(self._sharp.visible_m):
                 s.survey.learnt(self.filter, self._sharp.shown(crossings, view), view.crossing_type)
         return view
+
+    def forget_near(self, misplaced_m: Array) -> None:
+        """Crossings were taken to be at points (N, 2) in base, and are elsewhere."""
+        self.state.survey.forget_near(self.filter, misplaced_m, self._sharp.visible_m)
 
     def tells(self, crossings: Crossings) -> Crossings:
         """What of a view tells places."""

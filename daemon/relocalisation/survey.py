@@ -140,12 +140,15 @@ class MapSurvey:
         there = self.index.within(pose[:2] - reach_m + EDGE_M, pose[:2] + reach_m - EDGE_M)
         self.index.remove(np.setdiff1d(there, near.ids))
 
-    def forget_near(self, filter_: PoseFilter, xy_base_m: Array) -> None:
+    def forget_near(self, filter_: PoseFilter, xy_base_m: Array, visible_m: Array) -> None:
         """Filter and index drop landmarks at points (N, 2) in base: what was learnt there is elsewhere.
 
-        Landmarks that are not shown yet may be of them, and are begun again.
+        Landmarks that are not shown yet may be of them, and are begun again. The ground that is in view, a polygon
+        (V, 2) in base, was shown without what lies there.
         """
-        at = transform(Pose(filter_.estimate()[0]), xy_base_m)
+        pose = Pose(filter_.estimate()[0])
+        self.coverage.forget(transform(pose, visible_m))
+        at = transform(pose, xy_base_m)
         near = filter_.landmarks_near(at, MISPLACED_M)[1]
         off = near.xy_map_m[:, None] - at
         wrong = near.ids[np.any(np.hypot(off[..., 0], off[..., 1]) < MISPLACED_M, axis=1)]

@@ -87,19 +87,20 @@ class Coverage:
 
     def show(self, corners_m: Array, kind: Ints | None = None) -> None:
         """One more view of the convex polygon (V, 2) in map, that had features of types (K,); None: no kind is told."""
-        if len(corners_m) < 3:
-            return
-        low = np.floor(np.min(corners_m, axis=0) / CELL_M).astype(np.int64)
-        high = np.floor(np.max(corners_m, axis=0) / CELL_M).astype(np.int64)
-        picture = np.zeros((high - low + 1)[::-1], np.uint8)
-        cv2.fillConvexPoly(picture, np.round(corners_m / CELL_M - 0.5 - low).astype(np.int32), 1)
-        row, column = np.nonzero(picture)
-        cell = np.column_stack([column, row]) + low
+        cell = _within(corners_m)
         self._add(cell, 1)
         points = np.empty(0, bool) if kind is None else kind >= LINE_CROSSINGS
         for coverage, had in ((self.of_lines, np.any(~points)), (self.of_points, np.any(points))):
             if coverage is not None and had:
                 coverage._add(cell, 1)
+
+    def forget(self, corners_m: Array) -> None:
+        """What views of the convex polygon (V, 2) in map showed there was taken to be elsewhere than it is."""
+        cell = _within(corners_m)
+        block = _numbered(cell)[0]
+        for coverage in (self, self.of_lines, self.of_points):
+            if coverage is not None:
+                coverage._add(cell[np.isin(block, coverage.block)], -_MOST)
 
     def views(self, xy_m: Array, kind: Ints | None = None) -> Ints:
         """(...,) views that showed the ground at (..., 2), and where a feature is said, would have shown its type."""
@@ -139,6 +140,8 @@ class Coverage:
         return float(np.mean(np.hypot(*(known - at_m).T) > reach_m)) if len(known) else 1.0
 
     def _add(self, cell: Ints, views: Ints | int) -> None:
+        if not len(cell):
+            return
         number, inside = _numbered(cell)
         fresh = np.setdiff1d(number, self.block)
         if len(fresh):
@@ -147,7 +150,7 @@ class Coverage:
             self.shown = np.insert(self.shown, at, np.uint8(0), axis=0)
         flat = self.shown.reshape(len(self.block), -1)
         at = np.searchsorted(self.block, number)
-        flat[at, inside] = np.minimum(flat[at, inside].astype(np.int64) + views, _MOST)
+        flat[at, inside] = np.clip(flat[at, inside].astype(np.int64) + views, 0, _MOST)
 
 
 def _windows(cell: Ints, rim: int) -> Iterator[tuple[Ints, Ints]]:
@@ -175,6 +178,17 @@ def _ground(landmarks: Landmarks, reach: int) -> tuple[Ints, Ints]:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     inside = np.nonzero(cv2.morphologyEx(there, cv2.MORPH_CLOSE, disc))
     return np.column_stack(inside[::-1]) + low, np.asarray(cv2.dilate(views, disc), np.int64)[inside]
+
+
+def _within(corners_m: Array) -> Ints:
+    """(N, 2) cells of the convex polygon (V, 2)."""
+    if len(corners_m) < 3:
+        return np.zeros((0, 2), np.int64)
+    low, high = _cells(np.min(corners_m, axis=0)), _cells(np.max(corners_m, axis=0))
+    picture = np.zeros((high - low + 1)[::-1], np.uint8)
+    cv2.fillConvexPoly(picture, np.round(corners_m / CELL_M - 0.5 - low).astype(np.int32), 1)
+    row, column = np.nonzero(picture)
+    return np.column_stack([column, row]) + low
 
 
 def _cells(xy_m: Array) -> Ints:

@@ -147,9 +147,27 @@ def test_what_lies_at_a_misplaced_crossing_leaves_filter_and_place_index() -> No
     survey = MapSurvey.of(f.landmarks(), 0.0)
     pose, before = f.estimate()[0], f.landmarks()
     near, beside = before.xy_map_m[5] + [0.5 * MISPLACED_M, 0.0], before.xy_map_m[12] + [0.0, 1.5 * MISPLACED_M]
-    survey.forget_near(f, transform(inverse(pose), np.stack([near, beside])))
+    nothing = np.zeros((0, 2))
+    survey.forget_near(f, transform(inverse(pose), np.stack([near, beside])), nothing)
     gone = {int(before.ids[5])}
     assert set(before.ids.tolist()) - set(f.landmarks().ids.tolist()) == gone
     assert set(before.ids.tolist()) - set(survey.index.ids.tolist()) == gone
-    survey.forget_near(f, np.array([[50.0, 50.0]]))
+    survey.forget_near(f, np.array([[50.0, 50.0]]), nothing)
     assert f.size() == len(before) - 1 == len(survey.index)
+
+
+def test_ground_in_view_of_a_misplaced_crossing_is_not_known() -> None:
+    """What lies there was shown elsewhere, so that a feature without a landmark contradicts nothing."""
+    f, _ = driven("joint")
+    survey = MapSurvey.of(f.landmarks(), 0.6)
+    pose, at = f.estimate()[0], f.landmarks().xy_map_m
+    in_view = 0.5 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    inside = np.all(np.abs(transform(inverse(pose), at)) < 0.4, axis=1)
+    outside = np.any(np.abs(transform(inverse(pose), at)) > 0.9, axis=1)
+    survey.coverage.shown[:], survey.coverage.of_lines.shown[:] = 20, 20  # type: ignore[union-attr]
+    joints = f.landmarks().crossing_type
+    assert np.count_nonzero(inside) > 0 and np.all(survey.coverage.knows(at, joints))
+    survey.forget_near(f, np.array([[50.0, 50.0]]), in_view)
+    known = survey.coverage.knows(at, joints)
+    assert not np.any(known[inside]) and np.all(known[outside])
+    assert not np.any(survey.coverage.views(at[inside]))
