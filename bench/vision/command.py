@@ -20,7 +20,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ceilvo.bench.data import data_path
-from ceilvo.bench.vision.conditions import Condition, conditions
+from ceilvo.bench.vision.condition import Condition
+from ceilvo.bench.vision.conditions import conditions
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.bench.vision.textures import OFFICE_TEXTURE, PICTURED
 from ceilvo.config import Config

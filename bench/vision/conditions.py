@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from ceilvo.bench.vision.condition import LAP, USUAL, Bar, Condition, at_least, at_most, make
 from ceilvo.bench.vision.textures import PLASTER, found_ceilings
 from ceilvo.calibration import Calibration, projection_matrix
 from ceilvo.camera import CameraModel
 from ceilvo.sim.ceiling.spec import CeilingSpec
-from ceilvo.sim.motion import LapPath, LapSpec, TiltSpec
+from ceilvo.sim.motion import LapPath, TiltSpec
 from ceilvo.sim.renderer import RenderSpec
 from ceilvo.sim.rig import simulated_calibration, simulated_camera
 from ceilvo.sim.surroundings import scenes
 from ceilvo.sim.surroundings.surroundings import Slab, SurroundingsSpec
-from ceilvo.sim.world import World, WorldSpec
 
-LAP = LapSpec(room_m=6.94, inset_m=1.0)  # 19.0 m
 TURNING = replace(LAP, speed_mps=1.0, corner_radius_m=1.0 / 1.5)
 ROLLING = simulated_calibration(simulated_camera(readout_s=0.020))
-USUAL = RenderSpec()
 TWO_DEG = TiltSpec(float(np.radians(2.0)))  # rad; docs/simulation.md: tilt of up to 2 deg
 T_BAR = CeilingSpec(groove_m=0.024, lip_m=0.0, groove_albedo=0.95)
 """24 mm, the usual width of an exposed T-bar; brightness chosen."""
@@ -33,67 +31,12 @@ FULL = ("features.full_every=1",)
 MOUNT_XY_M = (0.05, -0.03)  # chosen: off the centre, so that turning moves the camera
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A figure's bound: at least (">=") or at most ("<=") `value`."""
-
-    sense: Literal["<=", ">="]
-    value: float
-
-    def met(self, figure: float) -> bool:
-        """False for nan."""
-        return figure >= self.value if self.sense == ">=" else figure <= self.value
-
-
-@dataclass(frozen=True)
-class Condition:
-    """One run of the bench.
-
-    Attributes:
-        assumed: the calibration given to the pipeline; None is the true one.
-        blackouts_s: starts of one second without light each, as shares of the run.
-        overrides: `section.key=value` each, on top of the default configuration.
-        bars: figure name to its bar; the names are those of vision_metrics.figures().
-    """
-
-    name: str
-    about: str
-    spec: WorldSpec = field(default_factory=lambda: WorldSpec(lap=LAP))
-    true: Calibration = field(default_factory=simulated_calibration)
-    assumed: Calibration | None = None
-    fps: float = 30.0
-    blackouts_s: tuple[float, ...] = ()
-    overrides: tuple[str, ...] = ()
-    bars: dict[str, Bar] = field(default_factory=dict)
-
-    @property
-    def lap_s(self) -> float:
-        """World time at the end of the first lap."""
-        lap = self.spec.lap
-        return LapPath(lap).lap_m / lap.speed_mps + lap.rest_s + 0.5 * lap.ramp_s
-
-    def world(self) -> World:
-        return World(self.spec, self.true)
-
-    @property
-    def calibration(self) -> Calibration:
-        return self.assumed or self.true
-
-
 def conditions() -> tuple[Condition, ...]:
     """All of them, in the order of the table."""
     return (
         *(*_light(), *_ceilings(), *_heights(), *_in_the_way(), *_driving()),
         *(*_calibration(), *_lenses(), *_stress(), *_found_ceilings()),
     )
-
-
-def at_least(value: float) -> Bar:
-    return Bar(">=", value)
-
-
-def at_most(value: float) -> Bar:
-    return Bar("<=", value)
 
 
 TIMES = {"time_median": at_most(3.5), "time_p99": at_most(8.0)}
@@ -111,31 +54,31 @@ def _light() -> list[Condition]:
     }
     motion = {"motion_median_mm": at_most(0.06), "motion_median_mdeg": at_most(1.5), "worst_mm": at_most(8.0)}
     return [
-        _make("base", "lamps on, usual noise", bars={**crossings, **motion, **TIMES}),
-        _make("base-full", "the same, every frame looked at whole", overrides=FULL, bars={**crossings, **WHOLE_TIMES}),
-        _make("noise-x3", "three times the noise", render=_noisy(3.0), bars=_found(98.0)),
-        _make("noise-x6", "six times the noise", render=_noisy(6.0)),
-        _make("lamps-off", "30 % daylight only", render=replace(USUAL, lit=())),
-        _make("dark", "12 % daylight only", render=replace(USUAL, lit=(), daylight=0.12), bars=_found(97.0)),
-        _make(
+        make("base", "lamps on, usual noise", bars={**crossings, **motion, **TIMES}),
+        make("base-full", "the same, every frame looked at whole", overrides=FULL, bars={**crossings, **WHOLE_TIMES}),
+        make("noise-x3", "three times the noise", render=_noisy(3.0), bars=_found(98.0)),
+        make("noise-x6", "six times the noise", render=_noisy(6.0)),
+        make("lamps-off", "30 % daylight only", render=replace(USUAL, lit=())),
+        make("dark", "12 % daylight only", render=replace(USUAL, lit=(), daylight=0.12), bars=_found(97.0)),
+        make(
             "flicker-switch",
             "lamps flicker by 30 % and are switched in three groups",
             render=replace(USUAL, flicker_depth=0.3, switch_groups=3, switch_period_s=1.7),
         ),
-        _make("blur-33ms", "33 ms exposure", render=replace(USUAL, exposure_s=0.033), bars=_found(94.0)),
-        _make("blur-66ms", "66 ms exposure", fps=15.0, render=replace(USUAL, exposure_s=0.066)),
+        make("blur-33ms", "33 ms exposure", render=replace(USUAL, exposure_s=0.033), bars=_found(94.0)),
+        make("blur-66ms", "66 ms exposure", fps=15.0, render=replace(USUAL, exposure_s=0.066)),
     ]
 
 
 def _ceilings() -> list[Condition]:
     never_wrong = {"wrong": at_most(0.0), "drift_pct": at_most(0.5)}
     return [
-        _make("faint", "grooves 13 % darker than tiles", ceiling=FAINT),
+        make("faint", "grooves 13 % darker than tiles", ceiling=FAINT),
         *(_fainter(levels) for levels in (5.0, 3.0, 2.0)),
-        _make("t-bars-dim", "bright bars with edges 4.5 px apart, daylight only", ceiling=T_BAR, render=_DIM),
-        _make("t-bars-dim-tilt", "the same, tilt up to 2 deg", ceiling=T_BAR, render=_DIM, tilt=TWO_DEG),
-        _make("bare", "plaster with lamps only", ceiling=PLASTER, bars=never_wrong),
-        _make(
+        make("t-bars-dim", "bright bars with edges 4.5 px apart, daylight only", ceiling=T_BAR, render=_DIM),
+        make("t-bars-dim-tilt", "the same, tilt up to 2 deg", ceiling=T_BAR, render=_DIM, tilt=TWO_DEG),
+        make("bare", "plaster with lamps only", ceiling=PLASTER, bars=never_wrong),
+        make(
             "walls",
             "walls with doors and a rail, seen below the ceiling",
             lap=replace(LAP, room_m=6.54, inset_m=0.8),
@@ -162,11 +105,11 @@ def _heights() -> list[Condition]:
     }
     return [
         *(
-            _make(n.replace("_", "-"), a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars)
+            make(n.replace("_", "-"), a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars)
             for n, a in about.items()
         ),
         *(
-            _make(name, f"the ceiling rises by 5 deg {where}", ceiling=CeilingSpec(slope=rise), bars=bars)
+            make(name, f"the ceiling rises by 5 deg {where}", ceiling=CeilingSpec(slope=rise), bars=bars)
             for name, (rise, where) in slopes.items()
         ),
     ]
@@ -175,7 +118,7 @@ def _heights() -> list[Condition]:
 def _fainter(levels: float) -> Condition:
     """Joints that are so many grey levels deep, between tiles all alike, beside lamps that saturate."""
     bars = {"recall_grid_pct": at_least(85.0), "precision_pct": at_least(97.0)} if levels >= 3.0 else {}
-    return _make(f"faint-{levels:g}", f"grooves {levels:g} grey levels deep", ceiling=_darker(levels), bars=bars)
+    return make(f"faint-{levels:g}", f"grooves {levels:g} grey levels deep", ceiling=_darker(levels), bars=bars)
 
 
 def _darker(levels: float) -> CeilingSpec:
@@ -184,8 +127,8 @@ def _darker(levels: float) -> CeilingSpec:
 
 def _in_the_way() -> list[Condition]:
     return [
-        _make("occluded", "plates 1.5 m above the camera pass by", surroundings=OVERHANG),
-        _make("occluded-fixed", "a plate on the robot hides 25 % of the view", surroundings=ON_ROBOT),
+        make("occluded", "plates 1.5 m above the camera pass by", surroundings=OVERHANG),
+        make("occluded-fixed", "a plate on the robot hides 25 % of the view", surroundings=ON_ROBOT),
     ]
 
 
@@ -193,29 +136,29 @@ def _driving() -> list[Condition]:
     bars = {"motion_median_mm": at_most(0.5), "motion_p95_mm": at_most(1.8), "worst_mm": at_most(15.0)}
     fast = replace(LAP, speed_mps=0.8, corner_radius_m=0.8 / np.radians(90.0))
     return [
-        _make("tilt", "tilt up to 2 deg with vibration", tilt=TWO_DEG, bars={**bars, **TIMES}),
-        _make(
+        make("tilt", "tilt up to 2 deg with vibration", tilt=TWO_DEG, bars={**bars, **TIMES}),
+        make(
             "tilt-start",
             "the same from the first frame on, while the robot still stands",
             tilt=replace(TWO_DEG, at_rest=True),
             bars={**bars, "tracking_worst_mm": Bar("<=", 8.0)},
         ),
-        _make("tilt-full", "the same, looked at whole", tilt=TWO_DEG, overrides=FULL, bars={**bars, **WHOLE_TIMES}),
-        _make("fast", "0.8 m/s, turns of 90 deg/s", lap=fast),
-        _make("turning", "1 m/s, turns of 1.5 rad/s", lap=TURNING),
-        _make("rolling-20ms", "the same, rows read in 20 ms", lap=TURNING, true=ROLLING),
-        _make("5-fps", "5 frames a second", fps=5.0),
-        _make("blackout", "1 s without light on a straight", blackouts=(0.33,)),
-        _make("blackout-bend", "1 s without light in a bend", blackouts=(0.213,)),
+        make("tilt-full", "the same, looked at whole", tilt=TWO_DEG, overrides=FULL, bars={**bars, **WHOLE_TIMES}),
+        make("fast", "0.8 m/s, turns of 90 deg/s", lap=fast),
+        make("turning", "1 m/s, turns of 1.5 rad/s", lap=TURNING),
+        make("rolling-20ms", "the same, rows read in 20 ms", lap=TURNING, true=ROLLING),
+        make("5-fps", "5 frames a second", fps=5.0),
+        make("blackout", "1 s without light on a straight", blackouts=(0.33,)),
+        make("blackout-bend", "1 s without light in a bend", blackouts=(0.213,)),
     ]
 
 
 def _calibration() -> list[Condition]:
     return [
-        _make("cal-k1", "k1 5 % too large", assumed=misjudged(k1=1.05)),
-        _make("cal-f", "f 0.5 % too long", assumed=misjudged(f=1.005)),
-        _make("cal-centre", "principal point off by 2 px in x and y", assumed=misjudged(centre_px=2.0)),
-        _make("cal-all", "all three", assumed=misjudged(1.05, 1.005, 2.0)),
+        make("cal-k1", "k1 5 % too large", assumed=misjudged(k1=1.05)),
+        make("cal-f", "f 0.5 % too long", assumed=misjudged(f=1.005)),
+        make("cal-centre", "principal point off by 2 px in x and y", assumed=misjudged(centre_px=2.0)),
+        make("cal-all", "all three", assumed=misjudged(1.05, 1.005, 2.0)),
     ]
 
 
@@ -223,11 +166,11 @@ def _lenses() -> list[Condition]:
     found = {"recall_grid_pct": at_least(97.0)}
     sizes = ((320, 240), (323, 243), (641, 479), (644, 482), (1280, 960), (1920, 1080))
     return [
-        *(_make(f"{w}x{h}", "base, pictures of another size", true=_of_size(w, h), bars=found) for w, h in sizes),
-        _make("1280x720", "larger picture", true=_of_size(1280, 720)),
-        _make("160x120", "base, the smallest picture", true=_of_size(160, 120)),
-        _make("fisheye", "fisheye lens", true=simulated_calibration(simulated_camera("fisheye"))),
-        _make(
+        *(make(f"{w}x{h}", "base, pictures of another size", true=_of_size(w, h), bars=found) for w, h in sizes),
+        make("1280x720", "larger picture", true=_of_size(1280, 720)),
+        make("160x120", "base, the smallest picture", true=_of_size(160, 120)),
+        make("fisheye", "fisheye lens", true=simulated_calibration(simulated_camera("fisheye"))),
+        make(
             "fisheye-22-faint-3",
             "fisheye lens 22 deg off the vertical, grooves 3 grey levels deep",
             ceiling=_darker(3.0),
@@ -245,8 +188,8 @@ def _stress() -> list[Condition]:
     about = "noise x3, flicker, switching, tilt 2 deg, plates pass by"
     stress: dict[str, Any] = {"render": render, "tilt": TWO_DEG, "surroundings": OVERHANG}
     return [
-        _make("mixed", about, **stress, bars={"restarts": at_most(0.0), "drift_pct": at_most(0.1)}),
-        _make(
+        make("mixed", about, **stress, bars={"restarts": at_most(0.0), "drift_pct": at_most(0.1)}),
+        make(
             "mixed-cal",
             about + ", calibration errors",
             **stress,
@@ -261,7 +204,7 @@ def _found_ceilings() -> list[Condition]:
     not_always_seen = ("wood-slats", "slats-round", "plaster-round", "plaster-glints", "strips-only")
     bars = {"worst_mm": at_most(20.0)}
     return [
-        _make(
+        make(
             f.name,
             f.about,
             ceiling=f.ceiling,
@@ -290,33 +233,6 @@ def misjudged(k1: float = 1.0, f: float = 1.0, centre_px: float = 0.0) -> Calibr
     mount = float(true.mount_xy_m[0]), float(true.mount_xy_m[1])
     projection = projection_matrix(wrong, true.camera_from_base, mount, true.ceiling_height_m)
     return replace(true, camera=wrong, projection=projection)
-
-
-def _make(
-    name: str,
-    about: str,
-    *,
-    render: RenderSpec = USUAL,
-    ceiling: CeilingSpec | None = None,
-    lap: LapSpec = LAP,
-    tilt: TiltSpec | None = None,
-    surroundings: SurroundingsSpec | None = None,
-    true: Calibration | None = None,
-    assumed: Calibration | None = None,
-    fps: float = 30.0,
-    blackouts: tuple[float, ...] = (),
-    overrides: tuple[str, ...] = (),
-    bars: dict[str, Bar] | None = None,
-) -> Condition:
-    spec = WorldSpec(
-        lap=lap,
-        ceiling=ceiling or CeilingSpec(),
-        render=render,
-        tilt=tilt or TiltSpec(),
-        surroundings=surroundings or SurroundingsSpec(),
-    )
-    all_bars = {**(bars or {}), "heading_deg": at_most(0.1), "tracking_worst_mm": at_most(50.0)}
-    return Condition(name, about, spec, true or simulated_calibration(), assumed, fps, blackouts, overrides, all_bars)
 
 
 def _found(recall_pct: float) -> dict[str, Bar]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.bench.vision.baselines import Baseline, DescriptorMatcher, PointTracker
-from ceilvo.bench.vision.conditions import Condition
+from ceilvo.bench.vision.condition import Condition
 from ceilvo.bench.vision.metrics import CrossingScore, MotionScore, TrackingScore
 from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys

@@ -14,7 +14,8 @@ import pytest
 from ceilvo import se2
 from ceilvo.bench.vision import command as vision
 from ceilvo.bench.vision.baselines import DescriptorMatcher, PointTracker
-from ceilvo.bench.vision.conditions import LAP, conditions, misjudged
+from ceilvo.bench.vision.condition import LAP
+from ceilvo.bench.vision.conditions import conditions, misjudged
 from ceilvo.bench.vision.metrics import CrossingScore, MotionScore, TrackingScore
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.sim.ceiling.layout import CrossingType

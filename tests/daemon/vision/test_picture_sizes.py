@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ceilvo.bench.vision.conditions import Condition, conditions
+from ceilvo.bench.vision.condition import Condition
+from ceilvo.bench.vision.conditions import conditions
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.camera import LevelView
 from ceilvo.daemon.vision.edge_tracking import look_ups
