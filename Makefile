@@ -15,7 +15,7 @@ help:
 	@echo "make test              every check and every test that needs no special rights"
 	@echo "make check             format, lint and types only"
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
-	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each)"
+	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each): SEED=1"
 	@echo "make bench-real DATA=d recordings of real ceilings in folder d"
 	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
@@ -155,7 +155,7 @@ wheels: $(VENV)/.installed
 	bash packaging/wheels.sh dist
 
 bench-vision: $(VENV)/.installed-dev
-	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS))
+	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS)) $(if $(SEED),--seed $(SEED))
 
 bench-real: $(VENV)/.installed-dev
 	@$(BIN)/python -m ceilvo.bench.real $(or $(DATA),../shared/data)

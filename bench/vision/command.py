@@ -1,6 +1,6 @@
 """The vision bench: every condition of vision_conditions on exact truth, as a table, JSON and a picture each.
 
-python -m ceilvo.bench.vision [--conditions base,tilt] [--quick]
+python -m ceilvo.bench.vision [--conditions base,tilt] [--quick] [--seed 61]
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from ceilvo.bench.vision.conditions import conditions
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.bench.vision.textures import OFFICE_TEXTURE, PICTURED
 from ceilvo.config import Config
+from ceilvo.config.arguments import from_up
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.errors import CeilvoError, ConfigError
 from ceilvo.files import write_atomic
 from ceilvo.json_values import json_value
+from ceilvo.sim.world import WorldSpec
 
 QUICK_S = 6.0  # docs/bench.md (QUICK=1)
 _REPORT_EVERY = 15  # frames; chosen: twice a second of world time at 30 Hz
@@ -55,6 +57,8 @@ COLUMNS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("ORB\n% time", (("orb_drift_pct", ".2f"), ("orb_time", ".1f"))),
 )
 
+_EXAMPLE = "example: python -m ceilvo.bench.vision --conditions base,two-lamps --seed 61"
+
 _frames_done: Any = None
 
 
@@ -62,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """0 whether or not the bars are met: they are in the table and in the JSON."""
     args = _parser().parse_args(arguments)
     try:
-        chosen = _chosen(args.conditions)
+        chosen = _chosen(args.conditions, args.seed)
         seconds = args.seconds if args.seconds is not None else (QUICK_S if args.quick else None)
         replace_keys(Config(), args.set)  # a typing mistake is told before anything runs
         results = _run_all(chosen, Options(seconds, args.pictures, not args.no_baselines, tuple(args.set)), args.jobs)
@@ -80,10 +84,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    p = argparse.ArgumentParser(prog="python -m ceilvo.bench.vision", description="Front end against exact truth.")
+    p = argparse.ArgumentParser(
+        prog="python -m ceilvo.bench.vision", description="Front end against exact truth.", epilog=_EXAMPLE
+    )
     p.add_argument("--conditions", metavar="A,B", help="names, separated by commas (default: all)")
     p.add_argument("--quick", action="store_true", help=f"{QUICK_S:g} s of each condition instead of a lap")
     p.add_argument("--seconds", type=float, metavar="S", help="world time of each condition instead of a lap")
+    p.add_argument(
+        "--seed",
+        type=from_up(0),
+        default=WorldSpec().seed,
+        metavar="N",
+        help="draws ceiling, noise and rocking of every condition (default: %(default)s)",
+    )
     p.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="conditions at once; more than 1 disturbs the times"
     )
@@ -96,8 +109,8 @@ def _parser() -> argparse.ArgumentParser:
     return p
 
 
-def _chosen(names: str | None) -> list[Condition]:
-    known = {c.name: c for c in conditions()}
+def _chosen(names: str | None, seed: int) -> list[Condition]:
+    known = {c.name: c.with_seed(seed) for c in conditions()}
     if names is None:
         return list(known.values())
     for name in names.split(","):
@@ -121,7 +134,7 @@ def _run_all(chosen: list[Condition], options: Options, jobs: int) -> list[dict[
         spawn.Pool(jobs, _hear, (done,), maxtasksperchild=1) as pool,
     ):
         task = progress.add_task("frames", total=sum(totals))
-        running = [pool.apply_async(_job, (c.name, options)) for c in chosen]
+        running = [pool.apply_async(_job, (c.name, c.spec.seed, options)) for c in chosen]
         while not all(r.ready() for r in running):
             try:
                 name, frames = done.get(timeout=0.2)
@@ -136,7 +149,7 @@ def _hear(done: Any) -> None:
     _frames_done = done
 
 
-def _job(name: str, options: Options) -> dict[str, float]:
+def _job(name: str, seed: int, options: Options) -> dict[str, float]:
     count = 0
 
     def progress(frames: int) -> None:
@@ -145,12 +158,12 @@ def _job(name: str, options: Options) -> dict[str, float]:
         if count % _REPORT_EVERY == 0:
             _frames_done.put((name, _REPORT_EVERY))
 
-    return run(_chosen(name)[0], options, progress)
+    return run(_chosen(name, seed)[0], options, progress)
 
 
 def table(chosen: list[Condition], results: list[dict[str, float]]) -> Table:
     """Figures with their bars, PASS or MISS below those that have one."""
-    out = Table("condition", title="Vision bench", show_lines=True)
+    out = Table("condition", title=f"Vision bench, seed {chosen[0].spec.seed}", show_lines=True)
     for heading, _ in COLUMNS:
         out.add_column(heading, justify="right")
     for condition, figures in zip(chosen, results, strict=True):
@@ -187,6 +200,7 @@ def as_json(chosen: list[Condition], results: list[dict[str, float]], seconds: f
         "conditions": {
             c.name: {
                 "about": c.about,
+                "seed": c.spec.seed,
                 "figures": json_value(figures),
                 "bars": {
                     k: {"sense": b.sense, "value": b.value, "pass": b.met(figures[k])}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ceilvo.calibration import Calibration
@@ -55,6 +55,10 @@ class Condition:
         """World time at the end of the first lap."""
         lap = self.spec.lap
         return LapPath(lap).lap_m / lap.speed_mps + lap.rest_s + 0.5 * lap.ramp_s
+
+    def with_seed(self, seed: int) -> Condition:
+        """The same in another world: its ceiling, noise and rocking are drawn anew."""
+        return replace(self, spec=replace(self.spec, seed=seed))
 
     def world(self) -> World:
         return World(self.spec, self.true)

@@ -219,6 +219,22 @@ def test_figures_that_are_not_numbers_never_meet_a_bar() -> None:
         assert not bar.met(math.nan)
 
 
+def test_a_seed_draws_every_condition_anew_and_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The conditions that run in processes of their own are drawn with it, too."""
+    assert {c.spec.seed for c in vision._chosen(None, 61)} == {61}
+    ran = []
+    monkeypatch.setattr(vision, "run", lambda condition, options, progress: ran.append(condition) or {})
+    vision._job("tilt", 61, Options())
+    assert [(c.name, c.spec.seed) for c in ran] == [("tilt", 61)]
+    usual, other = (vision._chosen("base", seed)[0].world() for seed in (1, 61))
+    assert not np.array_equal(usual.frame_at(0.0), other.frame_at(0.0))
+    monkeypatch.setattr(vision, "_run_all", lambda chosen, options, jobs: [{} for _ in chosen])
+    for arguments, seed in (([], 1), (["--seed", "61"], 61)):
+        assert vision.main(["--conditions", "base,tilt", "--json", str(tmp_path / "a.json"), *arguments]) == 0
+        told = json.loads((tmp_path / "a.json").read_text())["conditions"]
+        assert [c["seed"] for c in told.values()] == [seed, seed]
+
+
 def test_an_unknown_condition_is_one_line_that_lists_the_known(capsys: pytest.CaptureFixture[str]) -> None:
     assert vision.main(["--conditions", "bsae"]) != 0
     said = capsys.readouterr().err
