@@ -43,6 +43,8 @@ TIMES = {"time_median": at_most(3.5), "time_p99": at_most(8.0)}
 """Of a frame near predicted edges, filter included, over bare Canny."""
 WHOLE_TIMES = {"time_median": at_most(6.0), "time_p99": at_most(12.0)}
 """Of a frame that is looked at whole."""
+FEW_LINES = {"usable_way_pct": at_least(90.0), "drift_pct": at_most(0.5)}
+"""Where lines do not suffice: of the way on which two points are in view."""
 
 
 def _light() -> list[Condition]:
@@ -77,7 +79,7 @@ def _ceilings() -> list[Condition]:
         *(_fainter(levels) for levels in (5.0, 3.0, 2.0)),
         make("t-bars-dim", "bright bars with edges 4.5 px apart, daylight only", ceiling=T_BAR, render=_DIM),
         make("t-bars-dim-tilt", "the same, tilt up to 2 deg", ceiling=T_BAR, render=_DIM, tilt=TWO_DEG),
-        make("bare", "plaster with lamps only", ceiling=PLASTER, bars=never_wrong),
+        make("bare", "plaster with lamps only", ceiling=PLASTER, bars={**never_wrong, **FEW_LINES}),
         make(
             "walls",
             "walls with doors and a rail, seen below the ceiling",
@@ -202,7 +204,7 @@ def _stress() -> list[Condition]:
 def _found_ceilings() -> list[Condition]:
     """What is found in buildings: right, or said not to be."""
     not_always_seen = ("wood-slats", "slats-round", "plaster-round", "plaster-glints", "strips-only")
-    bars = {"worst_mm": at_most(20.0)}
+    few_lines = (*not_always_seen, "hexagons", "hexagons-round", "two-lamps")
     return [
         make(
             f.name,
@@ -210,7 +212,10 @@ def _found_ceilings() -> list[Condition]:
             ceiling=f.ceiling,
             render=f.render,
             true=f.true,
-            bars={} if f.name in not_always_seen else bars,
+            bars={
+                **({} if f.name in not_always_seen else {"worst_mm": at_most(20.0)}),
+                **(FEW_LINES if f.name in few_lines else {}),
+            },
         )
         for f in found_ceilings()
     ]

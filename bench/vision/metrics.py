@@ -11,7 +11,6 @@ error of the calibration or of the estimated tilt counts as an error of the cros
   lamp saturates the sensor, so its edge is seen more than a pixel outside of where it is.
 - Where the pipeline is given a wrong calibration, all crossings are off by it: `FOUND_WRONG_CALIBRATION_PX` instead.
 - motion: a good motion against the true one since the last good frame; NEES of the same with the motion's covariance.
-- tracking: share of frames in TRACKING, and their worst pose; usable: the same in TRACKING or DEGRADED.
 - drift: worst position error of the integrated motions over the path's length.
 """
 
@@ -28,7 +27,7 @@ from ceilvo import se2
 from ceilvo.calibration import USUAL_FOCAL_PX, Calibration
 from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.world import World
-from ceilvo.types import Crossings, Estimate, Motion, State
+from ceilvo.types import Crossings, Motion
 
 Array = NDArray[np.float64]
 
@@ -99,10 +98,10 @@ class CrossingScore:
         )
         frames = max(len(self.errors_px), 1)
         return {
-            "recall_pct": _percent(self.found, self.missed),
-            "recall_grid_pct": _percent(self.found - self.lamps_found, self.missed - self.lamps_missed),
-            "recall_lamps_pct": _percent(self.lamps_found, self.lamps_missed),
-            "precision_pct": _percent(self.right, self.wrong),
+            "recall_pct": percent(self.found, self.missed),
+            "recall_grid_pct": percent(self.found - self.lamps_found, self.missed - self.lamps_missed),
+            "recall_lamps_pct": percent(self.lamps_found, self.lamps_missed),
+            "precision_pct": percent(self.right, self.wrong),
             "crossing_median_px": _quantile(errors, 0.5),
             "crossing_p95_px": _quantile(errors, 0.95),
             "lamp_corner_p95_px": _quantile(lamps, 0.95),
@@ -216,32 +215,6 @@ class MotionScore:
         }
 
 
-class TrackingScore:
-    """The poses that are claimed, against the truth."""
-
-    def __init__(self, start: Array) -> None:
-        self._start = np.array(start, np.float64)
-        self._frames = 0
-        self._errors_m: dict[State, list[float]] = {State.TRACKING: [], State.DEGRADED: []}
-
-    def add(self, estimate: Estimate, true: Array) -> None:
-        """One frame's estimate, which begins at the origin, and the true pose (3,) at its time."""
-        self._frames += 1
-        if estimate.state in self._errors_m:
-            off = (se2.compose(self._start, estimate.pose) - true)[:2]
-            self._errors_m[estimate.state].append(float(np.hypot(*off)))
-
-    def figures(self) -> dict[str, float]:
-        tracking = self._errors_m[State.TRACKING]
-        usable = tracking + self._errors_m[State.DEGRADED]
-        return {
-            "tracking_pct": _percent(len(tracking), self._frames - len(tracking)),
-            "tracking_worst_mm": 1e3 * max(tracking, default=0.0),
-            "usable_pct": _percent(len(usable), self._frames - len(usable)),
-            "usable_worst_mm": 1e3 * max(usable, default=0.0),
-        }
-
-
 def _nearest(a: Array, b: Array) -> Array:
     """(len(a),) distance to the nearest of b; infinite without any."""
     if len(a) == 0 or len(b) == 0:
@@ -249,7 +222,8 @@ def _nearest(a: Array, b: Array) -> Array:
     return np.asarray(cKDTree(b).query(a)[0])
 
 
-def _percent(good: int, bad: int) -> float:
+def percent(good: int, bad: int) -> float:
+    """Share of the good ones; nan without any."""
     return 100.0 * good / (good + bad) if good + bad else float("nan")
 
 

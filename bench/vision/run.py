@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.bench.vision.baselines import Baseline, DescriptorMatcher, PointTracker
+from ceilvo.bench.vision.claims import GapScore, TrackingScore
 from ceilvo.bench.vision.condition import Condition
-from ceilvo.bench.vision.metrics import CrossingScore, MotionScore, TrackingScore
+from ceilvo.bench.vision.metrics import CrossingScore, MotionScore
 from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys
 from ceilvo.daemon.pipeline import Pipeline
@@ -79,7 +80,8 @@ def run(
     pipeline = Pipeline(condition.calibration, config, np.random.default_rng(1))
     crossings = CrossingScore(world, condition.calibration)
     motions = MotionScore(world.truth_at(middle_s))
-    tracking = TrackingScore(world.truth_at(middle_s))
+    tracking = TrackingScore(world.truth_at(middle_s), 1.0 / condition.fps)
+    gaps = GapScore()
     rivals = _Rivals(condition, motions_start=world.truth_at(middle_s)) if options.baselines else None
     times = StageTimes()
     for k in range(frames):
@@ -95,6 +97,7 @@ def run(
             crossings.add(view.crossings if view else None, true, tilt)
         motions.add(estimate.motion, true)
         tracking.add(estimate, true)
+        gaps.add(estimate.motion, true)
         if rivals is not None:
             rivals.step(gray, true)
         if options.pictures is not None and k == int(_PICTURE_AT * frames) and view is not None:
@@ -107,7 +110,7 @@ def run(
         progress(1)
     path_m = float(world.path.travel_at(frames / condition.fps))
     figures = {"frames": float(frames), "path_m": path_m, **crossings.figures()}
-    figures |= {**motions.figures(path_m), **tracking.figures()}
+    figures |= {**motions.figures(path_m), **tracking.figures(), **gaps.figures()}
     figures.update(_time_figures(times))
     if rivals is not None:
         figures.update(rivals.figures(path_m, float(np.median(times.total(("canny",))))))

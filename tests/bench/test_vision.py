@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,12 +15,12 @@ from ceilvo.bench.vision import command as vision
 from ceilvo.bench.vision.baselines import DescriptorMatcher, PointTracker
 from ceilvo.bench.vision.condition import LAP
 from ceilvo.bench.vision.conditions import conditions, misjudged
-from ceilvo.bench.vision.metrics import CrossingScore, MotionScore, TrackingScore
+from ceilvo.bench.vision.metrics import CrossingScore, MotionScore
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.sim.ceiling.layout import CrossingType
 from ceilvo.sim.motion import TiltSpec
 from ceilvo.sim.world import World, WorldSpec
-from ceilvo.types import Crossings, Motion, State
+from ceilvo.types import Crossings, Motion
 
 TILT = np.array([0.03, -0.02])
 
@@ -153,21 +152,6 @@ def test_nees_of_honest_noise_is_one() -> None:
     assert abs(f["nees_median"] - 1.0) < 0.08
 
 
-def test_only_poses_in_tracking_are_held_to_what_they_claim() -> None:
-    true = drive(2)
-    score = TrackingScore(true[0])
-    moved = se2.between(true[0], true[1])
-    for state, off_m in ((State.TRACKING, 0.03), (State.DEGRADED, 0.07), (State.LOST, 9.0), (State.LOST, 9.0)):
-        pose = se2.between(true[0], true[1] + np.array([0.0, off_m, 0.0]))
-        assert off_m > 0 < np.hypot(*(pose - moved)[:2])
-        score.add(SimpleNamespace(state=state, pose=pose), true[1])
-    figures = score.figures()
-    assert figures["tracking_pct"] == 25.0
-    assert abs(figures["tracking_worst_mm"] - 30.0) < 1e-6
-    assert figures["usable_pct"] == 50.0
-    assert abs(figures["usable_worst_mm"] - 70.0) < 1e-6
-
-
 @pytest.mark.parametrize("method", [PointTracker, DescriptorMatcher])
 def test_baselines_follow_a_clean_straight(method: type, world: World) -> None:
     still = World(WorldSpec())
@@ -210,7 +194,7 @@ def test_one_run_fills_table_json_and_picture(tmp_path: Path) -> None:
     assert figures["klt_time"] > 0 < figures["time_median"]
     assert cv2.imread(str(tmp_path / "base.png")) is not None
     written = json.loads(json.dumps(vision.as_json([base], [figures], 0.5), allow_nan=False))
-    assert set(written["conditions"]["base"]["bars"]) == set(base.bars)
+    assert set(written["conditions"]["base"]["bars"]) == set(base.bars) - {"gap_nees"}, "there was no gap"
     assert vision.table([base], [figures]).row_count == 1
 
 
