@@ -20,6 +20,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ceilvo.bench.data import data_path
+from ceilvo.bench.results.bars import as_json as bars_as_json
+from ceilvo.bench.results.bars import table as bar_table
+from ceilvo.bench.vision.comparisons import compared
 from ceilvo.bench.vision.condition import Condition
 from ceilvo.bench.vision.conditions import conditions
 from ceilvo.bench.vision.run import Options, run
@@ -34,7 +37,7 @@ from ceilvo.sim.world import WorldSpec
 
 QUICK_S = 6.0  # docs/bench.md (QUICK=1)
 _REPORT_EVERY = 15  # frames; chosen: twice a second of world time at 30 Hz
-_TABLE_WIDTH = 290  # characters of a table that goes to a file; chosen: all columns fit
+_TABLE_WIDTH = 340  # characters of a table that goes to a file; chosen: all columns fit
 COLUMNS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("recall %\nall grid", (("recall_pct", ".1f"), ("recall_grid_pct", ".1f"))),
     ("precis.\n%", (("precision_pct", ".2f"),)),
@@ -77,6 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         results = _run_all(chosen, Options(seconds, args.pictures, not args.no_baselines, tuple(args.set)), args.jobs)
         console = Console(width=None if sys.stdout.isatty() else _TABLE_WIDTH)
         console.print(table(chosen, results))
+        if ratios := compared(chosen, results):
+            console.print(bar_table(ratios, "Ratios to a twin (both)"))
         console.print(_verdict(chosen, results))
         if args.json is not None:
             args.json.parent.mkdir(parents=True, exist_ok=True)
@@ -188,13 +193,15 @@ def _cell(condition: Condition, figures: dict[str, float], parts: tuple[tuple[st
 
 
 def _verdict(chosen: list[Condition], results: list[dict[str, float]]) -> str:
+    ratios = compared(chosen, results)
     missed = [
         f"  {c.name}: {name} {figures[name]:.4g}, bar {bar.sense} {bar.value:g}"
         for c, figures in zip(chosen, results, strict=True)
         for name, bar in c.bars.items()
         if name in figures and not bar.met(figures[name])
     ]
-    count = sum(name in figures for c, figures in zip(chosen, results, strict=True) for name in c.bars)
+    missed += [f"  {r.name}: {r.text}, bar {r.wanted}" for r in ratios if not r.met]
+    count = len(ratios) + sum(name in figures for c, figures in zip(chosen, results, strict=True) for name in c.bars)
     return "\n".join([f"{count - len(missed)} of {count} bars met", *missed])
 
 
@@ -215,4 +222,5 @@ def as_json(chosen: list[Condition], results: list[dict[str, float]], seconds: f
             }
             for c, figures in zip(chosen, results, strict=True)
         },
+        "ratios": json_value(bars_as_json(compared(chosen, results))),
     }

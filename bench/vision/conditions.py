@@ -28,6 +28,8 @@ _DARKER_A_LEVEL = 0.0118
 """By which part a groove must be darker than the tiles beside it to be a grey level darker in the picture: measured
 across joints 8 mm wide in a picture without noise, speckle and lamps."""
 FULL = ("features.full_every=1",)
+KNOWN = "-known"
+"""Ends the name of a condition whose heights are told before the first frame."""
 MOUNT_XY_M = (0.05, -0.03)  # chosen: off the centre, so that turning moves the camera
 
 
@@ -44,7 +46,7 @@ TIMES = {"time_median": at_most(3.5), "time_p99": at_most(8.0)}
 WHOLE_TIMES = {"time_median": at_most(6.0), "time_p99": at_most(12.0)}
 """Of a frame that is looked at whole."""
 FEW_LINES = {"usable_way_pct": at_least(90.0), "drift_pct": at_most(0.5)}
-"""Where lines do not suffice: of the way on which two points are in view."""
+"""Where lines alone do not suffice: of the way on which two points are in view."""
 
 
 def _light() -> list[Condition]:
@@ -105,16 +107,25 @@ def _heights() -> list[Condition]:
         "hanging_lamps": "lamps 0.6 m below the ceiling",
         "signs": "boards that hang on edge, 0.45 m below the ceiling",
     }
+    rooms = {n.replace("_", "-"): (a, getattr(scenes, n)(LAP.room_m, high_m)) for n, a in about.items()}
     return [
+        *(make(name, a, surroundings=room, bars=bars) for name, (a, room) in rooms.items()),
         *(
-            make(n.replace("_", "-"), a, surroundings=getattr(scenes, n)(LAP.room_m, high_m), bars=bars)
-            for n, a in about.items()
+            make(
+                name + KNOWN, f"{a}; heights known", surroundings=room, known_drops_m=_drops_m(room, high_m), bars=bars
+            )
+            for name, (a, room) in rooms.items()
         ),
         *(
             make(name, f"the ceiling rises by 5 deg {where}", ceiling=CeilingSpec(slope=rise), bars=bars)
             for name, (rise, where) in slopes.items()
         ),
     ]
+
+
+def _drops_m(room: SurroundingsSpec, high_m: float) -> tuple[float, ...]:
+    """By how much undersides of boxes are lower than a ceiling at high_m; each height once."""
+    return tuple(sorted({round(high_m - box.bottom_m, 3) for box in room.boxes}))  # to the millimetre
 
 
 def _fainter(levels: float) -> Condition:
