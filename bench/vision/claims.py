@@ -7,8 +7,8 @@
 - beyond 3 sigma: share of poses in TRACKING whose position is further off than three of their own standard deviations:
   a squared distance, in units of their covariance, that chi squared exceeds as seldom as a normal error is further off.
   All frames in TRACKING count, from the first one on.
-- gaps: what odometry predicted from its last motion by vision up to the last frame before the next one, in units of the
-  covariance that it gave; of frames that fail and frames from which it begins anew alike.
+- gaps: what odometry predicted while frames failed, in units of the covariance that it gave to that, at the last of
+  them: before vision gives a motion again, or odometry begins anew from a view that it could not tie to the last one.
 """
 
 from __future__ import annotations
@@ -81,17 +81,17 @@ class TrackingScore:
 
 
 class GapScore:
-    """What was predicted while vision gave no motion, against the truth, once it gave one again."""
+    """What was predicted while vision gave no motion, against the truth, once it sees again."""
 
     def __init__(self) -> None:
-        self._from: Array | None = None  # true pose of the last motion by vision
+        self._from: Array | None = None  # true pose at the last good view
         self._moved, self._cov = np.zeros(3), np.zeros((3, 3))
         self._open: float | None = None
         self.nees: list[float] = []
 
     def add(self, motion: Motion, true: Array) -> None:
         """One frame's motion and the true pose (3,) at its time."""
-        if motion.ok:
+        if motion.ok or motion.restarted:
             if self._open is not None:
                 self.nees.append(self._open)
             self._from, self._open = true, None

@@ -37,8 +37,7 @@ class Condition:
         assumed: the calibration given to the pipeline; None is the true one.
         blackouts_s: starts of one second without light each, as shares of the run.
         overrides: `section.key=value` each, on top of the default configuration.
-        known_drops_m: by how much parts of the ceiling are lower than the calibrated height, told before the first
-            frame; empty where the robot finds out itself.
+        known: the robot starts again on the map, with the heights, of an earlier run of the same.
         bars: figure name to its bar; the names are those that run() gives.
     """
 
@@ -50,7 +49,7 @@ class Condition:
     fps: float = 30.0
     blackouts_s: tuple[float, ...] = ()
     overrides: tuple[str, ...] = ()
-    known_drops_m: tuple[float, ...] = ()
+    known: bool = False
     bars: dict[str, Bar] = field(default_factory=dict)
 
     @property
@@ -104,7 +103,6 @@ def make(
     fps: float = 30.0,
     blackouts: tuple[float, ...] = (),
     overrides: tuple[str, ...] = (),
-    known_drops_m: tuple[float, ...] = (),
     bars: dict[str, Bar] | None = None,
 ) -> Condition:
     """A condition that differs from the usual room, light, robot and camera in what is said, held to ALWAYS as well."""
@@ -124,6 +122,5 @@ def make(
         fps=fps,
         blackouts_s=blackouts,
         overrides=overrides,
-        known_drops_m=known_drops_m,
         bars={**(bars or {}), **ALWAYS},
     )

@@ -29,7 +29,7 @@ _DARKER_A_LEVEL = 0.0118
 across joints 8 mm wide in a picture without noise, speckle and lamps."""
 FULL = ("features.full_every=1",)
 KNOWN = "-known"
-"""Ends the name of a condition whose heights are told before the first frame."""
+"""Ends the name of a condition whose heights are known from an earlier run."""
 MOUNT_XY_M = (0.05, -0.03)  # chosen: off the centre, so that turning moves the camera
 
 
@@ -107,25 +107,18 @@ def _heights() -> list[Condition]:
         "hanging_lamps": "lamps 0.6 m below the ceiling",
         "signs": "boards that hang on edge, 0.45 m below the ceiling",
     }
-    rooms = {n.replace("_", "-"): (a, getattr(scenes, n)(LAP.room_m, high_m)) for n, a in about.items()}
-    return [
-        *(make(name, a, surroundings=room, bars=bars) for name, (a, room) in rooms.items()),
-        *(
-            make(
-                name + KNOWN, f"{a}; heights known", surroundings=room, known_drops_m=_drops_m(room, high_m), bars=bars
-            )
-            for name, (a, room) in rooms.items()
-        ),
+    rooms = [(n.replace("_", "-"), a, getattr(scenes, n)(LAP.room_m, high_m)) for n, a in about.items()]
+    found_out = [
+        *(make(name, a, surroundings=room, bars=bars) for name, a, room in rooms),
         *(
             make(name, f"the ceiling rises by 5 deg {where}", ceiling=CeilingSpec(slope=rise), bars=bars)
             for name, (rise, where) in slopes.items()
         ),
     ]
-
-
-def _drops_m(room: SurroundingsSpec, high_m: float) -> tuple[float, ...]:
-    """By how much undersides of boxes are lower than a ceiling at high_m; each height once."""
-    return tuple(sorted({round(high_m - box.bottom_m, 3) for box in room.boxes}))  # to the millimetre
+    known = (
+        replace(c, name=c.name + KNOWN, about=f"{c.about}; known from a lap before", known=True) for c in found_out
+    )
+    return [*found_out, *known]
 
 
 def _fainter(levels: float) -> Condition:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,10 +18,12 @@ from ceilvo.bench.vision.condition import Condition
 from ceilvo.bench.vision.metrics import CrossingScore, MotionScore
 from ceilvo.config import Config
 from ceilvo.config.reader import replace as replace_keys
-from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.pipeline import START_SIGMA, Pipeline
+from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.daemon.replay.drawing.overlay import draw_overlay, previous_pixels
 from ceilvo.errors import FileFormatError
-from ceilvo.types import Array, Frame
+from ceilvo.sim.world import World
+from ceilvo.types import Array, Frame, Pose
 
 STAGES = ("edges", "lines", "crossings", "odometry", "filter")
 _BLACKOUT_S = 1.0  # docs/bench.md (blackout)
@@ -77,9 +79,11 @@ def run(
     frames = max(int(seconds * condition.fps), 2)
     middle_s = 0.5 * world.spec.render.exposure_s
     config = replace_keys(Config(), (*condition.overrides, *options.overrides))
-    pipeline = Pipeline(condition.calibration, config, np.random.default_rng(1))
-    if condition.known_drops_m:
-        pipeline.odometry.heights.know(condition.known_drops_m)
+    pipeline = _pipeline(condition, config)
+    if condition.known:
+        pipeline = _started_again(
+            pipeline, condition, config, (_seen(condition, world, seconds, k) for k in range(frames))
+        )
     crossings = CrossingScore(world, condition.calibration)
     motions = MotionScore(world.truth_at(middle_s))
     tracking = TrackingScore(world.truth_at(middle_s), 1.0 / condition.fps)
@@ -88,12 +92,12 @@ def run(
     times = StageTimes()
     for k in range(frames):
         t_s = k / condition.fps
-        gray = _frame(condition, world.frame_at(t_s), t_s / seconds, seconds, k)
+        frame = _seen(condition, world, seconds, k)
         true, tilt = world.truth_at(t_s + middle_s), world.tilt_at(t_s + middle_s)
         times.start()
-        cv2.Canny(gray, 30, 70, L2gradient=True)
+        cv2.Canny(frame.gray, 30, 70, L2gradient=True)
         times.lap("canny")
-        estimate = pipeline.step(Frame(k, 1_000_000_000 + round(t_s * 1e9), gray), on_stage_done=times.lap)
+        estimate = pipeline.step(frame, on_stage_done=times.lap)
         view = pipeline.vision.view
         if not _dark(condition, t_s / seconds, seconds):
             crossings.add(view.crossings if view else None, true, tilt)
@@ -101,13 +105,13 @@ def run(
         tracking.add(estimate, true)
         gaps.add(estimate.motion, true)
         if rivals is not None:
-            rivals.step(gray, true)
+            rivals.step(frame.gray, true)
         if options.pictures is not None and k == int(_PICTURE_AT * frames) and view is not None:
             previous = None
             if view.crossings is not None and estimate.motion.ok:
                 previous = previous_pixels(view.crossings, estimate.motion, condition.calibration)
             level = condition.calibration.level_view
-            picture = draw_overlay(gray, view.lines, view.crossings, level, previous, scale=2)
+            picture = draw_overlay(frame.gray, view.lines, view.crossings, level, previous, scale=2)
             save_picture(options.pictures / f"{condition.name}.png", picture)
         progress(1)
     path_m = float(world.path.travel_at(frames / condition.fps))
@@ -130,12 +134,28 @@ def _dark(condition: Condition, fraction: float, seconds: float) -> bool:
     return any(0.0 <= (fraction - start) * seconds < _BLACKOUT_S for start in condition.blackouts_s)
 
 
-def _frame(condition: Condition, gray: NDArray[np.uint8], fraction: float, seconds: float, k: int) -> NDArray[np.uint8]:
+def _seen(condition: Condition, world: World, seconds: float, k: int) -> Frame:
     """The frame, or what a sensor without light gives."""
-    if not _dark(condition, fraction, seconds):
-        return gray
-    noise = np.random.default_rng([7, k]).normal(2.0, 1.2, gray.shape)
-    return np.asarray(np.clip(np.rint(noise), 0, 255), np.uint8)
+    t_s = k / condition.fps
+    gray = world.frame_at(t_s)
+    if _dark(condition, t_s / seconds, seconds):
+        noise = np.random.default_rng([7, k]).normal(2.0, 1.2, gray.shape)
+        gray = np.asarray(np.clip(np.rint(noise), 0, 255), np.uint8)
+    return Frame(k, 1_000_000_000 + round(t_s * 1e9), gray)
+
+
+def _pipeline(condition: Condition, config: Config) -> Pipeline:
+    return Pipeline(condition.calibration, config, np.random.default_rng(1))
+
+
+def _started_again(pipeline: Pipeline, condition: Condition, config: Config, frames: Iterable[Frame]) -> Pipeline:
+    """Another one on the map, with the heights, that the first learns on these frames; where these began, just now."""
+    for frame in frames:
+        pipeline.step(frame)
+    again, axis_rad = _pipeline(condition, config), pipeline.relocaliser.state.map_axis_rad or 0.0
+    start, cov, drops_m = Pose(np.zeros(3)), np.diag(START_SIGMA**2), pipeline.odometry.heights.drops_m
+    again.load_map(pipeline.landmarks(), axis_rad, start, cov, ago_s=JUST_NOW_S, drops_m=drops_m)
+    return again
 
 
 def _time_figures(times: StageTimes) -> dict[str, float]:

@@ -115,13 +115,13 @@ def predicted(off: np.ndarray, cov: np.ndarray, restarted: bool = False) -> Moti
 
 @pytest.mark.parametrize(("factor", "nees"), [(1.0, 1.0), (3.0, 9.0)])
 def test_the_error_of_a_gap_is_in_units_of_what_was_claimed_of_it(factor: float, nees: float) -> None:
-    """Gaps of one to four frames, some of which begin anew within."""
+    """Gaps of one to four frames, each the last error of several steps, not one of the steps' own."""
     rng, score = np.random.default_rng(7), GapScore()
     sigma = 1e-3 * SIGMA
     motions = [seen()]
     for k in range(3000):
-        for i in range(1 + k % 4):
-            motions.append(predicted(factor * sigma @ rng.standard_normal(3), sigma**2, restarted=i == 1))
+        for _ in range(1 + k % 4):
+            motions.append(predicted(factor * sigma @ rng.standard_normal(3), sigma**2))
         motions.append(seen())
     driven(score, motions)
     f = score.figures()
@@ -129,14 +129,15 @@ def test_the_error_of_a_gap_is_in_units_of_what_was_claimed_of_it(factor: float,
     assert abs(f["gap_nees"] - nees) < 0.05 * nees
 
 
-def test_only_gaps_between_two_motions_by_vision_count() -> None:
-    """Not what comes before the first of them, nor what has not ended; and a motion that ends one is not its error."""
+def test_a_gap_counts_once_it_has_ended_by_what_was_predicted_in_it() -> None:
+    """Not what has not ended, nor the frame that ends it: it was seen, or its claim is of a robot that is carried."""
     off, cov = np.array([3e-3, 0.0, 0.0]), np.diag([1e-6] * 3)
+    begins, ends = predicted(100.0 * off, cov, restarted=True), predicted(100.0 * off, np.eye(3), restarted=True)
     score = GapScore()
-    driven(score, [predicted(100.0 * off, cov, restarted=True), seen(), predicted(off, cov), seen(), seen()])
-    assert score.figures() == {"gaps": 1.0, "gap_nees": pytest.approx(3.0)}
+    driven(score, [begins, seen(), predicted(off, cov), seen(), seen(), predicted(2.0 * off, cov), ends, ends, seen()])
+    assert score.figures() == {"gaps": 2.0, "gap_nees": pytest.approx(0.5 * (3.0 + 12.0))}
     score.add(predicted(100.0 * off, cov), START)
-    assert score.figures()["gaps"] == 1.0
+    assert score.figures()["gaps"] == 2.0
 
 
 def test_few_lines_are_held_to_the_way_with_two_points_and_all_to_what_they_claim() -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ceilvo.bench.vision import command as vision
@@ -14,6 +15,7 @@ from ceilvo.bench.vision.condition import Condition
 from ceilvo.bench.vision.conditions import KNOWN, conditions
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.daemon.odometry.heights.stage import Heights
+from ceilvo.daemon.pipeline import Pipeline
 
 CONDITIONS = {c.name: c for c in conditions()}
 ERRORS = {"motion_median_mm": 0.1, "motion_p95_mm": 0.2, "worst_mm": 4.0}
@@ -29,7 +31,7 @@ def test_what_is_compared_are_twins_that_were_both_run() -> None:
     assert comparisons(["rolling-20ms", "open-cells", "step-known"]) == []
     found = {(c.condition, c.twin) for c in comparisons(list(CONDITIONS))}
     known = {name for name in CONDITIONS if name.endswith(KNOWN)}
-    assert len(known) == 7
+    assert len(known) == 9
     assert found == {("open-cells", "base"), ("rolling-20ms", "turning"), *((name, "base") for name in known)}
 
 
@@ -41,28 +43,34 @@ def test_twins_differ_in_nothing_but_what_is_asked_about() -> None:
     assert cells.spec.lap == base.spec.lap and cells.true.camera == base.true.camera
     for name in (n for n in CONDITIONS if n.endswith(KNOWN)):
         known, told_nothing = of(name, name.removesuffix(KNOWN))
+        assert known.known and not told_nothing.known, name
         assert known.spec == told_nothing.spec and known.bars == told_nothing.bars, name
-        assert replace(known.spec, surroundings=base.spec.surroundings) == base.spec, name
-        assert known.known_drops_m and not told_nothing.known_drops_m, name
+        flat = replace(known.spec, surroundings=base.spec.surroundings, ceiling=base.spec.ceiling)
+        assert flat == base.spec != known.spec, name
 
 
-def test_heights_that_are_known_are_those_of_what_is_seen_from_below() -> None:
-    assert CONDITIONS["step-known"].known_drops_m == (0.4,)
-    assert CONDITIONS["ducts-known"].known_drops_m == (0.13, 0.55)
-    assert CONDITIONS["truss-known"].known_drops_m == (0.5,)
-
-
-@pytest.mark.parametrize(("name", "told"), [("step-known", [(0.4,)]), ("step", [])])
-def test_known_heights_are_told_before_the_first_frame(
-    name: str, told: list[tuple[float, ...]], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("known", [True, False])
+def test_a_robot_that_knows_its_heights_starts_on_map_and_heights_of_a_lap_before(
+    known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = []
-    know, look = Heights.know, Heights.look
-    monkeypatch.setattr(Heights, "know", lambda self, drops_m: (said.append(tuple(drops_m)), know(self, drops_m))[1])
-    monkeypatch.setattr(Heights, "look", lambda self, *a: (said.append("frame"), look(self, *a))[1])
-    run(CONDITIONS[name], Options(seconds=0.25, baselines=False))
-    assert said[: said.index("frame")] == [(), *told], "nothing is known of a pipeline that has just begun"
-    assert said.count("frame") == 7
+    """What it is told, and after how many frames; the figures are of the second drive alone."""
+    seen, told, load, step = [], [], Pipeline.load_map, Pipeline.step
+    drops_m = (0.4,)
+    monkeypatch.setattr(Heights, "drops_m", property(lambda self: drops_m))
+    monkeypatch.setattr(Pipeline, "step", lambda self, *a, **k: (seen.append(self), step(self, *a, **k))[1])
+    monkeypatch.setattr(
+        Pipeline, "load_map", lambda self, *a, **k: (told.append((self, *a, k)), load(self, *a, **k))[1]
+    )
+    frames, rate_hz = 24, 10.0
+    condition = replace(CONDITIONS["step-known" if known else "step"], fps=rate_hz)
+    figures = run(condition, Options(seconds=frames / rate_hz, baselines=False))
+    assert figures["frames"] == frames and len(seen) == (2 * frames if known else frames)
+    assert len(told) == known
+    for again, landmarks, _, pose, _, others in told:
+        assert again is seen[frames] is not seen[0] and again is seen[-1]
+        assert len(landmarks) > 10 and not np.any(pose)
+        assert others["drops_m"] == drops_m
+        assert figures["tracking_worst_mm"] < 20.0, "the map lies where the truth begins"
 
 
 def test_ratios_are_held_to_twice_the_time_and_one_and_a_half_times_the_error() -> None:
