@@ -7,7 +7,7 @@ FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist deb wheels test-robot test-deb clean
 .PHONY: bench-fusion soak bench-wires bench-pages bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
-.PHONY: bench-wizard bench-vision bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
+.PHONY: bench-wizard bench-vision bench-frame-cost bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make check             format, lint and types only"
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
 	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each): SEED=1"
+	@echo "make bench-frame-cost  time of a frame over bare Canny, looked at near predicted edges and whole: OFFICE=folder"
 	@echo "make bench-real DATA=d recordings of real ceilings in folder d"
 	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
 	@echo "make bench-mrclam      filters on recorded robots: DATA=folder, else CEILVO_DATA; resumable"
@@ -156,6 +157,9 @@ wheels: $(VENV)/.installed
 
 bench-vision: $(VENV)/.installed-dev
 	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS)) $(if $(SEED),--seed $(SEED))
+
+bench-frame-cost: $(VENV)/.installed-dev
+	@$(BIN)/python -m ceilvo.bench.speed.frame_cost --look both $(if $(OFFICE),--office $(OFFICE))
 
 bench-real: $(VENV)/.installed-dev
 	@$(BIN)/python -m ceilvo.bench.real $(or $(DATA),../shared/data)

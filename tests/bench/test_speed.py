@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,50 @@ def test_two_versions_say_the_same_of_every_frame_by_turns(tmp_path: Path) -> No
     for before, now in zip(said["before"], said["now"], strict=True):
         assert before["pose"] == now["pose"] and before["state"] == now["state"]
         assert now["s"]["canny"] > 0.0 and now["s"]["lines"] > 0.0 and now["s"].keys() <= {"canny", *frame_cost.STAGES}
+
+
+def said_of(step_ms: list[float], canny_ms: float) -> list[dict[str, object]]:
+    """Frames as a worker tells of them, half of the time spent in one stage, and slow ones before that do not count."""
+    warm = [{"s": {"canny": 1.0, "lines": 9.0}}] * frame_cost._WARM
+    return [*warm, *({"s": {"canny": 1e-3 * canny_ms, "lines": 5e-4 * t, "filter": 5e-4 * t}} for t in step_ms)]
+
+
+@pytest.mark.parametrize(
+    ("look", "verdicts"), [("edge tracking", {"median": "PASS", "p99": "MISS"}), ("whole look", {"median": "PASS"})]
+)
+def test_a_frame_is_held_to_its_bars_over_canny_with_the_filter_s_part(look: str, verdicts: dict[str, str]) -> None:
+    """3.4 times Canny in the median, 9 at p99; the bar of a whole look is higher, and has no p99."""
+    frames = said_of([6.8] * 97 + [18.0] * 3, 2.0)
+    bars = frame_cost.barred("tilt", look, frames)
+    assert {b.name: b.verdict for b in bars} == {f"tilt, {look}, {which}": v for which, v in verdicts.items()}
+    assert bars[0].value == pytest.approx(3.4) and bars[0].wanted == ("<= 3.5" if "p99" in verdicts else "<= 6")
+    slower = frame_cost.barred("tilt", look, said_of([12.1] * 100, 2.0))
+    assert {b.verdict for b in slower if b.name.endswith("median")} == {"MISS"}
+
+
+def test_every_scene_of_the_issue_is_looked_at_in_both_ways(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The office where it is recorded; asked for by name it must be there."""
+    ran = []
+
+    def by_turns(folder: Path, count: int, sites: object, overrides: tuple[str, ...]) -> dict[str, object]:
+        ran.append((folder.name, overrides))
+        return {"now": said_of([3.0] * 5, 1.0)}
+
+    monkeypatch.setattr(frame_cost, "by_turns", by_turns)
+    monkeypatch.setattr(frame_cost, "_rendered", lambda *a: 25)
+    monkeypatch.setattr(frame_cost, "_pictures", lambda *a: 25)
+    out = tmp_path / "a.json"
+    office = tmp_path / "office"
+    assert frame_cost.main(["--look", "both", "--office", str(office), "--json", str(out)]) == 0
+    assert ran == [(scene, look) for scene in ("base", "tilt") for look in ((), frame_cost.FULL)]
+    office.mkdir()
+    assert frame_cost.main(["--look", "both", "--office", str(office), "--json", str(out)]) == 0
+    assert ran[4:] == [(scene, look) for scene in ("base", "tilt", "office") for look in ((), frame_cost.FULL)]
+    told = json.loads(out.read_text())
+    assert [b["verdict"] for b in told] == ["PASS"] * 9
+    monkeypatch.undo()
+    with pytest.raises(SystemExit, match="none is missing"):
+        frame_cost.main(["office", "--office", str(tmp_path / "none"), "--json", str(out)])
 
 
 def test_frames_are_timed_with_the_settings_of_the_service() -> None:
