@@ -116,7 +116,7 @@ class Heights:
 
         Args:
             expected: (3,) motion since the last frame.
-            ask_map: asked only where lines do not tell their heights yet.
+            ask_map: asked only where lines do not tell their heights: new ones may be at one of an earlier run.
         """
         s = self.state
         self._look = None
@@ -133,7 +133,10 @@ class Heights:
         level, told = np.full(len(lines), UNKNOWN), np.full(len(lines), UNKNOWN)
         if len(s.tracks):
             level = np.where(track >= 0, s.tracks.level[track], UNKNOWN)
-        here = ask_map(expected) if s.asks or (self.several and _few(level[lines.of_crossing])) else None
+        few = (
+            _few(level[lines.of_crossing]) if self.several else s.asks or (len(s.remembered) > 1 and np.any(track < 0))
+        )
+        here = ask_map(expected) if few else None
         if here is not None:
             told = self._told(crossed, lines, here)
             level = np.where(level == UNKNOWN, told, level)
@@ -146,8 +149,9 @@ class Heights:
         levels = s.levels if self.several else s.remembered
         told = levels_by_map(crossings, lines.of_crossing, self._mount, here, levels.ratio)
         if not self.several:
-            s.asks = _few(told[lines.of_crossing])
-            if not s.asks and np.any(told > 0):
+            few = _few(told[lines.of_crossing])
+            s.asks &= few
+            if not few and np.any(told > 0):
                 s.levels, s.settled = levels, True
         return told if self.several else np.full(len(lines), UNKNOWN)
 

@@ -82,6 +82,20 @@ def test_under_the_calibrated_height_nothing_is_changed() -> None:
     assert not heights.several and not heights.state.asks, "nor is the map asked again"
 
 
+def test_lines_that_come_into_view_later_are_told_as_well() -> None:
+    """A robot that starts under the calibrated height, and drives below a step that an earlier run found."""
+    heights, rng, high = Heights(CALIBRATION), np.random.default_rng(SEED), grid(HIGH_M, -1.2, 5)
+    heights.know((0.4,))
+    heights.look(seen(high, np.zeros(3), rng)[0], None, here(np.zeros(3), mapped(high)))
+    heights.learn(STILL)
+    assert not heights.several
+    crossings, true = seen(STEP, np.zeros(3), rng)
+    placed = heights.look(crossings, np.zeros(3), here(np.zeros(3), mapped(STEP)))
+    assert heights.several and placed is not None
+    off = np.hypot(*(placed.xy_base_m[:, None] - true[None]).transpose(2, 0, 1))
+    assert len(placed) > 20 and float(np.max(np.min(off, axis=1))) < 0.002
+
+
 @pytest.mark.parametrize("drops_m", [(), (0.4,), (0.3, 0.15), (-0.5, 0.4)])
 def test_heights_come_back_from_what_was_stored(drops_m: tuple[float, ...]) -> None:
     levels = Levels.of_drops(drops_m, HIGH_M)
