@@ -112,6 +112,7 @@ bench-place: $(VENV)/.installed-dev
 	$(BIN)/python -m ceilvo.bench.place renovated --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place heights --seed $(or $(SEED),1000) --resume
 	$(BIN)/python -m ceilvo.bench.place start --seed $(or $(SEED),1000) --resume
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.place steps --seed $(or $(SEED),1000)
 	REGRESSIONS=all $(BIN)/python -m pytest tests/bench/test_place_regressions.py
 
 bench-fusion: $(VENV)/.installed-bench

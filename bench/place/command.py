@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from ceilvo.bench.place import radio, study_tables, tables
+from ceilvo.bench.place import radio, steps, study_tables, tables
 from ceilvo.bench.place.case import SIZES, Case, as_key, cases, from_key, run_case
 from ceilvo.bench.place.ceiling.eye_check import compare
 from ceilvo.bench.place.faults.changes import SHARE
@@ -75,6 +75,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     _command(commands, "heights", "started again with the calibration of another camera's height", 36)
     _command(commands, "rides", "to another floor, by lift and by ramp, and back out on the same one", 60)
+    step = commands.add_parser(
+        "steps",
+        help="time of a step, and memory, on a small and on a large map",
+        description=steps.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    step.add_argument("--seconds", type=float, default=120.0, help="driven with each map (%(default)s)")
+    step.add_argument("--seed", type=int, default=0, help=_TUNING)
+    step.add_argument("--out", type=Path, default=_OUT / "steps.json")
     one = commands.add_parser("case", help="one case of faults again, with all that the daemon said")
     one.add_argument("kind", choices=KINDS, metavar="KIND")
     one.add_argument("--seed", type=int, default=0, help=_TUNING)
@@ -115,6 +124,7 @@ def _run(
 
 def _told(a: argparse.Namespace, table: Table, bars: list[Bar], results: list[Result], worst: Sequence[str]) -> None:
     summary = {"command": a.command, "seed": a.seed, "bars": bars_module.as_json(bars), "runs": results}
+    a.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(a.out, json.dumps(summary, indent=1) + "\n")
     console = Console(width=_WIDTH)
     console.print(table)
@@ -182,6 +192,13 @@ def _rides(a: argparse.Namespace) -> None:
     _told(a, study_tables.rides(results), study_tables.rides_bars(results), results, ())
 
 
+def _steps(a: argparse.Namespace) -> None:
+    site = steps.Site.of(*steps.HALLS, a.seed)
+    bytes_ = steps.remembered(site, steps.COUNTS, a.seed)
+    rows = steps.measured(site, steps.COUNTS, a.seconds, a.seed)
+    _told(a, steps.table(rows, bytes_), steps.bars(rows, bytes_), [*rows, {"bytes_a_landmark": bytes_}], ())
+
+
 def _case(a: argparse.Namespace) -> None:
     result = run_case(Case(a.kind, a.seed, a.number, _chosen(a.rooms, SIZES, "--rooms")))
     reasons = result.get("fault", result["before"]).pop("reasons")
@@ -212,6 +229,7 @@ _WORK: dict[str, Callable[[argparse.Namespace], None]] = {
     "renovated": _renovated,
     "heights": _heights,
     "rides": _rides,
+    "steps": _steps,
     "case": _case,
     "eye-check": _eye_check,
 }
