@@ -307,7 +307,7 @@ class FilterHealth:
         fit_residual: rms of eq. 22, nan when no curve was fitted.
         nis, nis_dof: mean normalised innovation squared per degree of freedom (1 is expected;
             slam.pose_filter.chi_square_bounds tells how far from it is chance), and those degrees of freedom.
-        mode_weight: fraction of the belief that is in the reported mode; less than 1: other poses explain the view too.
+        mode_weight: of the belief in the reported mode; below 1 other poses explain the view too; 1 while mapping.
     """
 
     particles: int

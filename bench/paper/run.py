@@ -20,9 +20,10 @@ from ceilvo.bench.paper.world import (
     record,
     room_scene,
 )
+from ceilvo.bench.recovery.recovering_filter import SURE
 from ceilvo.config import States
 from ceilvo.daemon.integrity.states import Evidence, StateMachine
-from ceilvo.daemon.slam.pose_filter import SURE, PoseFilter, chi_square_bounds
+from ceilvo.daemon.slam.pose_filter import PoseFilter, chi_square_bounds
 from ceilvo.types import (
     NO_LANDMARK,
     UNLABELLED,

@@ -21,10 +21,13 @@ from ceilvo.bench.recovery.tile_slips import (
 )
 from ceilvo.daemon.slam.association import independent, usable
 from ceilvo.daemon.slam.joint_filter import JointFilter
-from ceilvo.daemon.slam.pose_filter import SURE, chi_square_bounds, normalised, systematic
+from ceilvo.daemon.slam.pose_filter import chi_square_bounds, normalised, systematic
 from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.types import UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
 
+SURE = 0.9
+"""A pose with a smaller FilterHealth.mode_weight is one hypothesis among several, and experiments do not call it
+TRACKING; chosen. The daemon asks its belief over places instead (relocaliser.sure)."""
 CARRIED_AWAY = 1e-3
 """Chance that a robot whose view does not fit is somewhere else; the view then speaks for itself; chosen."""
 QUIET_UPDATES = 20

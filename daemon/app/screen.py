@@ -168,10 +168,10 @@ def _headline(s: Snapshot, width: int) -> Text:
 
 
 def _belief(s: Snapshot) -> str:
-    """Ancestors where particles have them, else how much of the belief is in this place."""
+    """Ancestors where particles have them, else how likely it is that the robot is at this place."""
     if s.unique_ancestors is not None:
         return f"{s.unique_ancestors} of {s.particles} kept"
-    return f"{100 * s.mode_weight:.0f} % in one place"
+    return f"{100.0 * (1.0 - s.elsewhere):.3g} % in one place"
 
 
 def _figures(s: Snapshot, unicode: bool, lines: int) -> list[Text]:

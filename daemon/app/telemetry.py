@@ -58,6 +58,7 @@ class Snapshot:
         truth: (3,) when it is known.
         latency_ms: (median, p99) by stage.
         base: None when the base is disabled; zenoh_samples likewise.
+        elsewhere: probability that the robot is at another place.
         landmarks_xy_m, path_xy_m: (L, 2) and (K, 2) for the plot.
         room_m: x_min, y_min, x_max, y_max of the plot; None = what has been seen so far.
         events: newest last.
@@ -77,7 +78,7 @@ class Snapshot:
     latency_ms: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
     ess_ratio: float = 1.0
     unique_ancestors: int | None = None
-    mode_weight: float = 1.0
+    elsewhere: float = 0.0
     particles: int = 0
     nis: float = 0.0
     landmarks: int = 0
@@ -173,6 +174,7 @@ class Telemetry:
         }
         out["filter"] = dict(self._estimator.counters()) | ({} if last is None else _health(last.health))
         out["cross_checks"] = {**self._estimator.suspicions(), "stamp_fault": self._estimator.stamp_fault}
+        out["elsewhere"] = self._estimator.elsewhere()
         out["place_search"] = self._estimator.place_search()
         learnt = self._estimator.senses()
         out |= {"senses": json_value(learnt)} if learnt else {}
@@ -241,7 +243,7 @@ class Telemetry:
             truth=None if self._truth is None else self._truth(last.stamp_ns),
             ess_ratio=d.ess / max(d.particles, 1),
             unique_ancestors=d.unique_ancestors,
-            mode_weight=d.mode_weight,
+            elsewhere=self._estimator.elsewhere(),
             particles=d.particles,
             nis=d.nis,
             crossings=last.crossings,

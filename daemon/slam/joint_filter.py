@@ -160,7 +160,8 @@ class JointFilter:
         somewhere = bool(np.all(np.isfinite(cov)))
         if not somewhere and found is None:
             raise CeilvoError("filter: the pose is not known and there is no map; give a finite covariance or a map")
-        joint = JointMap.at(np.asarray(pose, np.float64), np.asarray(cov, np.float64) if somewhere else np.eye(3))
+        cov = np.asarray(cov, np.float64) if somewhere else np.eye(3)  # 1 m, 1 rad; chosen, see PoseFilter.reset
+        joint = JointMap.at(np.asarray(pose, np.float64), cov)
         before = self._state
         self._state = JointFilterState(before.rng, joint, counters=before.counters)
         if found is not None and known:
@@ -174,7 +175,6 @@ class JointFilter:
         self._rule.move(self._state, checked_motion(motion))
 
     def jump(self, pose: Array, cov: Array) -> None:
-        """Continue from a pose that knows nothing of the map."""
         self._state.joint.put_pose(pose, cov)
         self._rule.jumped(self._state)
 

@@ -25,8 +25,14 @@ class PoseFilter(Protocol):
     def reset(self, pose: Array, cov: Array, landmarks: Landmarks | None = None, known: bool = False) -> None:
         """Start again at a pose, with a map or with an empty one.
 
-        known: the map is what it is; nothing is learnt, and its size costs nothing. An infinite covariance says that
-        the pose is not known at all: the filter searches where the map explains what is seen.
+        known: the map is what it is; nothing is learnt, and its size costs nothing.
+
+        An infinite covariance says that the pose is not known at all. Particles are then spread over the map; a joint
+        Gaussian cannot be, and begins at the pose with 1 m and 1 rad. Neither searches. The daemon gives none: where
+        the robot is on the map, its relocaliser finds.
+
+        Raises:
+            CeilvoError: the covariance is infinite and there is no map.
         """
 
     def jump(self, pose: Array, cov: Array) -> None:
@@ -69,8 +75,6 @@ class PoseFilter(Protocol):
         """What happened since the filter was made, by name; the names are in COUNTERS and all are there."""
 
 
-SURE = 0.9
-"""A pose with a smaller FilterHealth.mode_weight is one hypothesis among several, and must not be called TRACKING."""
 COUNTERS = (
     "updates",
     "observations",
@@ -90,9 +94,10 @@ COUNTERS = (
 )
 """Updates; observations matched to a landmark, and those of them that the gate refused; updates most of whose
 observations were refused; landmarks born and merged; resamplings, and curves that could not be used; wheel slips that
-the landmarks showed; searches for a lost pose begun and ended; jumps to another tile of a periodic ceiling; landmarks
-dropped because they are no longer there; features not learnt and newborn landmarks forgotten as the map is full;
-newborn landmarks forgotten because they were not seen again."""
+the landmarks showed; searches for a lost pose begun and ended, and jumps to another tile of a periodic ceiling: of
+the benches' filters that recover by themselves, always 0 in the daemon; landmarks dropped because they are no longer
+there; features not learnt and newborn landmarks forgotten as the map is full; newborn landmarks forgotten because
+they were not seen again."""
 
 
 TINY = 1e-300

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
 from ceilvo.bench.recovery.recovering_filter import RecoveringFilter
 from ceilvo.config import Filter
+from ceilvo.daemon.relocalisation.filters import make_filter as make_daemon_filter
 from ceilvo.daemon.slam import joint_rule
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.paper.fastslam import FastSlam
@@ -202,6 +203,20 @@ def test_counters_are_complete_and_only_grow(method):
 def test_an_unknown_pose_needs_a_map(method):
     with pytest.raises(CeilvoError, match="no map"):
         make(method).reset(np.zeros(3), np.full((3, 3), np.inf))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_without_a_pose_particles_are_all_over_the_map_and_a_gaussian_begins_wide(method):
+    f = make_daemon_filter(replace(INDEPENDENT, method=method), np.random.default_rng(SEED))
+    f.reset(np.array([1.0, 2.0, 0.5]), np.full((3, 3), np.inf), map_of([[0.0, 0.0], [40.0, 0.0], [0.0, 30.0]]))
+    pose, cov, _ = f.estimate()
+    if method in ("pf", "pfcf_paper"):
+        assert np.all(np.ptp(f.particles()[0], axis=0) > [30.0, 22.0, 5.0])
+    else:
+        np.testing.assert_array_equal(pose, [1.0, 2.0, 0.5])
+        np.testing.assert_allclose(cov, np.eye(3))
+    f.update(observations([[1.0, 0.0]], [UNLABELLED]))
+    assert f.counters()["searches"] == 0
 
 
 def run(method, seed):

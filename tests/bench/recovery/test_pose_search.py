@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo.bench.recovery.filters import make_recovering_filter as make_filter
+from ceilvo.bench.recovery.recovering_filter import SURE
 from ceilvo.bench.recovery.tile_slips import SLIP_CHANCE, SLIP_CHANCE_3_SIGMA, LatticeBelief, neighbours, periods
 from ceilvo.bench.recovery.view_score import at_least, unexplained
 from ceilvo.config import Filter
-from ceilvo.daemon.slam.pose_filter import SURE
 from ceilvo.daemon.slam.spatial_index import IndexedMap
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import UNLABELLED, Landmarks, Motion, Observations

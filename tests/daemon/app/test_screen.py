@@ -47,6 +47,12 @@ RUNNING = Snapshot(
 )
 
 
+@pytest.mark.parametrize(("elsewhere", "shown"), [(0.0, "100 %"), (1.5e-8, "100 %"), (1e-3, "99.9 %"), (0.27, "73 %")])
+def test_how_likely_this_place_is_is_on_the_screen(elsewhere: float, shown: str) -> None:
+    text = "\n".join(drawn(replace(RUNNING, unique_ancestors=None, elsewhere=elsewhere)))
+    assert f"63 % ESS, {shown} in one place" in text
+
+
 def drawn(snapshot: Snapshot, unicode: bool = True) -> list[str]:
     """Lines as an 80-column terminal gets them."""
     console = Console(file=io.StringIO(), width=WIDTH, height=24, record=True, force_terminal=True)
@@ -111,6 +117,7 @@ snapshots: st.SearchStrategy[Snapshot] = st.builds(
     drops=st.integers(0, 10**9),
     latency_ms=st.dictionaries(st.text(max_size=20), st.tuples(st.floats(0, 1e6), st.floats(0, 1e6)), max_size=14),
     ess_ratio=st.floats(0, 1),
+    elsewhere=st.floats(0, 1),
     nis=numbers,
     base=st.none() | st.builds(ShownBase, st.none() | st.floats(0, 1e6), st.integers(0, 10**9), st.integers(0, 10**9)),
     zenoh_samples=st.none() | st.integers(0, 10**12),

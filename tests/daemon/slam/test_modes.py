@@ -96,6 +96,13 @@ def test_near_modes_become_one_with_age_and_far_ones_never() -> None:
     assert told.weight == pytest.approx(0.7)
 
 
+def test_where_a_map_is_learnt_no_other_place_is_kept_and_all_of_the_weight_is_told() -> None:
+    modes_ = [some(0.7, [0.0, 0.0, 0.0]), some(0.3, [0.0, 0.0, 2.0], age=99)]
+    kept, told = settled(modes_, mapping=True)
+    assert told.weight == 1.0
+    assert len(kept) < 2
+
+
 def test_there_are_few_modes_and_their_weights_are_probabilities() -> None:
     many = [some(0.1, [float(i), 0.0, 0.0]) for i in range(10)]
     kept, told = settled(many)

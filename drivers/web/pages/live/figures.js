@@ -79,7 +79,7 @@ export function showHealth(counters, pose) {
     ["dropped", count(counters.drops)],
     ["left out", count(counters.skipped_frames)],
     ["ESS", `${number(f.ess, 0)}${share}`],
-    ["weight of the mode", number(f.mode_weight)],
+    ["at another place", number(100 * counters.elsewhere, 2, "%")],
     ["outliers refused", count(f.outliers)],
     ["landmarks", count(pose?.landmarks)],
     ["crossings seen", count(pose?.crossings)],
