@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
 .PHONY: help run test check config dist deb wheels test-robot test-deb clean
-.PHONY: bench-fusion soak bench-wires bench-pages bench-faults bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
+.PHONY: bench-fusion soak bench-wires bench-pages bench-faults bench-cross-checks bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-wizard bench-vision bench-frame-cost bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
 
@@ -26,7 +26,8 @@ help:
 	@echo "make bench-calib       commissioning over 50 simulated rigs, 8 driven, 400 noise experiments; resumable"
 	@echo "make bench-wizard      commissioning in Chromium, phone and laptop, from nothing to TRACKING, timed step by step"
 	@echo "make soak              the daemon with faults and floods for hours: HOURS=1; verdict, plot and JSON in build/bench/"
-	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults; resumable"
+	@echo "make bench-faults      wrong poses called good, right ones lost: HOURS=10 of laps with faults, carried robots too; resumable"
+	@echo "make bench-cross-checks  what picture, wheels and stamps say against each other: HOURS=1 without a fault, COUNT=20 of each"
 	@echo "make bench-refine      maps of buildings before and after refinement"
 	@echo "make bench-fleet       50 robots, 15 of them lie, one map service killed 10 times: what is lost, bytes; ROBOTS=50"
 	@echo "make bench-place       faults of place in rooms and halls: COUNT=300 HOURS=10 SEED=1000; resumable"
@@ -96,7 +97,11 @@ soak: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.soak --hours $(or $(HOURS),1)
 
 bench-faults: $(VENV)/.installed
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.faults --hours $(or $(HOURS),10) --resume
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.faults --carried --hours $(or $(HOURS),10) --resume
+
+bench-cross-checks: $(VENV)/.installed
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.cross_checks hours --hours $(or $(HOURS),1) --seed $(or $(SEED),1)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ceilvo.bench.cross_checks faults --count $(or $(COUNT),20) --seed $(or $(SEED),1)
 
 bench-refine: $(VENV)/.installed-bench
 	$(BIN)/python -m ceilvo.bench.refine

@@ -1,6 +1,6 @@
 """How often is a wrong pose called good, and a right one lost? Hours of laps with faults, faster than real time.
 
-python -m ceilvo.bench.faults --hours 10 [--resume]
+python -m ceilvo.bench.faults --carried --hours 10 [--resume]
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     a.out.parent.mkdir(parents=True, exist_ok=True)
     config = replace(Config(), filter=replace(Config().filter, method=a.method))
     kinds = (*KINDS, "carried") if a.carried else KINDS
-    total, leg, before_s = _so_far(a.out, a.method, a.seed) if a.resume else (Tally(), 0, 0.0)
+    of = {"method": a.method, "seed": a.seed, "carried": a.carried}
+    total, leg, before_s = _so_far(a.out, of) if a.resume else (Tally(), 0, 0.0)
     begun_s = time.process_time() - before_s
     result: dict[str, object] = {"ok": False}
     while (left_s := 3600.0 * a.hours - total.seconds) > 1.0:
         log = record(a.seed + leg, ROOMS_M[leg % len(ROOMS_M)], config.features)
         total.add(Drive(log, config, a.seed + leg, kinds).run(min(_LEG_S, left_s)))
         leg += 1
-        result = summary(total, a.method, leg, time.process_time() - begun_s) | {"seed": a.seed}
+        result = summary(total, a.method, leg, time.process_time() - begun_s) | of
         write_atomic(a.out, json.dumps(result, indent=2) + "\n")
         print(line(result), flush=True)
     return 0 if result["ok"] else 1
 
 
-def _so_far(file: Path, method: str, seed: int) -> tuple[Tally, int, float]:
-    """What an interrupted run of the same method and seed has: tally, legs, processor seconds."""
+def _so_far(file: Path, of: dict[str, object]) -> tuple[Tally, int, float]:
+    """What an interrupted run of the same method, seed and faults has: tally, legs, processor seconds."""
     if not file.exists():
         return Tally(), 0, 0.0
     r = json.loads(file.read_text())
-    if (r["method"], r["seed"]) != (method, seed):
-        raise CeilvoError(
-            f"{file}: has method {r['method']} and seed {r['seed']}, not {method} and {seed}; name another"
-        )
+    found = {key: r.get(key) for key in of}
+    if found != of:
+        raise CeilvoError(f"{file}: found {found}, expected {of}; name another with --out")
     return Tally(**{f.name: r[f.name] for f in fields(Tally)}), r["rooms"], r["cpu_s"]
 
 
