@@ -73,6 +73,13 @@ def count(folder: Path) -> None:
     print(kept_maps.count(folder / MAP_NAME))
 
 
+def places(folder: Path) -> None:
+    """Where landmarks of a robot's map lie, m, one a line."""
+    stored = kept_maps.load_database(folder / MAP_NAME)
+    for x, y in [] if stored is None else stored.landmarks.xy_map_m:
+        print(x, y)
+
+
 def start_when_full(folder: Path) -> None:
     """A robot that starts on a disk without a byte to spare, and saves once there is room."""
     logging.basicConfig(format="%(levelname)s %(message)s", stream=sys.stdout)
@@ -94,5 +101,5 @@ def start_when_full(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    do = {"full": full, "read-only": read_only, "count": count, "start when full": start_when_full}[sys.argv[1]]
+    do = {"full": full, "read-only": read_only, "places": places, "start when full": start_when_full}[sys.argv[1]]
     do(Path(sys.argv[2]))
