@@ -163,9 +163,14 @@ def _settled(site: Site, landmarks: Landmarks, seed: int) -> Drive:
     """A robot whose daemon is sure of its place on a loaded map."""
     drive = site.drive(seed)
     drive.load(landmarks, site.world.features.axis_rad)
-    if not drive.settle(SETTLE_S):
-        raise CeilvoError(f"steps: no TRACKING within {SETTLE_S:g} s on a map of {len(landmarks)}; try another seed")
+    _settle(drive, len(landmarks))
     return drive
+
+
+def _settle(drive: Drive, count: int) -> None:
+    """Until the daemon is sure of its place on a map of so many landmarks."""
+    if not drive.settle(SETTLE_S):
+        raise CeilvoError(f"steps: no TRACKING within {SETTLE_S:g} s on a map of {count}; try another seed")
 
 
 def _by_turns(pair: list[Drive], seconds: float) -> None:
@@ -183,8 +188,7 @@ def _traced(site: Site, first: int, count: int, seed: int) -> tuple[int, int]:
     try:
         drive.load(site.known(first, count, 0.0), site.world.features.axis_rad)
         peak = tracemalloc.get_traced_memory()[1]
-        if not drive.settle(SETTLE_S):
-            raise CeilvoError(f"steps: no TRACKING within {SETTLE_S:g} s on a map of {count}; try another seed")
+        _settle(drive, count)
         gc.collect()
         return tracemalloc.get_traced_memory()[0], peak
     finally:

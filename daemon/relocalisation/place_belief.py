@@ -181,8 +181,9 @@ class PlaceBelief:
             view = np.clip(log_ratio[best], -SPOT_CAP, SPOT_CAP)
             on_new, guess = unmapped(best)
             before, after = self.seen[best], self.seen[best] + view
-            measured, guesses = (too_much(f(after)) - too_much(f(before)) for f in (np.asarray, guessed))
-            share = np.maximum(np.where(guess, guesses, measured), 0.0) * on_new
+            measured = too_much(after) - too_much(before)
+            by_guess = too_much(guessed(after)) - too_much(guessed(before))
+            share = np.maximum(np.where(guess, by_guess, measured), 0.0) * on_new
             share[best] = 0.0
             if weight[best] < weight[0]:
                 share[1:] = 0.0

@@ -15,6 +15,7 @@ from small_disk import SmallDisk
 
 from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.map.map_file import load_state
+from ceilvo.daemon.relocalisation.submap import SAME_M
 
 WHY_NOT = small_disk.why_not()
 CHILD = Path(database_on_disk.__file__)
@@ -26,10 +27,6 @@ def disk(tmp_path: Path) -> Iterator[SmallDisk]:
     made = SmallDisk(tmp_path / "disk", size="16m")
     yield made
     made.close()
-
-
-SAME_M = 0.1
-"""As far as places are told apart: two landmarks nearer than that may be one by two names, and become one."""
 
 
 def landmarks_on(disk: SmallDisk, folder: Path) -> np.ndarray:
@@ -76,6 +73,7 @@ def test_full_read_only_and_gone_while_it_runs(tmp_path: Path, disk: SmallDisk) 
     assert [log.count(error) for error in troubles] == [1, 1, 1]
     assert "Traceback" not in log
     off = np.hypot(*(last[:, None] - landmarks_on(disk, seen)[None]).transpose(2, 0, 1))
+    # two that are nearer than places are told apart may be one by two names, and become one
     lost = last[np.min(off, axis=1) >= SAME_M]
     assert not len(lost), f"no landmark is there any more at {lost.tolist()}"
 

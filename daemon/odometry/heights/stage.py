@@ -133,10 +133,9 @@ class Heights:
         level, told = np.full(len(lines), UNKNOWN), np.full(len(lines), UNKNOWN)
         if len(s.tracks):
             level = np.where(track >= 0, s.tracks.level[track], UNKNOWN)
-        few = (
-            _few(level[lines.of_crossing]) if self.several else s.asks or (len(s.remembered) > 1 and np.any(track < 0))
-        )
-        here = ask_map(expected) if few else None
+        may_be_lower = s.asks or (len(s.remembered) > 1 and bool(np.any(track < 0)))
+        asks = _few(level[lines.of_crossing]) if self.several else may_be_lower
+        here = ask_map(expected) if asks else None
         if here is not None:
             told = self._told(crossed, lines, here)
             level = np.where(level == UNKNOWN, told, level)
