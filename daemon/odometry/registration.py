@@ -146,7 +146,8 @@ def register(
     if len(i) < need:
         return None, f"{len(i)} of {len(crossings)} crossings matched, {need} needed"
     by_points = has_points(crossings)
-    if not by_points:  # of points their own sigma decides, of which the level view's pixels know nothing
+    spread = _are_spread(ref.xy_base_m[j], ref.crossing_type[j], ref.psi_rad)
+    if spread and not by_points:  # of points their own sigma decides, of which the level view's pixels know nothing
         good = consistent(crossings.uv_px[i], ref.uv_px[j], config.ransac_px)
         i, j = i[good], j[good]
     seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
@@ -180,6 +181,13 @@ def register(
         ),
         "",
     )
+
+
+def _are_spread(at: Array, kinds: Ints, axis_rad: float) -> bool:
+    """Whether crossings (N, 2) determine a homography: two at least lie beside any one line. Where a corridor's joints
+    meet a single one RANSAC keeps any few of them."""
+    lines = lines_through(at, kinds, axis_rad)
+    return all(len(at) - np.max(np.unique(lines[:, k], return_counts=True)[1], initial=0) > 1 for k in (0, 1))
 
 
 def matched(ref: Crossings, crossings: Crossings, guess: Array, radius_m: float) -> tuple[Ints, Ints, Ints]:

@@ -85,7 +85,11 @@ class SimulatedDaemon:
             assert self.process.poll() is None, f"it ended with {self.process.returncode}:\n{self.said()}"
             return true()
 
-        until(true_and_alive, what)
+        try:
+            until(true_and_alive, what)
+        except AssertionError as e:
+            e.add_note(f"its log:\n{self.said()}\nits health: {self.listener.heard.health[-1:]}")
+            raise
 
     def until_poses(self, count: int) -> None:
         """So many more."""
