@@ -1,4 +1,4 @@
-"""Kinds of features: which two kinds of lines meet, coded so that they can be turned with their axes; and points.
+"""Kinds of features: which two kinds of lines meet, coded so that they can be turned with their axes; points; lines.
 
 A crossing's kind is 3 * (kind of the axis-0 line + 1) + (kind of the axis-1 line + 1), with LineKind -1, 0, 1 along
 the axis' normal. Axes are only known modulo 90 deg; naming them a quarter turn further (axis 0' = axis 1,
@@ -6,6 +6,8 @@ axis 1' = -axis 0) exchanges the two kinds and reverses one. Points have no axes
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,3 +56,19 @@ def quarter_turns(psi_rad: float, reference_rad: float) -> int:
 def commonest(kind: Ints) -> int:
     """The code that most of (M,) have; 0 of none."""
     return int(np.argmax(np.bincount(kind, minlength=1)))
+
+
+@dataclass(frozen=True, slots=True)
+class CeilingLines:
+    """Straight lines on the ceiling, normal . xy = offset in base; all share one direction modulo 90 deg.
+
+    Attributes:
+        axis: (L,) 0 where the normal is at the common direction, 1 where it is a quarter turn further.
+        offset_m, sigma_m: (L,) and its standard deviation, but for what an error of the tilt moves all of them by.
+        kind: (L,) LineKind.
+    """
+
+    axis: Ints
+    offset_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    kind: Ints

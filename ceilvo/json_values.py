@@ -1,4 +1,4 @@
-"""What JSON can say of our values: the one place where a number that is not finite becomes null."""
+"""What JSON can say of our values; a number that is not finite becomes null here and nowhere else. Limits of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+MAX_COORDINATE_M = 1e6
+"""Coordinates beyond it are damage: no building is so large."""
+MAX_ANGLE_RAD = 10.0
+"""Directions beyond it are damage: a direction, with room for a turn too many."""
+MAX_ID = 2**62
+"""Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 
 
 def json_value(value: object) -> Any:

@@ -15,6 +15,8 @@ from typing import NewType
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.crossing_types import CeilingLines
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -25,14 +27,8 @@ Displacement = NewType("Displacement", NDArray[np.float64])
 Twist = NewType("Twist", NDArray[np.float64])
 """(3,) [m/s, m/s, rad/s] in base."""
 
-MAX_COORDINATE_M = 1e6
-"""Coordinates beyond it are damage: no building is so large."""
-MAX_ANGLE_RAD = 10.0
-"""Directions beyond it are damage: a direction, with room for a turn too many."""
 NO_DIRECTION_RAD = float(np.pi / np.sqrt(48.0))
 """Standard deviation of a direction that nothing tells: any within a quarter turn is as likely."""
-MAX_ID = 2**62
-"""Largest id, count or stamp: JSON readers elsewhere may lose larger ones."""
 
 
 class LineKind(IntEnum):
@@ -121,6 +117,7 @@ class Crossings:
         sample_gray: (S,) grey levels at fixed places of the picture, to tell whether it is an old one; (0,) = none.
         complete: whatever is seen of the ceiling is here; otherwise what is missing says nothing.
         several: they are at several heights, so what was taken to be at another height lies beside them.
+        lines: that they are crossings of, and others; None where these may not lie where they seem to.
     """
 
     uv_px: Array
@@ -135,6 +132,7 @@ class Crossings:
     sample_gray: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     complete: bool = True
     several: bool = False
+    lines: CeilingLines | None = None
 
     def __len__(self) -> int:
         return len(self.crossing_type)

@@ -20,7 +20,7 @@ from ceilvo import se2
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.alternatives import Prior, find_candidates
 from ceilvo.daemon.odometry.coasting import LastTwist, coast
-from ceilvo.daemon.odometry.registration import direction_change
+from ceilvo.daemon.odometry.lines.direction import direction_change
 from ceilvo.daemon.vision.crossings import cross
 from ceilvo.daemon.vision.finder.line_finder import LineFinder
 from ceilvo.sim.ceiling.spec import CeilingSpec

@@ -207,8 +207,8 @@ def _stress() -> list[Condition]:
 
 def _found_ceilings() -> list[Condition]:
     """What is found in buildings: right, or said not to be."""
-    not_always_seen = ("wood-slats", "slats-round", "plaster-round", "plaster-glints", "strips-only")
-    few_lines = (*not_always_seen, "hexagons", "hexagons-round", "two-lamps")
+    few_points = ("wood-slats", "slats-round", "plaster-round", "plaster-glints", "strips-only")
+    few_lines, not_always_seen = (*few_points, "hexagons", "hexagons-round", "two-lamps"), ("boards", *few_points)
     return [
         make(
             f.name,

@@ -23,6 +23,8 @@ FIBRE_BARS = CeilingSpec(fibre=1.0, groove_m=0.024, lip_m=0.0, groove_darker=-0.
 SOFT_BARS = CeilingSpec(texture=0.0, fibre=0.05, groove_m=0.028, lip_m=0.0, groove_darker=0.15, groove_soft_m=0.004)
 """Bars 28 mm wide and 15 % darker than the tiles, as in the picture that board.CLOUDS_RMS is of; softer than there."""
 OBLONG = CeilingSpec(fibre=0.5, tile_m=0.6, tile_y_m=1.2)
+BOARDS = CeilingSpec(fibre=0.2, tile_m=0.3, tile_y_m=4.0, lamp_every=(0, 0), vents=0, spots=0, stains=0)
+"""Long boards, as of corridors: joints of one direction, and every 4 m one across."""
 GRILLES = CeilingSpec(grilles=14, vents=24)
 STRIPS = CeilingSpec(strip_lamps=True, tile_m=0.6, tile_y_m=1.2, lamp_every=(1, 2), fibre=0.5)
 STRIPS_ONLY = CeilingSpec(strip_lamps=True, joints=False, lamp_every=(1, 3), vents=0, stains=0, tile_spread=0.0)
@@ -60,6 +62,7 @@ def found_ceilings() -> tuple[Found, ...]:
         Found("fibre-bars", "the same between soft bars 24 mm wide, 8 % brighter", FIBRE_BARS),
         Found("soft-bars", "plain boards between soft bars 28 mm wide, 15 % darker", SOFT_BARS),
         Found("oblong", "tiles of 0.6 x 1.2 m", OBLONG),
+        Found("boards", "boards of 0.3 x 4 m: one direction, and now and then a joint across", BOARDS),
         Found("grilles", "14 grilles of 50 mm cells, 24 vents and diffusers", GRILLES),
         Found("strips", "rows of strip lamps under tiles of 0.6 x 1.2 m", STRIPS),
         Found("strips-only", "rows of strip lamps and sprinklers on plaster", STRIPS_ONLY),

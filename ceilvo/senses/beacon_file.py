@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 from ceilvo import yaml_nodes
 from ceilvo.errors import ConfigError, one_line
 from ceilvo.files import write_atomic
+from ceilvo.json_values import MAX_COORDINATE_M
 from ceilvo.senses.beacons import NAME_CHARS, Anchor, Beacons, Lamp, Mark
-from ceilvo.types import MAX_COORDINATE_M
 
 VERSION = 1
 MOST = 1000

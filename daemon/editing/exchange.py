@@ -16,8 +16,8 @@ from ceilvo.daemon.map.database.rows import LATEST_S
 from ceilvo.daemon.map.document import document_of
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.transitions import Side
-from ceilvo.json_values import json_value
-from ceilvo.types import MAX_ANGLE_RAD, MAX_ID, Array, Landmarks
+from ceilvo.json_values import MAX_ANGLE_RAD, MAX_ID, json_value
+from ceilvo.types import Array, Landmarks
 
 FORMAT, VERSION = "ceilvo-map-content", 1
 """Of the JSON."""

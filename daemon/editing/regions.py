@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.types import MAX_COORDINATE_M, Array
+from ceilvo.json_values import MAX_COORDINATE_M
+from ceilvo.types import Array
 
 _FEWEST_CORNERS = 3
 

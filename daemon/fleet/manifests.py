@@ -9,7 +9,7 @@ import numpy as np
 from ceilvo.daemon.fleet.tiles import MOST_TILE_M, Place, root_of
 from ceilvo.daemon.fleet.wire import Fields, WireError, packed
 from ceilvo.daemon.map.database.rows import DIGEST_BYTES
-from ceilvo.types import MAX_ANGLE_RAD, MAX_ID
+from ceilvo.json_values import MAX_ANGLE_RAD, MAX_ID
 
 KIND, REQUEST = "manifest.1", "manifest_request.1"
 MOST_TILES = 2_000_000

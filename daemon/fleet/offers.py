@@ -12,7 +12,8 @@ from ceilvo.crossing_types import CROSSING_TYPES
 from ceilvo.daemon.fleet.keys import KEY_BYTES, SIGNATURE_BYTES, Signer, is_signed
 from ceilvo.daemon.fleet.wire import Fields, WireError, packed
 from ceilvo.daemon.map.database.rows import LATEST_S, digest
-from ceilvo.types import MAX_ANGLE_RAD, MAX_ID, Array, Ints
+from ceilvo.json_values import MAX_ANGLE_RAD, MAX_ID
+from ceilvo.types import Array, Ints
 
 KIND, ENVELOPE = "offer.1", "signed_offer.1"
 MOST_ROWS = 1500

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ceilvo.daemon.fleet.wire import MOST_TEXT, Fields, packed
 from ceilvo.errors import one_line
-from ceilvo.types import MAX_ID
+from ceilvo.json_values import MAX_ID
 
 OFFER, MANIFEST, TILES, STATUS = "offer", "manifest", "tiles", "status"
 """Last words of the service's keys."""

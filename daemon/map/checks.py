@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.json_values import MAX_COORDINATE_M, MAX_ID
 from ceilvo.se2 import covariance_problem
-from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Array, Landmarks, frozen
+from ceilvo.types import Array, Landmarks, frozen
 
 
 class Damage(Exception):

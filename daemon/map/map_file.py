@@ -19,7 +19,8 @@ from ceilvo.daemon.map.checks import Damage, covariance, floats, ints, keys, lan
 from ceilvo.daemon.map.document import content_bytes, content_of, document_of
 from ceilvo.errors import FileFormatError
 from ceilvo.files import write_atomic
-from ceilvo.types import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID, Landmarks, Pose, State
+from ceilvo.json_values import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID
+from ceilvo.types import Landmarks, Pose, State
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")

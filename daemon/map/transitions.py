@@ -8,7 +8,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from ceilvo.daemon.map.checks import Damage, floats, shown
-from ceilvo.types import MAX_COORDINATE_M, Array
+from ceilvo.json_values import MAX_COORDINATE_M
+from ceilvo.types import Array
 
 Kind = Literal["lift", "ramp"]
 KINDS: tuple[str, ...] = get_args(Kind)

@@ -11,10 +11,10 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.alternatives import knows_quarter
+from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS
 from ceilvo.daemon.odometry.points.constellation import has_points
 from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import (
-    DIRECTION_SIGMAS,
     MIN_AGREEING,
     Registration,
     expected_turn,

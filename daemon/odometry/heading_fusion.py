@@ -10,8 +10,9 @@ import math
 from dataclasses import dataclass, replace
 
 from ceilvo.daemon.odometry.course import Course
+from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
 from ceilvo.daemon.odometry.points.constellation import has_points
-from ceilvo.daemon.odometry.registration import DIRECTION_SIGMAS, Registration, direction_change
+from ceilvo.daemon.odometry.registration import Registration
 from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
 from ceilvo.daemon.vision.line_pairing import fold_direction
 from ceilvo.se2 import wrap
@@ -116,24 +117,28 @@ def as_expected(crossings: Crossings, ref: Crossings, course: Course, gate_rad: 
 
 def held(
     predicted: Motion,
-    ref: Crossings,
+    view: Crossings,
     crossings: Crossings,
-    course: Course,
     before: Array,
     before_cov: Array,
+    step_var_rad2: float,
     gate_rad: float,
 ) -> Motion:
     """A prediction with the rotation that lines show, where they are too few for a motion: one lamp holds the heading.
 
     Args:
-        before: (3,) predicted from the reference to the previous frame, with covariance (3, 3).
+        view: an earlier one.
+        before: (3,) predicted from that view to the previous frame, with covariance (3, 3).
+        step_var_rad2: of the predicted rotation.
         gate_rad: lines that are off the prediction by more, beside its error, are others.
     """
-    sigma, vague = math.hypot(ref.psi_sigma_rad, crossings.psi_sigma_rad), math.sqrt(float(course.cov[2, 2]))
+    var_rad2 = float(before_cov[2, 2]) + step_var_rad2
+    sigma, vague = math.hypot(view.psi_sigma_rad, crossings.psi_sigma_rad), math.sqrt(var_rad2)
     if sigma > _VAGUE_RAD or _QUARTER_SIGMAS * vague > 0.25 * math.pi:
         return predicted
-    turn = direction_change(ref.psi_rad, crossings.psi_rad, float(course.guess[2]))
-    if abs(turn - float(course.guess[2])) > gate_rad + DIRECTION_SIGMAS * vague:
+    guess = float(before[2] + predicted.prev_from_curr[2])
+    turn = direction_change(view.psi_rad, crossings.psi_rad, guess)
+    if abs(turn - guess) > gate_rad + DIRECTION_SIGMAS * vague:
         return predicted
     moved, cov = predicted.prev_from_curr.copy(), predicted.cov.copy()
     moved[2], cov[2, :2], cov[:2, 2] = wrap(turn - float(before[2])), 0.0, 0.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from ceilvo.daemon.odometry.coasting import RecentTwists
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
+from ceilvo.daemon.odometry.lines.across import AcrossState
 from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
 from ceilvo.daemon.odometry.points.turning import TWIST, Turning
@@ -95,6 +96,7 @@ class VisualOdometryState:
         earlier: a good view before the reference, for what that misses.
         recent: twists of the last good views, of which the median goes on in a gap.
         turning: of the reference, where a single point laid it.
+        across: lines of views without a motion.
         sideways_m2ps2, driven_s: mean square of the speed sideways, over so long a time in which the robot drove.
     """
 
@@ -120,6 +122,7 @@ class VisualOdometryState:
     earlier: EarlierView = field(default_factory=EarlierView)
     recent: RecentTwists = field(default_factory=RecentTwists)
     turning: Turning | None = None
+    across: AcrossState = field(default_factory=AcrossState)
     sideways_m2ps2: float = _SIDEWAYS_M2PS2
     driven_s: float = _PRESUMED_S
 

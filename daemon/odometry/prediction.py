@@ -11,6 +11,7 @@ from ceilvo import se2
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, accelerations, coast, goes_on_turning
 from ceilvo.daemon.odometry.course import Course
+from ceilvo.daemon.odometry.lines.across import as_told, with_variance
 from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import Registration
@@ -54,8 +55,26 @@ def predicted_motion(
     if turn is None and s.held_s > 0.0:
         turn = goes_on_turning(config, LastTwist(s.twist, s.held_s, 0.0), dt_s)
     moved, cov = coast(config, last, dt_s, turn)
+    if len(s.across.told):
+        steady = coast(config, LastTwist(s.twist, s.across.told_s, s.across.told_ago_s), dt_s, turn)
+        moved, cov = as_told(s.across, moved, cov, *steady)
     cov = cov + noise_floor
     return Motion(moved, cov, 0, 0.0, "", prior_cov=cov)
+
+
+def step_alone_cov(s: VisualOdometryState, config: Odometry, predicted: Motion, dt_s: float) -> Array:
+    """(3, 3) of a step by itself: predicted.cov is what it adds to a gap, in which all steps may err alike."""
+    if predicted.by_wheels:
+        return predicted.cov
+    unknown = coast(config, LastTwist(s.twist, None, s.across.since_s), dt_s)[1]
+    cov: Array = predicted.cov.copy()
+    if np.trace(unknown[:2, :2]) < np.trace(cov[:2, :2]):
+        cov[:2, :2] = unknown[:2, :2]
+    cov[2, 2] = min(cov[2, 2], unknown[2, 2])
+    for n in s.across.told:
+        told_m2 = float(n @ predicted.cov[:2, :2] @ n)
+        cov = with_variance(cov, n, min(told_m2, float(n @ cov[:2, :2] @ n)))
+    return cov
 
 
 def course_of(s: VisualOdometryState, predicted: Motion, dt_s: float) -> Course:

@@ -12,19 +12,17 @@ from ceilvo.config import Odometry
 from ceilvo.crossing_types import LAMP, LINE_CROSSINGS, commonest, quarter_turns, turned_type
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
+from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
+from ceilvo.daemon.odometry.lines.through import lines_through
 from ceilvo.daemon.odometry.matching import Bools, consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points, has_points
 from ceilvo.daemon.odometry.points.turning import TURNED, Turning
 from ceilvo.daemon.odometry.rigid import RigidFit, median_translation, robust_rigid_motion, with_known_rotation
-from ceilvo.daemon.odometry.sight import lines_through
 from ceilvo.robust import median
 from ceilvo.types import Array, Crossings, Ints
 
 MIN_AGREEING = 1.0 / 3.0
 """Least fraction of the crossings that move alike; chosen: laps had 0.6 at least, bare plaster with lamps 0.37."""
-DIRECTION_SIGMAS = 5.0
-"""Of a direction that is predicted or carried on, by which that of the lines may be off; chosen: noise alone exceeds it
-in 6 of 10 million."""
 _UNUSUAL_SIGMAS = 3.0
 """Crossings beyond the usual number that do not agree, in standard deviations of that number, from which alternatives
 are looked at; chosen: half a per cent of a lap's frames cost the look."""
@@ -310,13 +308,6 @@ def expected_turn(ref: Crossings, crossings: Crossings, predicted_rad: float) ->
     if not (ref.directed and crossings.directed):
         return predicted_rad
     return direction_change(ref.psi_rad, crossings.psi_rad, predicted_rad)
-
-
-def direction_change(psi_ref: float, psi_curr: float, predicted: float) -> float:
-    """ref_from_curr rotation from the change of dominant direction: the branch modulo 90 deg nearest the prediction."""
-    change = psi_ref - psi_curr
-    branch = round((predicted - change) / (0.5 * math.pi))
-    return float(change + branch * 0.5 * math.pi)
 
 
 def view_size_m(crossings: Crossings) -> float:

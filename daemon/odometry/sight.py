@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, commonest, turned_type
+from ceilvo.crossing_types import CROSSING_TYPES, commonest, turned_type
+from ceilvo.daemon.odometry.lines.through import lines_through
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints
 
@@ -31,8 +32,6 @@ of 1.25 m two views half a metre apart may share no more."""
 CROWD_M = 0.1
 """Cell in which, with its neighbours, crossings share the worth of one: they are of one lamp's corner, or one vent;
 chosen: less than the smallest tile."""
-LINE_M = 0.04
-"""Crossings that differ by less across a line lie on it: as is said of landmarks in a row, lattice.ALIGNED_M."""
 _LINE_WORTH = 3.0
 """Crossings of one line that are missing are worth so many at most; chosen: with one, places are told apart less well.
 """
@@ -104,18 +103,6 @@ def is_in(bits: NDArray[np.uint16], types: Ints) -> NDArray[np.bool_]:
 def _rare_first(types: Ints) -> Ints:
     count = np.bincount(types, minlength=CROSSING_TYPES)
     return np.asarray(np.argsort(count[types], kind="stable"))
-
-
-def lines_through(xy: Array, types: Ints, axis_rad: float) -> Ints:
-    """(N, 2) numbers of the lines through crossings (N, 2), along both axes; points are on none but their own."""
-    across = xy @ rotation(axis_rad)
-    out = np.empty((len(xy), 2), np.int64)
-    for axis in (0, 1):
-        order = np.argsort(across[:, axis], kind="stable")
-        out[order, axis] = np.cumsum(np.diff(across[order, axis], prepend=-np.inf) > LINE_M)
-    point = np.flatnonzero(types >= LINE_CROSSINGS)
-    out[point] = len(xy) + 1 + np.arange(len(point))[:, None]
-    return out
 
 
 def by_line(events: NDArray[np.bool_], lines: Ints) -> Array:

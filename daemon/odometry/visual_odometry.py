@@ -42,9 +42,10 @@ from ceilvo.daemon.odometry.heading_fusion import (
     with_carried,
     with_direction,
 )
+from ceilvo.daemon.odometry.lines.across import AcrossState, across, slid
 from ceilvo.daemon.odometry.odometry_state import EarlierView, VisualOdometryState
 from ceilvo.daemon.odometry.points.constellation import LEANS, has_points, laid
-from ceilvo.daemon.odometry.prediction import course_of, predicted_motion, steadied, turning_of
+from ceilvo.daemon.odometry.prediction import course_of, predicted_motion, steadied, step_alone_cov, turning_of
 from ceilvo.daemon.odometry.registration import (
     Registration,
     fewest,
@@ -137,7 +138,7 @@ class VisualOdometry:
             if crossings is not None and ref is not None and (one := self._by_one(ref, crossings, course, told)):
                 return self._accept(ref, crossings, course, one, predicted)
             s.refused = None
-            predicted = self._held(predicted, crossings, course)
+            predicted = self._held(predicted, crossings, course.step_s)
             return self._coast(predicted, dt_s, missing if crossings is None else f"only {len(crossings)} crossings")
         if ref is None:
             self._set_reference(crossings)
@@ -155,9 +156,9 @@ class VisualOdometry:
             found = found if found.place is not None else self._by_one(ref, crossings, course, told) or found
         if found.place is None:
             s.refused, found = found.jump, with_parts(found, ref, crossings, course)
-            coasted = self._coast(self._held(predicted, crossings, course), dt_s, found.failure)
+            coasted = self._coast(self._held(predicted, crossings, course.step_s), dt_s, found.failure)
             failures = Failures(s.failed_frames + 1, s.disagreeing, s.sliding.glossy, ENOUGH)
-            hand = chance_of_hand(ref, crossings, found, failures, course, self._config)
+            hand = s.across.by_chance * chance_of_hand(ref, crossings, found, failures, course, self._config)
             return self._after_failure(crossings, coasted, found.out_of_view, hand)
         return self._accept(ref, crossings, course, found, predicted)
 
@@ -284,19 +285,24 @@ class VisualOdometry:
         s.reference, s.ref_from_prev, s.ref_cov = crossings, np.zeros(3), np.zeros((3, 3))
         s.earlier = EarlierView() if moved is None else s.earlier.then(moved, cov, crossings)
         s.since_ref_s, s.failed_frames, s.by_hand, s.by_wheels, s.refused, s.held_s = 0.0, 0, 0.0, True, None, 0.0
-        s.turning = None
+        s.turning, s.across = None, AcrossState(crossings)
 
     # -- without a motion
 
-    def _held(self, predicted: Motion, crossings: Crossings | None, course: Course) -> Motion:
-        """The prediction with the rotation that lines tell, where they do."""
-        s, motion = self.state, predicted
-        if crossings is not None and (ref := s.reference) is not None:
-            motion = held(predicted, ref, crossings, course, s.ref_from_prev, s.ref_cov, self._config.heading_gate_rad)
-        s.held_s = 0.0 if motion is predicted else course.step_s
+    def _held(self, predicted: Motion, crossings: Crossings | None, step_s: float) -> Motion:
+        """The prediction with the rotation that lines tell, where they do, and the motion across them."""
+        s, gate_rad = self.state, self._config.heading_gate_rad
+        key, motion, step_cov = s.across, predicted, step_alone_cov(s, self._config, predicted, step_s)
+        since = (key.key, key.at, key.cov) if s.reference is None else (s.reference, s.ref_from_prev, s.ref_cov)
+        if crossings is not None and (view := since[0]) is not None:
+            vague_rad2 = step_cov[2, 2] if s.reference is None else predicted.cov[2, 2]
+            motion = held(predicted, view, crossings, *since[1:], float(vague_rad2), gate_rad)
+        s.held_s = 0.0 if motion is predicted else step_s
         if s.held_s > 0.0:
             s.twist = np.array([*s.twist[:2], motion.prev_from_curr[2] / s.held_s])
-            s.recent = s.recent.turning(float(s.twist[2]))
+            s.recent, step_cov[2, 2] = s.recent.turning(float(s.twist[2])), motion.cov[2, 2]
+        motion = across(s.across, motion, step_cov, crossings, gate_rad, step_s)
+        s.twist = slid(s.across, s.twist, motion)
         return motion
 
     def _coast(self, predicted: Motion, dt_s: float, why: str) -> Motion:
@@ -319,11 +325,12 @@ class VisualOdometry:
         s.failed_frames, s.by_hand = s.failed_frames + 1, max(s.by_hand, by_hand)
         if s.reference is None or not (out_of_view or s.failed_frames >= _MAX_FAILED_FRAMES):
             return replace(motion, doubt=by_hand)
-        cov = motion.cov
+        cov, goes_on = motion.cov, (s.held_s, s.across.on(crossings))
         if not out_of_view and s.by_hand > _HARDLY:
             away = view_size_m(s.reference)
-            cov = cov + np.diag([away**2, away**2, _MOVED_RAD**2])
+            cov, goes_on = cov + np.diag([away**2, away**2, _MOVED_RAD**2]), (0.0, AcrossState(crossings))
         self._set_reference(crossings)
+        s.held_s, s.across = goes_on
         s.twist_known, s.recent = False, RecentTwists()
         s.heading = HeadingState()
         return replace(motion, cov=cov, prior_cov=cov, restarted=True)

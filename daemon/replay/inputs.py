@@ -29,21 +29,10 @@ from ceilvo.daemon.replay.plausible import (
 from ceilvo.daemon.replay.snapshot import read_value, restore, value_json
 from ceilvo.daemon.vision.finder.crossing_finder import OnStageDone, ignore
 from ceilvo.errors import FileFormatError, one_line
+from ceilvo.json_values import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID
 from ceilvo.senses.beacons import Beacons
 from ceilvo.senses.heard import NOTHING, Heard
-from ceilvo.types import (
-    MAX_ANGLE_RAD,
-    MAX_COORDINATE_M,
-    MAX_ID,
-    Array,
-    Crossings,
-    Displacement,
-    Estimate,
-    Frame,
-    Landmarks,
-    Pose,
-    WheelMotion,
-)
+from ceilvo.types import Array, Crossings, Displacement, Estimate, Frame, Landmarks, Pose, WheelMotion
 
 
 @dataclass(frozen=True, slots=True)

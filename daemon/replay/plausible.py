@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.json_values import MAX_COORDINATE_M, MAX_ID
 from ceilvo.se2 import covariance_problem
 from ceilvo.senses.heard import Turn
-from ceilvo.types import MAX_COORDINATE_M, MAX_ID, Array, Crossings, Landmarks, WheelMotion
+from ceilvo.types import Array, Crossings, Landmarks, WheelMotion
 
 _MAX_PX = 1e6
 """Largest place in a view: no camera has as many pixels, and a lens that bends its rim stays far below."""

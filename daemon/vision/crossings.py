@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.config import Features
-from ceilvo.crossing_types import crossing_type_of
+from ceilvo.crossing_types import CeilingLines, crossing_type_of
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.angles import pixels
 from ceilvo.daemon.vision.kernel.arguments import Arm
@@ -73,7 +73,17 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
         tilt_rad=lines.tilt_rad,
         tilt_sigma_rad=lines.tilt_sigma_rad,
         common_cov_m2=common,
+        lines=_on_ceiling(lines, normals, calibration),
     )
+
+
+def _on_ceiling(lines: Lines, normals: Array, calibration: Calibration) -> CeilingLines:
+    """Lines in base, by the foot of each in the level view, whose axes are along base's."""
+    view, normal = calibration.level_view, normals[lines.axis]
+    foot = lines.offset_px[:, None] * normal + (view.camera.cx_px, view.camera.cy_px)
+    at_m = to_ceiling(calibration.ceiling_from_level, foot)
+    sigma_m = calibration.ceiling_height_m / view.focal_px * lines.sigma_px
+    return CeilingLines(lines.axis, np.sum(normal * at_m, axis=1), sigma_m, lines.kind)
 
 
 class Crosser:

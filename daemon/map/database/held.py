@@ -28,7 +28,8 @@ from ceilvo.daemon.map.database.rows import (
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.transitions import Side
 from ceilvo.errors import FileFormatError, one_line
-from ceilvo.types import MAX_ANGLE_RAD, Array, Ints, Landmarks
+from ceilvo.json_values import MAX_ANGLE_RAD
+from ceilvo.types import Array, Ints, Landmarks
 
 _LANDMARKS = f"SELECT key, {', '.join(NAMES)} FROM landmarks WHERE map = ? ORDER BY id"
 SESSION = "name, begun_s, last_s, saves, added, faded, refused"

@@ -14,8 +14,9 @@ from ceilvo.daemon.map.checks import Damage, covariance, floats, ints, shown
 from ceilvo.daemon.map.database.rows import digest
 from ceilvo.daemon.map.database.spatial import cells
 from ceilvo.daemon.map.key_poses import KeyPoses
+from ceilvo.json_values import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID
 from ceilvo.se2 import compose, compose_cov
-from ceilvo.types import MAX_ANGLE_RAD, MAX_COORDINATE_M, MAX_ID, Array
+from ceilvo.types import Array
 
 SPACE_M = 1.0
 """Side of the squares in which key poses are counted; chosen: about what one view shows."""

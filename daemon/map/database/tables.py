@@ -30,7 +30,8 @@ from ceilvo.daemon.map.database.rows import (
 from ceilvo.daemon.map.database.spatial import cells, spatial_of
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.transitions import Side
-from ceilvo.types import MAX_ANGLE_RAD, Array, Ints, Landmarks
+from ceilvo.json_values import MAX_ANGLE_RAD
+from ceilvo.types import Array, Ints, Landmarks
 
 _COLUMNS = ", ".join(NAMES)
 _SET = ", ".join(f"{name} = ?" for name in NAMES[1:])

@@ -57,6 +57,8 @@ class HeightsOdometry(VisualOdometry):
         flat = self.slope.placed(crossings, expected)
         found = self.heights.look(flat, expected, self.ask_map)
         self.look_again(self.heights.reference() if self.heights.several else self.slope.reference())
+        if found is not None and (self.heights.several or self.slope.state.used is not None):
+            found = replace(found, lines=None)
         return self._sliding.look(self.state.sliding, found, expected)
 
     def learn(self, motion: Motion, placed: Crossings | None) -> Crossings | None:

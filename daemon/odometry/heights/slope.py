@@ -19,9 +19,9 @@ from ceilvo.daemon.odometry.heights.plane import HIGH_SIGMA, Plane, PlaneFit
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.similarity import Similarity, similarity
 from ceilvo.daemon.odometry.heights.tiles import seen_high
+from ceilvo.daemon.odometry.lines.direction import direction_change
+from ceilvo.daemon.odometry.lines.through import lines_through
 from ceilvo.daemon.odometry.matching import mutual_nearest
-from ceilvo.daemon.odometry.registration import direction_change
-from ceilvo.daemon.odometry.sight import lines_through
 from ceilvo.types import Array, Crossings, Motion
 
 _AT_FIRST, _STEADY_RAD, _LEANS = 5, np.radians(0.1), math.tan(math.radians(2.5))

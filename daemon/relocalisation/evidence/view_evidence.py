@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, turned_type
-from ceilvo.daemon.odometry.sight import is_in, lines_through
+from ceilvo.daemon.odometry.lines.through import lines_through
+from ceilvo.daemon.odometry.sight import is_in
 from ceilvo.daemon.relocalisation import kernel
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage

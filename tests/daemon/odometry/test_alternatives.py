@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from ceilvo import se2
 from ceilvo.daemon.odometry.alternatives import Candidates, Prior, by_two_views, find_candidates
+from ceilvo.daemon.odometry.lines.direction import direction_change
 from ceilvo.daemon.odometry.odometry_state import APART, EarlierView
-from ceilvo.daemon.odometry.registration import direction_change
 from ceilvo.daemon.relocalisation.doubts import UNLIKELY
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.types import Crossings

@@ -142,3 +142,19 @@ def test_predicted_edges_of_a_hand_made_move() -> None:
     assert ahead.offset_px == pytest.approx([100.0 - 0.1 * px_per_m, 20.0])
     turned = predicted(edges, np.array([0.0, 0.0, 0.02]), calibration)
     assert turned.psi_rad == pytest.approx(-0.02)
+
+
+def test_lines_on_the_ceiling_are_those_that_cross() -> None:
+    """Each crossing lies on one line of either axis, whatever camera looks from wherever it is mounted."""
+    for calibration in (simulated_calibration(), simulated_calibration(pitch_rad=float(np.radians(24.0)))):
+        world = World(WorldSpec(seed=4), calibration)
+        lines = LineFinder(calibration, Features())(world.frame_at(12.0), None)
+        assert lines is not None
+        seen = cross(lines, calibration, Features())
+        there = seen.lines
+        assert there is not None and len(there.axis) == len(lines.axis) and len(seen) > 10
+        for axis in (0, 1):
+            angle = seen.psi_rad + axis * 0.5 * np.pi
+            offset_m = seen.xy_base_m @ np.array([np.cos(angle), np.sin(angle)])
+            off_m = np.abs(offset_m[:, None] - there.offset_m[there.axis == axis])
+            assert np.max(np.min(off_m, axis=1)) < 1e-9

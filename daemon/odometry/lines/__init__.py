@@ -1,0 +1,1 @@
+"""Motion from lines where too few of them cross."""

@@ -1,0 +1,235 @@
+"""Motion across lines that do not cross: along them nothing is seen, and the covariance says so.
+
+Lines are laid on those of an earlier view, the key, for as long as both show the same, so errors do not add up from
+frame to frame. Lines that repeat are told apart by the prediction, or not at all.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ceilvo import se2
+from ceilvo.crossing_types import CeilingLines
+from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
+from ceilvo.daemon.odometry.lines.through import LINE_M
+from ceilvo.types import Array, Crossings, Displacement, Ints, Motion
+
+_REACH_SIGMAS = 4.0
+"""How far from where they are predicted lines are looked for; a normal error is beyond once in 16,000."""
+_TOGETHER_M, _TOGETHER_SIGMAS = 0.002, 4.0
+"""Lines move alike within this, or so many standard deviations of theirs; chosen: an edge that is seen in place of the
+one beside it is off by a centimetre."""
+_RIVAL = 0.5
+"""A displacement under which so many lines meet, of those that do at the best one, puts that in doubt; chosen, as for
+points."""
+_RIVAL_CHI2 = 18.4
+"""By which a rival's squared distance from the prediction must be the larger one: e^-9.2, once in 10,000."""
+_FEWEST = 2
+"""Lines a tile's groove apart or more that must move alike: a single one may have been taken for its neighbour."""
+_MEET = 1.0 / 3.0
+"""Least part of the lines of the view that shows fewer; chosen, as of crossings."""
+_MOST = 64
+"""Lines of a view that are laid on the other one's; chosen for time: open cells show more, and cross."""
+_QUARTER_SIGMAS = 4.0
+"""A heading that is known to an eighth of a turn within so many standard deviations tells which way lines go."""
+_RENEWED = 0.5
+"""The key gives way to a view of which it shows less; chosen: the rest goes out of view next."""
+
+
+@dataclass(slots=True)
+class AcrossState:
+    """
+    Attributes:
+        key: the view that lines are laid on; None before the first with lines.
+        at: (3,) key_from_prev; cov: (3, 3) of it, small across lines that both show.
+        told: (K, 2) normals, in base in the previous frame, of lines that told the motion over told_s, told_ago_s
+            before it.
+        by_chance: probability that lines meet so well on the way to another place.
+        since_s: time from the key to the previous frame.
+    """
+
+    key: Crossings | None = None
+    at: Array = field(default_factory=lambda: np.zeros(3))
+    cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    told: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    told_s: float = 0.0
+    told_ago_s: float = 0.0
+    by_chance: float = 1.0
+    since_s: float = 0.0
+
+    def on(self, key: Crossings) -> AcrossState:
+        """The same motion, with the previous frame as the key."""
+        return AcrossState(key, told=self.told, told_s=self.told_s, told_ago_s=self.told_ago_s)
+
+    @property
+    def fresh(self) -> bool:
+        """Whether lines told the previous frame's motion."""
+        return len(self.told) > 0 and self.told_s > 0.0 and self.told_ago_s == 0.0
+
+    def met(self, shifts: list[_Shift], there: Array, cov: Array, dt_s: float) -> None:
+        """A view, dt_s after the last one, is there (3,), with a covariance (3, 3)."""
+        unbroken = self.fresh or self.since_s == 0.0
+        chance = math.prod(shift.by_chance for shift in shifts)
+        self.by_chance = chance**2 if unbroken else chance  # a hand takes several frames from one place to another
+        if shifts:
+            self.told, self.told_s, self.told_ago_s = np.array([shift.normal for shift in shifts]), dt_s, 0.0
+            turned_rad = float(there[2])
+        else:
+            self.told_ago_s += dt_s
+            turned_rad = float(there[2] - self.at[2])
+        self.told = self.told @ se2.rotation(turned_rad)
+        self.at, self.cov, self.since_s = there, cov, self.since_s + dt_s
+
+
+@dataclass(frozen=True, slots=True)
+class _Shift:
+    """How far the robot moved along a normal (2,) in the key's axes beyond its prediction, the variance of where that
+    leaves it, the part of the view's joints that say so, and the probability that they do by chance."""
+
+    normal: Array
+    beyond_m: float
+    var_m2: float
+    share: float
+    by_chance: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Parallels:
+    """Lines along one axis: (L,) offsets and their standard deviations, m, kinds, and which of them are one joint's."""
+
+    offset_m: Array
+    sigma_m: Array
+    kind: Ints
+    joint: Ints
+
+    @staticmethod
+    def of(lines: CeilingLines, axis: int, quarters: int = 0) -> _Parallels:
+        """Of a view whose axes are named so many quarter turns further."""
+        which = np.flatnonzero((lines.axis + quarters) % 2 == axis)[:_MOST]
+        sign = np.where((lines.axis[which] + quarters) % 4 > 1, -1, 1)
+        which, sign = (a[np.argsort(sign * lines.offset_m[which], kind="stable")] for a in (which, sign))
+        offset_m = sign * lines.offset_m[which]
+        joint = np.cumsum(np.diff(offset_m, prepend=-np.inf) > LINE_M) - 1
+        return _Parallels(offset_m, lines.sigma_m[which], sign * lines.kind[which], joint)
+
+    @property
+    def joints(self) -> int:
+        return int(self.joint[-1]) + 1 if len(self.joint) else 0
+
+
+def across(
+    s: AcrossState, predicted: Motion, step_cov: Array, crossings: Crossings | None, gate_rad: float, dt_s: float
+) -> Motion:
+    """A prediction with the motion across lines, where the view's tell it; the state moves on to this view.
+
+    Args:
+        predicted: since the previous frame, turned as lines say; step_cov: (3, 3) of that step by itself.
+        crossings: None: nothing is seen.
+        gate_rad: by which the direction of the lines may be off the prediction, beside its error.
+    """
+    moved, cov = predicted.prev_from_curr, predicted.cov
+    there, there_cov = se2.compose(s.at, moved), se2.compose_cov(s.at, s.cov, moved, step_cov)
+    shifts = [] if crossings is None else _shifts(s.key, crossings, there, there_cov, gate_rad)
+    to_prev = se2.rotation(-float(s.at[2]))
+    for shift in shifts:
+        n, before_m2 = to_prev @ shift.normal, float(shift.normal @ s.cov[:2, :2] @ shift.normal)
+        moved = moved + np.append(shift.beyond_m * n, 0.0)
+        cov = with_variance(cov, n, max(shift.var_m2 - before_m2, 0.0))  # of the key's lines, not of every step's
+        there = there + np.append(shift.beyond_m * shift.normal, 0.0)
+        there_cov = with_variance(there_cov, shift.normal, shift.var_m2)
+    s.met(shifts, there, there_cov, dt_s)
+    if max((shift.share for shift in shifts), default=0.0) < _RENEWED and tells(crossings):
+        s.key, s.at, s.cov, s.since_s = crossings, np.zeros(3), np.zeros((3, 3)), 0.0
+    return replace(predicted, prev_from_curr=Displacement(moved), cov=cov)
+
+
+def tells(crossings: Crossings | None) -> bool:
+    """Whether a view has lines to lay others on."""
+    return (
+        crossings is not None and crossings.directed and crossings.lines is not None and len(crossings.lines.axis) > 0
+    )
+
+
+def slid(s: AcrossState, twist: Array, motion: Motion) -> Array:
+    """A twist (3,) with its part across lines as they told it in this motion."""
+    if not s.fresh:
+        return twist
+    off = se2.rotation(-float(motion.prev_from_curr[2])) @ motion.prev_from_curr[:2] / s.told_s - twist[:2]
+    return np.append(twist[:2] + s.told.T @ (s.told @ off), twist[2])
+
+
+def as_told(
+    s: AcrossState, moved: Displacement, cov: Array, steady: Displacement, steady_cov: Array
+) -> tuple[Displacement, Array]:
+    """A prediction (3,) with its covariance (3, 3); across lines that told the motion, where that goes on (3,) with
+    covariance (3, 3)."""
+    for n in s.told:
+        moved = Displacement(moved + np.append(n * (n @ (steady - moved)[:2]), 0.0))
+        cov = with_variance(cov, n, float(n @ steady_cov[:2, :2] @ n))
+    return moved, cov
+
+
+def with_variance(cov: Array, normal: Array, var_m2: float) -> Array:
+    """A covariance (3, 3) with what is known along a normal (2,) in place of what it says there."""
+    rest = np.eye(3)
+    rest[:2, :2] -= np.outer(normal, normal)
+    out = rest @ cov @ rest
+    out[:2, :2] += var_m2 * np.outer(normal, normal)
+    return np.asarray(out)
+
+
+def _shifts(key: Crossings | None, crossings: Crossings, there: Array, cov: Array, gate_rad: float) -> list[_Shift]:
+    """Along each axis of the key of which lines tell; there: (3,) key_from_curr as predicted, with cov (3, 3)."""
+    vague = math.sqrt(float(cov[2, 2]))
+    if key is None or key.lines is None or crossings.lines is None or not (key.directed and crossings.directed):
+        return []
+    turn = direction_change(key.psi_rad, crossings.psi_rad, float(there[2]))
+    off = abs(turn - float(there[2]))
+    if _QUARTER_SIGMAS * vague > 0.25 * math.pi or off > gate_rad + DIRECTION_SIGMAS * vague:
+        return []
+    quarters = round((crossings.psi_rad + turn - key.psi_rad) / (0.5 * math.pi))
+    back = se2.rotation(turn)
+    common = key.common_cov_m2 + back @ crossings.common_cov_m2 @ back.T
+    found = []
+    for axis in (0, 1):
+        normal = se2.rotation(key.psi_rad + axis * 0.5 * math.pi)[:, 0]
+        then, now = _Parallels.of(key.lines, axis), _Parallels.of(crossings.lines, axis, quarters)
+        sigma_m = math.sqrt(max(float(normal @ cov[:2, :2] @ normal), 0.0))
+        met = _met(then, now, float(normal @ there[:2]), sigma_m)
+        if met is not None:
+            found.append(replace(met, normal=normal, var_m2=met.var_m2 + float(normal @ common @ normal)))
+    return found
+
+
+def _met(then: _Parallels, now: _Parallels, predicted_m: float, sigma_m: float) -> _Shift | None:
+    """How far lines moved that were predicted to move so far, to sigma_m; None where too few did, or they may have
+    moved otherwise."""
+    fewest = max(_FEWEST, _MEET * min(then.joints, now.joints))
+    if min(then.joints, now.joints) < _FEWEST:
+        return None
+    beyond = then.offset_m[:, None] - now.offset_m - predicted_m
+    var = then.sigma_m[:, None] ** 2 + now.sigma_m**2
+    within_m = np.maximum(_TOGETHER_M, _TOGETHER_SIGMAS * np.sqrt(var))
+    beyond[then.kind[:, None] != now.kind] = np.inf
+    ways = beyond[np.abs(beyond) < _REACH_SIGMAS * sigma_m + within_m]
+    if not len(ways):
+        return None
+    agree = np.any(np.abs(beyond - ways[:, None, None]) < within_m, axis=1)  # (K, L) of the view
+    joints = np.count_nonzero(agree @ np.eye(now.joints)[now.joint] > 0.0, axis=1)
+    chi2 = (ways / max(sigma_m, _TOGETHER_M)) ** 2
+    best = int(np.argmax(joints - chi2 / _RIVAL_CHI2))
+    rival = (joints >= _RIVAL * joints[best]) & (np.abs(ways - ways[best]) > 2.0 * np.max(within_m))
+    if joints[best] < fewest or np.any(chi2[rival] - chi2[best] < _RIVAL_CHI2):
+        return None
+    nearest = np.argmin(np.abs(beyond - ways[best]), axis=0)
+    which = np.flatnonzero(agree[best])
+    off, weight = beyond[nearest[which], which], 1.0 / var[nearest[which], which]
+    mean = float(np.average(off, weights=weight))
+    spread = float(np.sum(weight * (off - mean) ** 2)) / max(len(off) - 1, 1)
+    var_m2, share = max(spread, 1.0) / float(np.sum(weight)), float(joints[best]) / now.joints
+    apart_m = (now.offset_m[-1] - now.offset_m[0]) / (now.joints - 1)
+    reach_m = _REACH_SIGMAS * sigma_m + float(np.median(within_m))
+    return _Shift(np.zeros(2), mean, var_m2, share, min(2.0 * reach_m / apart_m, 1.0))
