@@ -138,6 +138,23 @@ class Calibration:
         return np.asarray(np.linalg.inv(self.level_from_ceiling), np.float64)
 
 
+@dataclass(frozen=True, slots=True)
+class CeilingShape:
+    """How a ceiling differs from one that is level at the calibrated height, as far as a robot found out.
+
+    Attributes:
+        drops_m: how much lower than that height parts of it hang.
+        slope: its rise in a metre along the map's x and y, and its height above the map's origin over the calibrated
+            one; () where it is level.
+    """
+
+    drops_m: tuple[float, ...] = ()
+    slope: tuple[float, ...] = ()
+
+
+LEVEL_CEILING, SLOPE_NUMBERS = CeilingShape(), 3
+
+
 def projection_matrix(
     camera: CameraModel,
     camera_from_base: Array,

@@ -7,14 +7,13 @@ run, a replay and a test do the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import LEVEL_CEILING, Calibration, CeilingShape
 from ceilvo.config import Config
 from ceilvo.daemon.integrity.states import Evidence, StateMachine, StateMachineState
 from ceilvo.daemon.odometry.cross_checks.checks import CrossChecks, CrossChecksState
@@ -145,6 +144,8 @@ class Pipeline:
         view = None
         if crossings is not None and len(crossings) and track.gap is None and not stands:
             view = self.relocaliser.look(stamp_ns, crossings)
+        if self.relocaliser.sure and track.gap is None:
+            self.odometry.slope.is_at(self.filter.estimate()[0])
         on_stage_done("filter")
         seen = 0 if crossings is None else len(crossings)
         return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling, rocking)
@@ -214,6 +215,11 @@ class Pipeline:
         return self.relocaliser.filter
 
     @property
+    def ceiling(self) -> CeilingShape:
+        """What was found out of the ceiling's shape, on the map."""
+        return self.odometry.ceiling(self.filter.estimate()[0])
+
+    @property
     def elsewhere(self) -> float:
         """Probability that the robot is at another place than the tracked one, for a run that begins where this ends.
 
@@ -263,7 +269,7 @@ class Pipeline:
         """
         cfg = self.config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
-        known = self.landmarks() if keep_map else None
+        known, ceiling = (self.landmarks(), self.ceiling) if keep_map else (None, LEVEL_CEILING)
         doubt = Doubt("the pose was reset", np.diag(START_SIGMA**2), doubts.RESET_WRONG, np.inf)
         self.odometry.state = VisualOdometryState()
         self.vision.state = LineFinderState()
@@ -274,8 +280,7 @@ class Pipeline:
         tracker.state = FloorTrackerState(tracker.floors if keep_map else Floors())
         self.states.reset("started")
         self.checks.restart()
-        self.odometry.heights.know(self.odometry.heights.drops_m if keep_map else ())
-        self.odometry.slope.state = SlopeState()
+        self.odometry.know(ceiling, start)
 
     def set_pose(self, pose: Pose, cov: Array, reason: str, floor: str = "") -> None:
         """Take a pose (3,) with covariance as the new hypothesis; the map is kept, the state starts again.
@@ -304,7 +309,7 @@ class Pipeline:
         ago_s: float = math.inf,
         elsewhere: float = 0.0,
         floors: Floors | None = None,
-        drops_m: Sequence[float] = (),
+        ceiling: CeilingShape = LEVEL_CEILING,
     ) -> None:
         """Start on a map of an earlier run; the pose is to be confirmed.
 
@@ -312,9 +317,9 @@ class Pipeline:
             ago_s: since the pose was stored; inf where nobody knows.
             elsewhere: that run's own.
             floors: of the map, in whose common frame all else is; None for one.
-            drops_m: how much lower than the calibrated height parts of the ceiling are.
+            ceiling: its shape, on that map.
         """
-        self.odometry.heights.know(drops_m)
+        self.odometry.know(ceiling, pose)
         self.relocaliser.floor_tracker.state = FloorTrackerState(floors or Floors())
         doubt = doubts.of_stored(cov, ago_s, elsewhere)
         self.relocaliser.load_map(pose, cov, landmarks, map_axis_rad, doubt)

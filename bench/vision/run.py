@@ -153,8 +153,8 @@ def _started_again(pipeline: Pipeline, condition: Condition, config: Config, fra
     for frame in frames:
         pipeline.step(frame)
     again, axis_rad = _pipeline(condition, config), pipeline.relocaliser.state.map_axis_rad or 0.0
-    start, cov, drops_m = Pose(np.zeros(3)), np.diag(START_SIGMA**2), pipeline.odometry.heights.drops_m
-    again.load_map(pipeline.landmarks(), axis_rad, start, cov, ago_s=JUST_NOW_S, drops_m=drops_m)
+    start, cov = Pose(np.zeros(3)), np.diag(START_SIGMA**2)
+    again.load_map(pipeline.landmarks(), axis_rad, start, cov, ago_s=JUST_NOW_S, ceiling=pipeline.ceiling)
     return again
 
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ceilvo.calibration import LEVEL_CEILING, CeilingShape
 from ceilvo.daemon.integrity.stamp_rate import StampRate
 from ceilvo.daemon.map.key_poses import KeyPoses
 from ceilvo.daemon.map.map_file import StoredMap, StoredState
@@ -180,11 +181,10 @@ class Estimator:
             pose = Pose(np.zeros(3)) if state is None else state.pose
             cov = np.diag(_RESTART_SIGMA**2) + (0.0 if state is None else state.cov)
             ago_ns = self._clock() - (0 if state is None else state.stamp_ns)
-            of_this_boot = state is not None and ago_ns >= 0  # the clock begins anew with the computer
-            ago_s = 1e-9 * ago_ns if of_this_boot else math.inf
-            elsewhere, drops_m = (0.0, ()) if state is None else (state.elsewhere, state.drops_m)
+            ago_s = 1e-9 * ago_ns if state is not None and ago_ns >= 0 else math.inf  # clocks begin anew at boot
+            elsewhere, ceiling = (0.0, LEVEL_CEILING) if state is None else (state.elsewhere, state.ceiling)
             knows = stored_map.landmarks, stored_map.map_axis_rad
-            self._do(LoadMap(*knows, pose, cov, ago_s, elsewhere, floors or Floors(), drops_m))
+            self._do(LoadMap(*knows, pose, cov, ago_s, elsewhere, floors or Floors(), ceiling))
             if state is None:
                 self._do(Reset(keep_map=True))
 
@@ -203,9 +203,9 @@ class Estimator:
             before = StoredMap(self._pipeline.landmarks(), axis_rad)
             after, pose = moved(before, last.pose)
             cov = last.cov + np.diag(np.square(sigma))
-            elsewhere, drops_m = self._pipeline.elsewhere, self._pipeline.odometry.heights.drops_m
+            elsewhere, ceiling = self._pipeline.elsewhere, self._pipeline.odometry.ceiling(pose)
             knows = after.landmarks, after.map_axis_rad
-            self._do(LoadMap(*knows, pose, cov, JUST_NOW_S, elsewhere, drops_m=drops_m))
+            self._do(LoadMap(*knows, pose, cov, JUST_NOW_S, elsewhere, ceiling=ceiling))
             return Moved(before, last)
 
     def set_pose(self, pose: Pose, sigma: Array, why: str, floor: str = "") -> None:
@@ -344,7 +344,7 @@ class Estimator:
         with self._lock:
             return self._pipeline.elsewhere
 
-    def drops_m(self) -> tuple[float, ...]:
-        """How much lower than the calibrated height parts of the ceiling were found to be."""
+    def ceiling(self) -> CeilingShape:
+        """What was found out of the ceiling's shape."""
         with self._lock:
-            return self._pipeline.odometry.heights.drops_m
+            return self._pipeline.ceiling

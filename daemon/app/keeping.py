@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ceilvo import se2
+from ceilvo.calibration import CeilingShape
 from ceilvo.config import Config
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.app.swap import MapSwap, Tell
@@ -111,8 +112,13 @@ class Keeper:
             self._store.keep_copy()
         elif last is not None and stands and self._is_news(last):
             self._began = last
-            if self._store.save_pose(last, self._estimator.elsewhere(), self._estimator.drops_m()):
+            if self._store.save_pose(last, self._estimator.elsewhere(), self._ceiling()):
                 self._kept = last
+
+    def _ceiling(self) -> CeilingShape:
+        """As it is on the map that is kept; where that is turned against the robot's, without its slope."""
+        ceiling = self._estimator.ceiling()
+        return ceiling if self._store.change is None else replace(ceiling, slope=())
 
     def save(self) -> bool:
         """Write map and pose; False when they were not, with the reason in the log."""
@@ -128,7 +134,7 @@ class Keeper:
         landmarks, axis_rad = self._estimator.map_on(last.floor)
         key_poses, refused = self._estimator.key_poses(last.floor), self._estimator.refused()
         elsewhere, news = self._estimator.elsewhere(), max(refused - self._refused, 0)
-        if not self._store.save(landmarks, axis_rad, last, elsewhere, key_poses, news, self._estimator.drops_m()):
+        if not self._store.save(landmarks, axis_rad, last, elsewhere, key_poses, news, self._ceiling()):
             return False
         self._estimator.key_poses_kept(key_poses)
         self._kept, self._refused, self._floor = last, refused, last.floor

@@ -7,7 +7,7 @@ running.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.calibration import LEVEL_CEILING, SLOPE_NUMBERS, CeilingShape
 from ceilvo.daemon.map.checks import Damage, covariance, floats, ints, keys, landmarks_of, shown
 from ceilvo.daemon.map.document import content_bytes, content_of, document_of
 from ceilvo.errors import FileFormatError
@@ -25,7 +26,7 @@ from ceilvo.types import Landmarks, Pose, State
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
-MAP_VERSION, STATE_VERSION = 2, 4
+MAP_VERSION, STATE_VERSION = 2, 5
 """docs/files.md; a map of version 1 has lists of numbers, and no count of how often landmarks were expected. A state of
 version 1 does not say how likely the robot was elsewhere, one of version 2 not which map it is on,
 one of version 3 not at which heights the ceiling hangs."""
@@ -45,10 +46,12 @@ _COLUMNS = {
 }
 """Of a map: type of the numbers and how many a landmark has."""
 _STATE_KEYS = {"pose_map_from_base", "cov", "state", "stamp_ns"}
-_LATER_KEYS = {"elsewhere": 2, "frame": 3, "drops_m": 4}
+_LATER_KEYS = {"elsewhere": 2, "frame": 3, "drops_m": 4, "slope": 5}
 """Of a state, and the version that brought them."""
 _MOST_DROPS, _MOST_DROP_M = 100, 100.0
 """Heights of a ceiling in a state, and by how much one differs from the calibrated one; a dozen are kept."""
+_MOST_SLOPE = 100.0
+"""The largest number of a slope: a height over the calibrated one where a map's origin is far from the robot."""
 _FRAME_CHARS = 80
 """Of a frame's name; one has some 40."""
 _REMEDY = {
@@ -74,7 +77,7 @@ class StoredState:
     Attributes:
         elsewhere: probability that the robot was at another place.
         frame: of the map that the pose is on, as in MapDatabase; None where that is not known.
-        drops_m: how much lower than the calibrated height parts of the ceiling hang, as far as the robot found out.
+        ceiling: its shape, on that map.
     """
 
     pose: Pose
@@ -83,7 +86,7 @@ class StoredState:
     stamp_ns: int
     elsewhere: float = 0.0
     frame: str | None = None
-    drops_m: tuple[float, ...] = ()
+    ceiling: CeilingShape = LEVEL_CEILING
 
 
 def save_map(path: Path, landmarks: Landmarks, map_axis_rad: float) -> None:
@@ -124,7 +127,7 @@ def save_state(
     stamp_ns: int,
     elsewhere: float = 0.0,
     frame: str | None = None,
-    drops_m: Sequence[float] = (),
+    ceiling: CeilingShape = LEVEL_CEILING,
 ) -> None:
     """Replace the state file; raises as save_map."""
     content = {
@@ -134,7 +137,8 @@ def save_state(
         "stamp_ns": int(stamp_ns),
         "elsewhere": float(elsewhere),
         "frame": frame,
-        "drops_m": list(drops_m),
+        "drops_m": list(ceiling.drops_m),
+        "slope": list(ceiling.slope),
     }
     _save(path, _STATE_FORMAT, content, _read_state, MAX_STATE_BYTES)
 
@@ -203,7 +207,11 @@ def _read_state(content: Any, version: int) -> StoredState:
     if not isinstance(drops, list) or len(drops) > _MOST_DROPS:
         raise Damage(f"drops_m is {shown(drops)}, expected up to {_MOST_DROPS} numbers")
     drops_m = tuple(floats(drops, "drops_m", (len(drops),), _MOST_DROP_M).tolist())
-    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere, frame, drops_m)
+    slope = content.get("slope", [])
+    if not isinstance(slope, list) or len(slope) not in (0, SLOPE_NUMBERS):
+        raise Damage(f"slope is {shown(slope)}, expected {SLOPE_NUMBERS} numbers, or none for a level ceiling")
+    ceiling = CeilingShape(drops_m, tuple(floats(slope, "slope", (len(slope),), _MOST_SLOPE).tolist()))
+    return StoredState(Pose(values), cov, State[name], int(stamp[0]), elsewhere, frame, ceiling)
 
 
 def _as_text(column: NDArray[Any], dtype: str) -> str:

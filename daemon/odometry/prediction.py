@@ -64,10 +64,10 @@ def predicted_motion(
 
 def step_alone_cov(s: VisualOdometryState, config: Odometry, predicted: Motion, dt_s: float) -> Array:
     """(3, 3) of a step by itself: predicted.cov is what it adds to a gap, in which all steps may err alike."""
-    if predicted.by_wheels:
-        return predicted.cov
-    unknown = coast(config, LastTwist(s.twist, None, s.across.since_s), dt_s)[1]
     cov: Array = predicted.cov.copy()
+    if predicted.by_wheels:
+        return cov
+    unknown = coast(config, LastTwist(s.twist, None, s.across.since_s), dt_s)[1]
     if np.trace(unknown[:2, :2]) < np.trace(cov[:2, :2]):
         cov[:2, :2] = unknown[:2, :2]
     cov[2, 2] = min(cov[2, 2], unknown[2, 2])

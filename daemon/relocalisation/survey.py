@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ceilvo.crossing_types import JOINTS
+from ceilvo.crossing_types import JOINTS, commonest
+from ceilvo.daemon.odometry.sight import CROWD_M, crowd
 from ceilvo.daemon.relocalisation.evidence.chance import Chance
 from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
 from ceilvo.daemon.relocalisation.evidence.view_evidence import Surroundings, ViewEvidence
@@ -156,9 +157,12 @@ class MapSurvey:
         self.index.remove(wrong)
 
 
-def _rare(landmarks: Landmarks) -> int:
-    """How many are not of the commonest type."""
-    return len(landmarks) - int(np.max(np.bincount(landmarks.crossing_type), initial=0))
+def _rare(landmarks: Landmarks) -> float:
+    """How many are not of the commonest type, those at one corner as one: a lamp's field and frame both have it."""
+    if not len(landmarks):
+        return 0.0
+    rare = landmarks.crossing_type != commonest(landmarks.crossing_type)
+    return float(np.sum(1.0 / crowd(landmarks.xy_map_m[rare], CROWD_M)))
 
 
 def aligned_pose(lattice: Lattice, expected: Array, view: Observations, evidence: ViewEvidence) -> Array:

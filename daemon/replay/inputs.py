@@ -11,11 +11,12 @@ import json
 import math
 import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
+from ceilvo.calibration import LEVEL_CEILING, SLOPE_NUMBERS, CeilingShape
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.relocalisation.doubts import JUST_NOW_S
 from ceilvo.daemon.relocalisation.floors import Floors
@@ -62,7 +63,7 @@ class LoadMap:
         ago_s: since that pose was stored; inf where nobody knows.
         elsewhere: probability that the robot was at another place when the pose was stored.
         floors: of the map, where it has several.
-        drops_m: how much lower than the calibrated height parts of the ceiling hang.
+        ceiling: its shape, on that map.
     """
 
     landmarks: Landmarks
@@ -72,7 +73,7 @@ class LoadMap:
     ago_s: float = math.inf
     elsewhere: float = 0.0
     floors: Floors = field(default_factory=Floors)
-    drops_m: tuple[float, ...] = ()
+    ceiling: CeilingShape = LEVEL_CEILING
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ def apply(pipeline: Pipeline, given: Input, on_stage_done: OnStageDone = ignore)
         return pipeline.step_crossings(given.stamp_ns, None, given.wheels, missing=given.reason, heard=given.heard)
     if isinstance(given, LoadMap):
         g = given
-        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.ago_s, g.elsewhere, g.floors, g.drops_m)
+        pipeline.load_map(g.landmarks, g.map_axis_rad, g.pose, g.cov, g.ago_s, g.elsewhere, g.floors, g.ceiling)
     elif isinstance(given, SetPose):
         pipeline.set_pose(given.pose, given.cov, given.why, given.floor)
     elif isinstance(given, Continuation):
@@ -160,7 +161,7 @@ def input_json(given: Input, number: int) -> bytes:
     elif isinstance(given, LoadMap):
         body = {"input": "known_map", "map_axis_rad": given.map_axis_rad, **_belief(given.pose, given.cov)}
         body |= {"ago_s": given.ago_s if math.isfinite(given.ago_s) else None, "elsewhere": given.elsewhere}
-        body |= {"drops_m": list(given.drops_m)} if given.drops_m else {}
+        body |= {name: list(numbers) for name, numbers in asdict(given.ceiling).items() if numbers}
         if given.floors:
             body["floors"] = json.loads(value_json(given.floors))
         body["landmarks"] = {key: getattr(given.landmarks, name).tolist() for key, (name, _, _) in _LANDMARKS.items()}
@@ -220,8 +221,10 @@ def _map_problem(given: LoadMap) -> str:
         return f"elsewhere is {given.elsewhere:g}, expected a probability"
     if not given.ago_s >= 0.0:
         return f"ago_s is {given.ago_s:g}, expected a time that has passed"
-    if not all(abs(d) <= MAX_COORDINATE_M for d in given.drops_m):
-        return f"drops_m is {given.drops_m}"
+    if not all(abs(number) <= MAX_COORDINATE_M for number in (*given.ceiling.drops_m, *given.ceiling.slope)):
+        return f"the ceiling is {given.ceiling}"
+    if len(given.ceiling.slope) not in (0, SLOPE_NUMBERS):
+        return f"the slope has {len(given.ceiling.slope)} numbers, expected {SLOPE_NUMBERS}"
     return "" if abs(given.map_axis_rad) <= MAX_ANGLE_RAD else f"map_axis_rad is {given.map_axis_rad:g}"
 
 
@@ -264,7 +267,8 @@ def _read_map(body: Mapping[str, Any], frame_of: FrameOf) -> Input:
         ago_s = JUST_NOW_S if body.get("recent", False) else math.inf
     floors = read_value(json.dumps(body.get("floors")).encode("ascii"), Floors) or Floors()
     knows = Landmarks(**columns), float(body["map_axis_rad"]), *_read_belief(body)
-    return LoadMap(*knows, float(ago_s), elsewhere, floors, tuple(float(d) for d in body.get("drops_m", ())))
+    drops_m, slope = (tuple(float(number) for number in body.get(name, ())) for name in ("drops_m", "slope"))
+    return LoadMap(*knows, float(ago_s), elsewhere, floors, CeilingShape(drops_m, slope))
 
 
 def _read_assumption(body: Mapping[str, Any], frame_of: FrameOf) -> Input:

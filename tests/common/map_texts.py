@@ -34,6 +34,14 @@ STATE_V2 = (
     '{"x_m": 1.25, "y_m": -0.5, "theta_rad": 3.0}, "cov": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.001], [0.0, 0.001, 0.003]], '
     '"state": "RELOCALISING", "stamp_ns": 123456789012345, "elsewhere": 0.2}}\n'
 )
+STATE_V4 = (
+    '{"format": "ceilvo-state", "version": 4, "sha256": '
+    '"2dff33f528fd23dfc5ca80f816c1f8b49aef9f9f234765a6857586461f116f30", "content": {"pose_map_from_base": '
+    '{"x_m": 1.25, "y_m": -0.5, "theta_rad": 3.0}, '
+    '"cov": [[0.0001, 0.0, 0.0], [0.0, 0.0004, 0.0], [0.0, 0.0, 0.0009]], '
+    '"state": "TRACKING", "stamp_ns": 123456789012345, "elsewhere": 0.2, "frame": "a frame", '
+    '"drops_m": [0.4, -0.15]}}\n'
+)
 
 
 def signed(document: dict[str, Any]) -> str:

@@ -119,10 +119,10 @@ class Drive:
     def restart(self) -> None:
         """Another process on what this one would store now, a moment later; without a map it begins anew."""
         landmarks, axis_rad = self.estimator.map()
-        last, elsewhere, drops_m = self.estimate, self.estimator.elsewhere(), self.estimator.drops_m()
+        last, elsewhere, ceiling = self.estimate, self.estimator.elsewhere(), self.estimator.ceiling()
         self.begin_anew()
         if last is not None and axis_rad is not None and len(landmarks):
-            state = StoredState(last.pose, last.cov, last.state, last.stamp_ns, elsewhere, drops_m=drops_m)
+            state = StoredState(last.pose, last.cov, last.state, last.stamp_ns, elsewhere, ceiling=ceiling)
             self.estimator.load_map(StoredMap(landmarks, axis_rad), state)
 
     @property

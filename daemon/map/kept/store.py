@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ceilvo.calibration import LEVEL_CEILING, CeilingShape
 from ceilvo.daemon.map.database.faults import SupersededError
 from ceilvo.daemon.map.kept.apart import Apart
 from ceilvo.daemon.map.kept.change import Change, unmoved
@@ -177,7 +178,7 @@ class Store:
         elsewhere: float = 0.0,
         key_poses: KeyPoses | None = None,
         refused: int = 0,
-        drops_m: Sequence[float] = (),
+        ceiling: CeilingShape = LEVEL_CEILING,
     ) -> bool:
         """Write map and pose; False when they were not, with the reason in the log.
 
@@ -187,7 +188,7 @@ class Store:
             elsewhere: probability that the robot is at another place.
             key_poses: of this session, that were not saved yet.
             refused: landmarks that the map did not take since it was last saved.
-            drops_m: as in StoredState.
+            ceiling: as in StoredState.
         """
         if self._folder is None or map_axis_rad is None:
             return False
@@ -196,7 +197,7 @@ class Store:
             try:
                 if not self._written(kept, landmarks, map_axis_rad, key_poses, refused):
                     return False
-                self._write_pose(self._folder, estimate, elsewhere, drops_m)
+                self._write_pose(self._folder, estimate, elsewhere, ceiling)
             except (CeilvoError, OSError) as e:
                 return self._complain(f"{_NOT_SAVED}: {e}")
             if self._complained:
@@ -262,7 +263,7 @@ class Store:
             self._apart.begin(None, "")
             self._map.keep_next()
 
-    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0, drops_m: Sequence[float] = ()) -> bool:
+    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0, ceiling: CeilingShape = LEVEL_CEILING) -> bool:
         """Write the pose alone; False where the map that lies in the folder is not the one in use, or saving failed of
         late: then it waits for the map."""
         if self._folder is None:
@@ -271,7 +272,7 @@ class Store:
             if not self._in_use or self._complained or not self._on(estimate.floor).is_ours():
                 return False
             try:
-                self._write_pose(self._folder, estimate, elsewhere, drops_m)
+                self._write_pose(self._folder, estimate, elsewhere, ceiling)
             except (CeilvoError, OSError) as e:
                 return self._complain(f"{_NOT_SAVED}: {e}")
             return True
@@ -285,11 +286,10 @@ class Store:
             except (CeilvoError, OSError) as e:
                 _log.warning("%s", e)
 
-    def _write_pose(self, folder: Path, e: Estimate, elsewhere: float, drops_m: Sequence[float]) -> None:
+    def _write_pose(self, folder: Path, e: Estimate, elsewhere: float, ceiling: CeilingShape) -> None:
         cov = _VAGUE_COV if _is_vague(e.cov) else e.cov
         pose = e.pose if self.change is None else self.change.pose(e.pose)
-        frame = self._on(e.floor).frame
-        save_state(folder / STATE_NAME, pose, cov, e.state, e.stamp_ns, elsewhere, frame, drops_m)
+        save_state(folder / STATE_NAME, pose, cov, e.state, e.stamp_ns, elsewhere, self._on(e.floor).frame, ceiling)
 
     def _save_beside(self, kept: KeptMap, landmarks: Landmarks, map_axis_rad: float) -> bool:
         if self._beside.write(landmarks, map_axis_rad):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ceilvo.calibration import Calibration
+from ceilvo.calibration import Calibration, CeilingShape
 from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
@@ -39,6 +39,15 @@ class HeightsOdometry(VisualOdometry):
         self._sliding = Sliding(calibration.mount_xy_m, calibration.ceiling_height_m)
         self._height_m = calibration.ceiling_height_m
         self.ask_map: AskMap = no_map
+
+    def know(self, ceiling: CeilingShape, pose: Array) -> None:
+        """Begin with what an earlier run found of the ceiling, at a pose (3,) on its map."""
+        self.heights.know(ceiling.drops_m)
+        self.slope.know(ceiling.slope, pose)
+
+    def ceiling(self, pose: Array) -> CeilingShape:
+        """What was found, on a map where the robot is at a pose (3,)."""
+        return CeilingShape(self.heights.drops_m, self.slope.on_map(pose))
 
     @property
     def suspicion(self) -> str:

@@ -17,6 +17,8 @@ from ceilvo.types import Array
 _RISE_SIGMA, HIGH_SIGMA, _LEAN_SIGMA = 0.1, 0.1, 0.009
 """Beforehand: rise in a metre; height at the start over the calibrated one; lean of a robot, rad. Chosen: attics; a
 room calibrated somewhere else in it; and half a degree, for a camera is calibrated on the robot that it stays on."""
+_KNOWN_RISE, _KNOWN_HIGH = 0.002, 0.003
+"""The same of a plane that an earlier run has found; chosen: a tenth of a degree, and what tiles tell of its height."""
 _LEAN_NOISE, _CORRELATED = 0.0035, 4.0
 """rad, of a frame's lean, as all errors of lens and lines make it; and its scatter counts so many times, for a robot
 rocks slowly. Chosen."""
@@ -81,6 +83,14 @@ class PlaneFit:
         """Nothing known but the height."""
         fit = PlaneFit()
         fit.info[_HIGH, _HIGH], fit.vector[_HIGH] = sigma**-2.0, high * sigma**-2.0
+        return fit
+
+    @staticmethod
+    def known(rise: Array, high: float) -> PlaneFit:
+        """As an earlier run found the plane: a rise (2,) and a height."""
+        fit = PlaneFit()
+        sigma = np.array([_KNOWN_RISE, _KNOWN_RISE, _KNOWN_HIGH])
+        fit.info[:3, :3], fit.vector[:3] = np.diag(sigma**-2.0), np.append(rise, high) * sigma**-2.0
         return fit
 
     def take_lean(self, lean: Array, turned_rad: float) -> None:

@@ -15,12 +15,20 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
+from ceilvo.daemon.odometry.heights.leaning import (
+    MOST_LEARNT,
+    RASTER_M,
+    direction_over_floor,
+    lean_of,
+    lines_of,
+    once,
+    over_floor,
+)
 from ceilvo.daemon.odometry.heights.plane import HIGH_SIGMA, Plane, PlaneFit
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.similarity import Similarity, similarity
 from ceilvo.daemon.odometry.heights.tiles import seen_high
 from ceilvo.daemon.odometry.lines.direction import direction_change
-from ceilvo.daemon.odometry.lines.through import lines_through
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.types import Array, Crossings, Motion
 
@@ -61,12 +69,12 @@ _LEVEL = 1e-12
 _MISPLACED_M = 0.005
 """What was learnt so far beside where it is, is to be learnt anew; chosen: sightings agree to 2 mm."""
 _BENT = 0.0015
-"""rad, by which the joint fit takes a right angle for another one (_over_floor); chosen: so do 3 deg obliquely to the
+"""rad, by which the joint fit takes a right angle for another one (over_floor); chosen: so do 3 deg obliquely to the
 lines, and 5 deg from 11 deg off them on."""
+_AWAY_M, _AWAY_RAD = 0.05, math.radians(0.5)
+"""By which the way may be off the pose on the map that the plane is of: 5 cm are 5 mm of height under 6 deg; chosen."""
 _FIRST_FRAMES = 20
 """In which a tilt may not have been told yet, so that the places of crossings are remembered in any case; chosen."""
-_RASTER_M, _MOST_LEARNT = 0.02, 2000
-"""Of the places that are remembered for that, and how many; chosen: a third of how far landmarks are looked for."""
 HEIGHT_UNKNOWN = "the ceiling slopes: how high it is where the robot began is not known"
 OBLIQUE = "the ceiling slopes obliquely to its lines"
 ANOTHER = "the ceiling slopes otherwise than before"
@@ -88,6 +96,7 @@ class SlopeState:
         by_tiles: the height is known by them.
         ended: a plane ended before.
         bent: lines that cross at right angles do not seem to, more than the joint fit bears.
+        on_map: the fixed axes are the map's, and pose is that on it, for the plane is known of an earlier run.
         learnt: (N, 2) along the fixed axes, where crossings were taken to be in the first frames and in those that
             leant, before a plane was known; some more than once.
     """
@@ -105,6 +114,7 @@ class SlopeState:
     by_tiles: bool = False
     ended: bool = False
     bent: bool = False
+    on_map: bool = False
     learnt: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
@@ -135,6 +145,30 @@ class Slope:
             return OBLIQUE
         return "" if s.by_tiles else HEIGHT_UNKNOWN
 
+    def know(self, slope: tuple[float, ...], pose: Array) -> None:
+        """Begin at a pose (3,) on a map, with its slope as an earlier run found it, see CeilingShape."""
+        self.state = SlopeState()
+        if slope:
+            fit = PlaneFit.known(np.array(slope[:2]), slope[2])
+            self.state = SlopeState(pose.copy(), fit, fit.solve(), looked=pose.copy(), by_tiles=True, on_map=True)
+
+    def on_map(self, pose: Array) -> tuple[float, ...]:
+        """The slope, see CeilingShape, where the robot is at a pose (3,) on the map; () where none is known."""
+        s = self.state
+        if s.used is None or not s.by_tiles:
+            return ()
+        map_from_axes = se2.compose(pose, se2.inverse(s.pose))
+        rise = se2.rotation(float(map_from_axes[2])) @ s.used.rise
+        high = s.used.high - float(rise @ map_from_axes[:2]) / self._high_m
+        return (float(rise[0]), float(rise[1]), high)
+
+    def is_at(self, pose: Array) -> None:
+        """The robot is at a pose (3,) on the map."""
+        s = self.state
+        off = se2.between(s.pose, pose)
+        if s.on_map and (np.hypot(*off[:2]) > _AWAY_M or abs(off[2]) > _AWAY_RAD):
+            s.pose, s.looked, s.key, s.raw = pose.copy(), pose.copy(), None, None
+
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
         """Crossings where they are; expected: (3,) motion since the last frame."""
         s = self.state
@@ -162,16 +196,16 @@ class Slope:
         s.raw = raw = self._seen if motion.ok or motion.restarted else None
         if raw is None:
             return
-        lean, turned = _lean(raw.tilt_rad), float(s.pose[2])
+        lean, turned = lean_of(raw.tilt_rad), float(s.pose[2])
         expected = None if s.used is None else self._expected_lean(s.used, turned)
         s.fit.take_lean(lean, turned)
         if s.first_lean is None:
             s.first_lean = lean
         if s.used is None and (s.fit.frames < _FIRST_FRAMES or float(np.hypot(*lean)) > _LEAST):
-            new = _RASTER_M * np.rint(se2.transform(s.pose, raw.xy_base_m) / _RASTER_M)
+            new = RASTER_M * np.rint(se2.transform(s.pose, raw.xy_base_m) / RASTER_M)
             s.learnt = np.vstack([s.learnt, new])
-            if len(s.learnt) > 2 * _MOST_LEARNT:
-                s.learnt = _once(s.learnt)
+            if len(s.learnt) > 2 * MOST_LEARNT:
+                s.learnt = once(s.learnt)
         s.steady &= bool(np.max(np.abs(lean - s.first_lean)) < _STEADY_RAD)
         if expected is not None and self._is_other(lean - expected):
             s = self._begin_anew(s.used)
@@ -210,7 +244,7 @@ class Slope:
         """(N, 2) in base, where crossings were taken to be that are elsewhere on this plane."""
         s = self.state
         if s.used is None:
-            return np.vstack([crossings.xy_base_m, se2.transform(se2.inverse(s.pose), _once(s.learnt))])
+            return np.vstack([crossings.xy_base_m, se2.transform(se2.inverse(s.pose), once(s.learnt))])
         before, after = (self._on(p, crossings, s.pose).xy_base_m for p in (s.used, plane))
         return np.asarray(before[np.hypot(*(after - before).T) > _MISPLACED_M])
 
@@ -232,14 +266,14 @@ class Slope:
         kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, key.psi_rad))
         lines = np.flatnonzero(crossings.crossing_type < LINE_CROSSINGS)
         here, then = (
-            (c.xy_base_m - self._mount) @ _over_floor(_lean(c.tilt_rad))[0] for c in (crossings, key)
+            (c.xy_base_m - self._mount) @ over_floor(lean_of(c.tilt_rad))[0] for c in (crossings, key)
         )  # else a rise that turns against base would pass for a scale
         step = se2.rotation(turn) @ self._mount + way[:2] - self._mount
         guess, radius_m = Similarity(1.0, turn, step, 0.0, 0), _NEAR_M
         for _ in range(2):
             i, j = mutual_nearest(guess.of(here[lines]), kinds[lines], then, key.crossing_type, radius_m)
             found = similarity(here[lines[i]], then[j], _FEWEST)
-            if found is None or _lines(key.of(j)) < _FEWEST_LINES:
+            if found is None or lines_of(key.of(j)) < _FEWEST_LINES:
                 return None
             guess, radius_m = found, _NEARER_M
         return guess
@@ -296,7 +330,7 @@ class Slope:
     def _on(self, plane: Plane, crossings: Crossings, pose: Array) -> Crossings:
         """Crossings that were seen at a pose (3,), on the plane."""
         rise = se2.rotation(-float(pose[2])) @ plane.rise
-        flat, off = _over_floor(rise)
+        flat, off = over_floor(rise)
         scale = self._above(plane, pose) / self._high_m
         xy = self._mount + scale * ((crossings.xy_base_m - self._mount) @ flat + self._high_m * off)
         return replace(
@@ -304,42 +338,8 @@ class Slope:
             uv_px=to_ceiling(self._level_from_ceiling, xy),
             xy_base_m=xy,
             cov_base_m2=crossings.cov_base_m2 * scale**2,
-            psi_rad=_direction(flat, crossings.psi_rad),
+            psi_rad=direction_over_floor(flat, crossings.psi_rad),
             tilt_rad=crossings.tilt_rad - np.array([-rise[1], rise[0]]),
             common_cov_m2=crossings.common_cov_m2 * scale**2,
             complete=False,  # who asks what should be in view asks of a level ceiling at the calibrated height
         )
-
-
-def _once(places: Array) -> Array:
-    """Places (N, 2) of the raster once each, the last _MOST_LEARNT of them in order."""
-    return np.asarray(np.unique(places, axis=0)[-_MOST_LEARNT:])
-
-
-def _lines(crossings: Crossings) -> int:
-    """Lines that crossings are of; edges of one thing are one."""
-    through = lines_through(crossings.xy_base_m, crossings.crossing_type, crossings.psi_rad)
-    return sum(len(np.unique(through[:, axis])) for axis in (0, 1))
-
-
-def _lean(tilt_rad: Array) -> Array:
-    """(2,) rise of a ceiling in base that a view shows as that tilt."""
-    return np.array([tilt_rad[1], -tilt_rad[0]])
-
-
-def _over_floor(rise: Array) -> tuple[Array, Array]:
-    """(2, 2) and (2,): A and off of a plane that rises by (2,) in base. Where the joint fit says (x, y) at the
-    calibrated height, taking the rise for a tilt, it is A (x, y) + off over the floor at that height.
-
-    The fit turns a ray (x, y, 1) back by I + [w]x, not by a rotation (kernel.project); so A is no multiple of one.
-    """
-    steep = 1.0 + float(rise @ rise)
-    return np.eye(2) - np.outer(rise, rise) / steep, -rise / steep
-
-
-def _direction(flat: Array, psi_rad: float) -> float:
-    """The direction of lines as seen from above: the mean of both axes, whose right angle a slope may bend."""
-    c, s = math.cos(psi_rad), math.sin(psi_rad)
-    (a, b), (d, e) = (flat @ np.array([[c, -s], [s, c]])).T.tolist()
-    first, second = math.atan2(b, a) - psi_rad, math.atan2(-d, e) - psi_rad
-    return psi_rad + 0.5 * (se2.wrap(first) + se2.wrap(second))

@@ -15,6 +15,7 @@ from ceilvo import se2
 from ceilvo.crossing_types import CeilingLines
 from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
 from ceilvo.daemon.odometry.lines.through import LINE_M
+from ceilvo.robust import MAD_TO_SIGMA, median
 from ceilvo.types import Array, Crossings, Displacement, Ints, Motion
 
 _REACH_SIGMAS = 4.0
@@ -33,6 +34,9 @@ _MEET = 1.0 / 3.0
 """Least part of the lines of the view that shows fewer; chosen, as of crossings."""
 _MOST = 64
 """Lines of a view that are laid on the other one's; chosen for time: open cells show more, and cross."""
+_BLURRED = 3.0
+"""Times their own standard deviation by which the lines of a view lie beside the key's, half of them, where a turn has
+doubled them; chosen: noise does not."""
 _QUARTER_SIGMAS = 4.0
 """A heading that is known to an eighth of a turn within so many standard deviations tells which way lines go."""
 _RENEWED = 0.5
@@ -87,11 +91,13 @@ class AcrossState:
 @dataclass(frozen=True, slots=True)
 class _Shift:
     """How far the robot moved along a normal (2,) in the key's axes beyond its prediction, the variance of where that
-    leaves it, the part of the view's joints that say so, and the probability that they do by chance."""
+    leaves it, what lines that blur has doubled add to it, which err together, the part of the view's joints that say
+    so, and the probability that they do by chance."""
 
     normal: Array
     beyond_m: float
     var_m2: float
+    blur_m2: float
     share: float
     by_chance: float
 
@@ -137,7 +143,8 @@ def across(
     for shift in shifts:
         n, before_m2 = to_prev @ shift.normal, float(shift.normal @ s.cov[:2, :2] @ shift.normal)
         moved = moved + np.append(shift.beyond_m * n, 0.0)
-        cov = with_variance(cov, n, max(shift.var_m2 - before_m2, 0.0))  # of the key's lines, not of every step's
+        # of the key's lines, not of every step's
+        cov = with_variance(cov, n, max(shift.var_m2 - before_m2, 0.0) + shift.blur_m2)
         there = there + np.append(shift.beyond_m * shift.normal, 0.0)
         there_cov = with_variance(there_cov, shift.normal, shift.var_m2)
     s.met(shifts, there, there_cov, dt_s)
@@ -225,11 +232,14 @@ def _met(then: _Parallels, now: _Parallels, predicted_m: float, sigma_m: float) 
     if joints[best] < fewest or np.any(chi2[rival] - chi2[best] < _RIVAL_CHI2):
         return None
     nearest = np.argmin(np.abs(beyond - ways[best]), axis=0)
-    which = np.flatnonzero(agree[best])
-    off, weight = beyond[nearest[which], which], 1.0 / var[nearest[which], which]
-    mean = float(np.average(off, weights=weight))
-    spread = float(np.sum(weight * (off - mean) ** 2)) / max(len(off) - 1, 1)
-    var_m2, share = max(spread, 1.0) / float(np.sum(weight)), float(joints[best]) / now.joints
+    off, weight = beyond[nearest, np.arange(len(nearest))], 1.0 / var[nearest, np.arange(len(nearest))]
+    met, beside = agree[best], np.abs(off - ways[best]) < LINE_M
+    mean = float(np.average(off[met], weights=weight[met]))
+    spread = float(np.sum(weight[met] * (off[met] - mean) ** 2)) / max(np.count_nonzero(met) - 1, 1)
+    scatter_m2 = (MAD_TO_SIGMA * median(np.abs(off[beside] - mean))) ** 2
+    blur_m2 = scatter_m2 if scatter_m2 > _BLURRED**2 * median(var[nearest, np.arange(len(nearest))][beside]) else 0.0
+    var_m2 = max(spread, 1.0) / float(np.sum(weight[met]))
     apart_m = (now.offset_m[-1] - now.offset_m[0]) / (now.joints - 1)
     reach_m = _REACH_SIGMAS * sigma_m + float(np.median(within_m))
-    return _Shift(np.zeros(2), mean, var_m2, share, min(2.0 * reach_m / apart_m, 1.0))
+    chance = min(2.0 * reach_m / apart_m, 1.0)
+    return _Shift(np.zeros(2), mean, var_m2, blur_m2, float(joints[best]) / now.joints, chance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from map_contents import key_poses
 from map_writer import estimate, landmarks
 from patience import PATIENCE_S, until
 
+from ceilvo.calibration import LEVEL_CEILING, CeilingShape
 from ceilvo.config import Base, Config, Filter, Service, Zenoh
 from ceilvo.daemon.app.estimator import Estimator
 from ceilvo.daemon.app.keeping import COPY_NS, Keeper
@@ -38,7 +39,7 @@ class Robot(Estimator):
     def __init__(self) -> None:
         self.told: Estimate | None = None
         self.doubted = 0.0
-        self.drops: tuple[float, ...] = ()
+        self.shape = LEVEL_CEILING
         self.taken = key_poses("robot", 0)
         self.not_taken = 0
 
@@ -52,8 +53,8 @@ class Robot(Estimator):
     def elsewhere(self) -> float:
         return self.doubted
 
-    def drops_m(self) -> tuple[float, ...]:
-        return self.drops
+    def ceiling(self) -> CeilingShape:
+        return self.shape
 
     def key_poses(self, floor: str = "") -> KeyPoses:
         return self.taken
@@ -71,9 +72,9 @@ class Writes(Store):
 
     poses = 0
 
-    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0, drops_m: Sequence[float] = ()) -> bool:
+    def save_pose(self, estimate: Estimate, elsewhere: float = 0.0, ceiling: CeilingShape = LEVEL_CEILING) -> bool:
         self.poses += 1
-        return super().save_pose(estimate, elsewhere, drops_m)
+        return super().save_pose(estimate, elsewhere, ceiling)
 
 
 class Drive:
@@ -139,11 +140,11 @@ def test_what_becomes_known_of_a_standing_robot_is_stored(drive: Drive) -> None:
 def test_heights_of_the_ceiling_go_with_the_pose(drive: Drive, seconds: float) -> None:
     """Whether it is stored alone or with the map."""
     drive.go(3.0, 0.0)
-    drive.robot.drops = (0.4, 0.15)
+    drive.robot.shape = CeilingShape((0.4, 0.15), (0.08, -0.01, 1.02))
     drive.state, drive.robot.doubted = State.RELOCALISING, 0.9
     drive.go(seconds, 0.0)
     state = load_state(drive.folder / STATE_NAME)
-    assert state is not None and state.drops_m == (0.4, 0.15)
+    assert state is not None and state.ceiling == drive.robot.shape
 
 
 def test_a_camera_that_says_nothing_is_no_standing_robot(drive: Drive) -> None:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from map_texts import MAP_V1, MAP_V2, STATE_V1, STATE_V2, edited, table
+from map_texts import MAP_V1, MAP_V2, STATE_V1, STATE_V2, STATE_V4, edited, table
 
+from ceilvo.calibration import LEVEL_CEILING, CeilingShape
 from ceilvo.daemon.map import map_file
 from ceilvo.daemon.map.map_file import StoredMap, StoredState, load_map, load_state, save_map, save_state
 from ceilvo.errors import FileFormatError
@@ -66,6 +67,7 @@ def test_a_map_comes_back_bit_for_bit(tmp_path: Path, n: int) -> None:
     st.integers(0, 2**60),
     st.floats(0.0, 1.0),
     st.lists(st.floats(-10.0, 10.0), max_size=12),
+    st.just(()) | st.tuples(*[st.floats(-10.0, 10.0)] * 3),
 )
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
 def test_a_state_comes_back_bit_for_bit(
@@ -76,15 +78,16 @@ def test_a_state_comes_back_bit_for_bit(
     stamp_ns: int,
     elsewhere: float,
     drops_m: list[float],
+    slope: tuple[float, ...],
 ) -> None:
-    cov = np.diag(np.square(sigma))
-    save_state(tmp_path / "state", np.array(pose), cov, state, stamp_ns, elsewhere, drops_m=drops_m)
+    cov, ceiling = np.diag(np.square(sigma)), CeilingShape(tuple(drops_m), slope)
+    save_state(tmp_path / "state", np.array(pose), cov, state, stamp_ns, elsewhere, ceiling=ceiling)
     stored = load_state(tmp_path / "state")
     assert stored is not None
     assert np.array_equal(stored.pose, pose)
     assert np.array_equal(stored.cov, cov)
     assert (stored.state, stored.stamp_ns, stored.elsewhere) == (state, stamp_ns, elsewhere)
-    assert stored.drops_m == tuple(drops_m)
+    assert stored.ceiling == ceiling
 
 
 def test_version_1_files_load(tmp_path: Path) -> None:
@@ -106,13 +109,29 @@ def test_a_state_of_version_2_loads(tmp_path: Path) -> None:
     state = load_state(tmp_path / "state")
     assert state is not None
     assert (state.state, state.stamp_ns, state.elsewhere) == (State.RELOCALISING, 123456789012345, 0.2)
-    assert (state.frame, state.drops_m) == (None, ())
+    assert (state.frame, state.ceiling) == (None, LEVEL_CEILING)
 
 
-@pytest.mark.parametrize("drops_m", [[1e9], [float("nan")], list(range(101))])
-def test_heights_that_no_ceiling_has_are_not_written(tmp_path: Path, drops_m: list[float]) -> None:
-    with pytest.raises(FileFormatError, match="drops_m"):
-        save_state(tmp_path / "state", np.zeros(3), np.eye(3), State.TRACKING, 0, drops_m=drops_m)
+def test_a_state_of_version_4_loads(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text(STATE_V4)
+    state = load_state(tmp_path / "state")
+    assert state is not None
+    assert (state.frame, state.ceiling) == ("a frame", CeilingShape((0.4, -0.15)))
+
+
+@pytest.mark.parametrize(
+    ("named", "ceiling"),
+    [
+        ("drops_m", CeilingShape((1e9,))),
+        ("drops_m", CeilingShape((float("nan"),))),
+        ("drops_m", CeilingShape((1.0,) * 101)),
+        ("slope", CeilingShape((), (0.1, 0.0))),
+        ("slope", CeilingShape((), (0.1, 0.0, 1e9))),
+    ],
+)
+def test_shapes_that_no_ceiling_has_are_not_written(tmp_path: Path, named: str, ceiling: CeilingShape) -> None:
+    with pytest.raises(FileFormatError, match=named):
+        save_state(tmp_path / "state", np.zeros(3), np.eye(3), State.TRACKING, 0, ceiling=ceiling)
     assert not (tmp_path / "state").exists()
 
 

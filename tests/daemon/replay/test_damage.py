@@ -12,6 +12,7 @@ import pytest
 
 from ceilvo.bench.fuzz.engine.target import PERIOD_NS, crossings, pipeline, rig, wheels
 from ceilvo.bench.fuzz.targets.pipeline_inputs import driven
+from ceilvo.calibration import CeilingShape
 from ceilvo.daemon.replay.inputs import Continuation, Input, LoadMap, SetPose, Sighting, check_plausible, read_input
 from ceilvo.daemon.replay.replay import Outputs, replay
 from ceilvo.daemon.replay.snapshot import snapshot_json
@@ -87,7 +88,8 @@ def test_maps_that_cannot_be_are_refused(name: str, change: Callable[[Any], Any]
         LoadMap(NOTHING, 1e6, POSE, COV),
         *(LoadMap(NOTHING, 0.1, POSE, COV, ago_s) for ago_s in (-1.0, float("nan"))),
         *(LoadMap(NOTHING, 0.1, POSE, COV, 0.0, elsewhere) for elsewhere in (-0.1, 1.5, float("nan"))),
-        *(LoadMap(NOTHING, 0.1, POSE, COV, drops_m=(0.4, drop)) for drop in (1e9, float("nan"))),
+        *(LoadMap(NOTHING, 0.1, POSE, COV, ceiling=CeilingShape((0.4, drop))) for drop in (1e9, float("nan"))),
+        *(LoadMap(NOTHING, 0.1, POSE, COV, ceiling=CeilingShape((), slope)) for slope in ((0.1,), (0.1, 1e9, 1.0))),
         SetPose(POSE, np.zeros((3, 3)), "no variance"),
         SetPose(Pose(np.full(3, 1e9)), COV, "too far"),
         Sighting(1, None, WheelMotion(Displacement(POSE), -COV)),

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from ceilvo.calibration import CeilingShape
 from ceilvo.daemon.replay.inputs import (
     FrameInput,
     Input,
@@ -55,7 +56,9 @@ inputs = st.one_of(
         covs,
         floats | st.just(math.inf),
         floats,
-        drops_m=st.lists(floats, max_size=3).map(tuple),
+        ceiling=st.builds(
+            CeilingShape, st.lists(floats, max_size=3).map(tuple), st.just(()) | st.tuples(*[floats] * 3)
+        ),
     ),
     st.builds(SetPose, poses, covs, texts),
     st.builds(Reset, st.booleans()),
