@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.matching import mutual_nearest
@@ -20,6 +19,7 @@ from ceilvo.daemon.slam.association import (
     spread_out,
     usable,
 )
+from ceilvo.daemon.slam.conditional import Bools, View
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.daemon.slam.pose_filter import COUNTERS, checked_motion
 from ceilvo.daemon.slam.spatial_index import IndexedMap, unpacked
@@ -29,42 +29,6 @@ from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Lan
 
 ALL_LABELS = 1 << 60
 """More landmarks than any map has: labels of the joint map are not bounded by those that are shown."""
-Bools = NDArray[np.bool_]
-_POSE = np.arange(3)
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """Features of one update with the landmarks that explain them.
-
-    xy, var: (K, 2) features in base and their variances; landmark: (K, 2) means in map; joint: (3 + 2 K, 3 + 2 K)
-    covariance of pose and landmarks; heading: measured, with its variance; inflation: of var, because features of a
-    frame share errors.
-    """
-
-    xy: Array
-    var: Array
-    landmark: Array
-    joint: Array
-    heading: float
-    heading_var: float
-    inflation: float
-
-    def __len__(self) -> int:
-        return len(self.xy)
-
-    def of(self, which: Ints, inflation: float) -> View:
-        """The features `which` in that order, with another inflation."""
-        rows = np.concatenate([_POSE, np.column_stack([3 + 2 * which, 4 + 2 * which]).ravel()])
-        joint = self.joint[rows[:, None], rows]
-        return replace(
-            self,
-            xy=self.xy[which],
-            var=self.var[which],
-            landmark=self.landmark[which],
-            joint=joint,
-            inflation=inflation,
-        )
 
 
 @dataclass(frozen=True, slots=True)

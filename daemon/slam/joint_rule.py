@@ -13,9 +13,8 @@ import numpy as np
 from ceilvo.config import Filter
 from ceilvo.daemon.slam import modes
 from ceilvo.daemon.slam.association import NIS_CAP
-from ceilvo.daemon.slam.conditional import Predicted, nis_of, root_of
-from ceilvo.daemon.slam.joint_filter import Bools, Innovations, JointFilterState, View
-from ceilvo.daemon.slam.joint_map import along_the_turn, turn_about
+from ceilvo.daemon.slam.conditional import Bools, Predicted, View, along_the_turn, nis_of, root_of, turn_about
+from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState
 from ceilvo.daemon.slam.log_quadratic import ROUNDS, WIDEN, Fitted, Weighing, normals, proposal
 from ceilvo.daemon.slam.modes import Mode
 from ceilvo.daemon.slam.pose_filter import normalised

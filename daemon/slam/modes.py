@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ceilvo.daemon.slam.conditional import add_blocks, jacobian, noise_in_map
-from ceilvo.daemon.slam.joint_filter import View
+from ceilvo.daemon.slam.conditional import View, add_blocks, jacobian, noise_in_map
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.se2 import inverse, rotation, transform, wrap, wrap_array
 from ceilvo.types import Array, Ints, Motion

@@ -102,6 +102,8 @@ they were not seen again."""
 
 TINY = 1e-300
 """In place of a chance of zero, whose logarithm there is not."""
+JITTER = np.array([1e-12, 1e-12, 1e-12])
+"""m^2, m^2, rad^2: added to a covariance so that it can be inverted; a micrometre and a microradian, squared."""
 
 
 def checked_motion(motion: Motion) -> Motion:

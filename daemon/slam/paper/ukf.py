@@ -6,7 +6,8 @@ import numpy as np
 
 from ceilvo.config import Filter
 from ceilvo.daemon.slam.association import NIS_CAP
-from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState, View
+from ceilvo.daemon.slam.conditional import View
+from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState
 from ceilvo.daemon.slam.pose_filter import spread
 from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Ints, Motion
