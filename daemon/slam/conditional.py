@@ -1,8 +1,8 @@
-"""What a view says of a pose: the likelihood of its features given the pose, the map being uncertain and shared."""
+"""What a view says of a pose, the map being uncertain and shared, and how pose and map take a correction by it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ class View:
 
     xy, var: (K, 2) features in base and their variances; landmark: (K, 2) means in map; joint: (3 + 2 K, 3 + 2 K)
     covariance of pose and landmarks; heading: measured, with its variance; inflation: of var, because features of a
-    frame share errors.
+    frame share errors; held: (3 + 2 W,) rows of the joint state that learn nothing, or (0,) for none, see hold().
     """
 
     xy: Array
@@ -32,6 +32,7 @@ class View:
     heading: float
     heading_var: float
     inflation: float
+    held: Bools = field(default_factory=lambda: np.zeros(0, bool))
 
     def __len__(self) -> int:
         return len(self.xy)
@@ -213,6 +214,17 @@ def add_blocks(square: Array, blocks: Array) -> None:
     """Add (K, 2, 2) to the diagonal of (2 K, 2 K), in place."""
     k = np.arange(len(blocks))
     square.reshape(len(blocks), 2, len(blocks), 2)[k, :, k] += blocks
+
+
+def hold(step: Array, less: Array, held: Bools) -> None:
+    """Take rows out of a Kalman step (S,) and of what it takes off the covariance (S, S), in place; held: (S,) or (0,).
+
+    What is left is Schmidt's update ("Application of state-space methods to navigation problems", 1966): the gain of
+    those rows is zero. They stay as they are, and their covariance with the others is what the others' gain leaves.
+    """
+    if len(held):
+        step[held] = 0.0
+        less[np.ix_(held, held)] = 0.0
 
 
 def along_the_turn(step: Array) -> Array:

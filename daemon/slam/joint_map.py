@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.daemon.slam.conditional import along_the_turn, turn_about
+from ceilvo.daemon.slam.conditional import Bools, along_the_turn, hold, turn_about
 from ceilvo.daemon.slam.pose_filter import JITTER
 from ceilvo.daemon.slam.spatial_index import ChangingIndex, in_box, packed, unpacked
 from ceilvo.se2 import compose, rotation, wrap
@@ -223,8 +223,16 @@ class JointMap:
         self._widen(labels, self.mean[:2] + arm, cross, own)
         return labels
 
-    def merge(self, keep: int, drop: int, gate_chi2: float) -> bool:
-        """Make one of two landmarks by observing that their difference is zero, where that is plausible."""
+    def held(self, below_id: int) -> Bools:
+        """(3 + 2 W,) rows of mean and cov of landmarks with smaller ids; (0,) for none."""
+        landmarks = self.ids[self.label_of] < below_id
+        return np.concatenate([np.zeros(3, bool), np.repeat(landmarks, 2)]) if np.any(landmarks) else landmarks[:0]
+
+    def merge(self, keep: int, drop: int, gate_chi2: float, learnt_from: int = 0) -> bool:
+        """Make one of two landmarks by observing that their difference is zero, where that is plausible.
+
+        Landmarks with ids below learnt_from stay as they are.
+        """
         self.bring_in(np.array([keep, drop]))
         rows = self.rows(np.array([keep, drop]))
         cross = self.cov[:, rows[:2]] - self.cov[:, rows[2:]]
@@ -233,10 +241,12 @@ class JointMap:
         if float(off @ np.linalg.solve(total, off)) > gate_chi2:
             return False
         gain = np.linalg.solve(total, cross.T).T
-        step = along_the_turn(-gain @ off)
+        step, less = -gain @ off, gain @ cross.T
+        hold(step, less, self.held(learnt_from))
+        step = along_the_turn(step)
         self.mean = self.mean + step
         self.mean[2] = wrap(float(self.mean[2]))
-        cov = self.cov - gain @ cross.T
+        cov = self.cov - less
         self.cov = 0.5 * (cov + cov.T)
         turn_about(self.cov, step)
         self.sightings[keep] += self.sightings[drop]
