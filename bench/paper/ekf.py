@@ -65,7 +65,8 @@ class EkfNearestNeighbour:
         self._p[:, :3] = self._p[:, :3] @ f.T
         self._p[:3, :3] += g @ motion.cov @ g.T
 
-    def update(self, obs: Observations) -> None:
+    def update(self, obs: Observations, learnt_from: int = 0) -> None:
+        """As PoseFilter.update, but for learnt_from: the rival is never in doubt of its place, and all is learnt."""
         self._age += 1
         self._nis, self._dof = 0.0, 0
         if np.isfinite(obs.heading_var_rad2):

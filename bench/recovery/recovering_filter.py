@@ -151,14 +151,14 @@ class RecoveringFilter:
                 return *m.alternatives.best(), there * m.alternatives.agreed
         return pose, cov, sure * (1.0 - max(m.refused - 1, 0) / self._settings.lost_updates)
 
-    def update(self, obs: Observations) -> None:
+    def update(self, obs: Observations, learnt_from: int = 0) -> None:
         """Track; or, lost, search the map until one pose is left."""
         m, state = self._memory, self._tracker.state
         counters = state.counters
         if m.search is None:
             pose, cov = state.joint.pose.copy(), state.joint.pose_cov.copy()
             matched, refused = counters["observations"], counters["outliers"]
-            self._tracker.update(obs)
+            self._tracker.update(obs, learnt_from)
             matched, refused = counters["observations"] - matched, counters["outliers"] - refused
             m.chance = self._chance_of_slip()
             self._watch_loss(obs, matched, matched - refused)

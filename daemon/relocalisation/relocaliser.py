@@ -170,7 +170,7 @@ class Relocaliser:
             view = self.observed(crossings)
         admitted = self._admitted(view)
         if admitted is not None:
-            self.filter.update(admitted)
+            self.filter.update(admitted, s.learnt_from)
             s.apart |= s.submap_from is not None and bool(np.any(admitted.label < 0))
             if self.sure and not self.state.surprised and len(self._sharp.visible_m):
                 s.survey.learnt(self.filter, self._sharp.shown(crossings, view), view.crossing_type)
@@ -275,7 +275,7 @@ class Relocaliser:
         s.began = max(s.began, s.belief.doubt())
         if s.belief.doubt() >= self._rate:
             s.reason, s.views = doubt.reason, 0 if doubt.elsewhere >= doubts.UNLIKELY else FEWEST_VIEWS - 1
-            s.open_submap(self.filter.landmarks)
+            s.open_submap(self.filter)
 
     def _search(self, view: Observations, pose: Array, evidence: ViewEvidence) -> Array:
         """List places of the map that this view can be from; the tracked pose (3,), moved onto its own where near."""
@@ -317,7 +317,7 @@ class Relocaliser:
             self._put(s.belief.jump(winner, pose))
         if s.belief.doubt() >= self._rate or refused or s.picture.turned_rad:
             s.reason = s.reason or CONTRADICTION
-            s.open_submap(self.filter.landmarks)
+            s.open_submap(self.filter)
         elif s.views >= FEWEST_VIEWS:
             s.reason, s.began, s.grave, s.searched, s.leads = "", 0.0, False, False, np.zeros((0, 3))
             s.belief.changed = -np.inf

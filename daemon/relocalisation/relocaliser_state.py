@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,8 +15,9 @@ from ceilvo.daemon.relocalisation.not_this_map import UNLISTED, NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
 from ceilvo.daemon.relocalisation.submap import first_id_after, turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
+from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState
-from ceilvo.types import Array, Landmarks
+from ceilvo.types import MAX_ID, Array
 
 USUAL_WEIGHT = 0.05
 """Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""
@@ -123,6 +123,13 @@ class RelocaliserState:
         return self.pending is None and self.reason == ""
 
     @property
+    def learnt_from(self) -> int:
+        """Least id of the landmarks that a view may teach something: in doubt of the place those of the submap only."""
+        if self.sure:
+            return 0
+        return MAX_ID if self.submap_from is None else self.submap_from
+
+    @property
     def doubt(self) -> str:
         """Why the place is not sure, for people; "" while it is."""
         if self.sure:
@@ -154,10 +161,11 @@ class RelocaliserState:
         if self.sure and self.spots > FRESH_SPOTS:
             self.looked, self.spots = Coverage(), 0
 
-    def open_submap(self, landmarks: Callable[[], Landmarks]) -> None:
-        """What is learnt from now on, besides these landmarks, is apart."""
+    def open_submap(self, filter_: PoseFilter) -> None:
+        """What a filter learns from now on is apart. What it was about to learn is of neither side of the doubt."""
         if self.submap_from is None:
-            self.submap_from = first_id_after(landmarks())
+            filter_.forget(np.empty(0, np.int64), newborn=True)
+            self.submap_from = first_id_after(filter_.landmarks())
 
     def close_submap(self) -> None:
         """The place is another one or sure: what is learnt from now on is of the map, no search is asked for, and what

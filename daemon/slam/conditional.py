@@ -1,14 +1,54 @@
-"""What a view says of a pose: the likelihood of its features given the pose, the map being uncertain and shared."""
+"""What a view says of a pose, the map being uncertain and shared, and how pose and map take a correction by it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.daemon.slam.association import chi2_of
-from ceilvo.daemon.slam.joint_filter import View
-from ceilvo.daemon.slam.joint_map import JITTER
+from ceilvo.daemon.slam.pose_filter import JITTER
 from ceilvo.se2 import rotation, wrap_array
-from ceilvo.types import Array
+from ceilvo.types import Array, Ints
+
+Bools = NDArray[np.bool_]
+_POSE = np.arange(3)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Features of one update with the landmarks that explain them.
+
+    xy, var: (K, 2) features in base and their variances; landmark: (K, 2) means in map; joint: (3 + 2 K, 3 + 2 K)
+    covariance of pose and landmarks; heading: measured, with its variance; inflation: of var, because features of a
+    frame share errors; held: (3 + 2 W,) rows of the joint state that learn nothing, or (0,) for none, see hold().
+    """
+
+    xy: Array
+    var: Array
+    landmark: Array
+    joint: Array
+    heading: float
+    heading_var: float
+    inflation: float
+    held: Bools = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def of(self, which: Ints, inflation: float) -> View:
+        """The features `which` in that order, with another inflation."""
+        rows = np.concatenate([_POSE, np.column_stack([3 + 2 * which, 4 + 2 * which]).ravel()])
+        joint = self.joint[rows[:, None], rows]
+        return replace(
+            self,
+            xy=self.xy[which],
+            var=self.var[which],
+            landmark=self.landmark[which],
+            joint=joint,
+            inflation=inflation,
+        )
 
 
 def noise_in_map(theta: float, var: Array) -> Array:
@@ -174,3 +214,38 @@ def add_blocks(square: Array, blocks: Array) -> None:
     """Add (K, 2, 2) to the diagonal of (2 K, 2 K), in place."""
     k = np.arange(len(blocks))
     square.reshape(len(blocks), 2, len(blocks), 2)[k, :, k] += blocks
+
+
+def hold(step: Array, less: Array, held: Bools) -> None:
+    """Take rows out of a Kalman step (S,) and of what it takes off the covariance (S, S), in place; held: (S,) or (0,).
+
+    What is left is Schmidt's update ("Application of state-space methods to navigation problems", 1966): the gain of
+    those rows is zero. They stay as they are, and their covariance with the others is what the others' gain leaves.
+    """
+    if len(held):
+        step[held] = 0.0
+        less[np.ix_(held, held)] = 0.0
+
+
+def along_the_turn(step: Array) -> Array:
+    """A correction (3 + 2 W,) of pose and landmarks, its displacements along the arcs of its change of heading."""
+    half = 0.5 * step[2]
+    c, s = np.cos(half) * np.sinc(half / np.pi), np.sin(half) * np.sinc(half / np.pi)
+    out: Array = step.copy()
+    out[0], out[1] = c * step[0] - s * step[1], s * step[0] + c * step[1]
+    out[3::2], out[4::2] = c * step[3::2] - s * step[4::2], s * step[3::2] + c * step[4::2]
+    return out
+
+
+def turn_about(cov: Array, step: Array) -> None:
+    """Let the error of heading turn the estimate where it is now, not where it was before a step (3 + 2 W,); in place.
+
+    Else a filter learns its heading from its own corrections: pose and map together may turn freely (the invariant
+    error of Barrau and Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015).
+    """
+    lever = np.zeros(len(step))
+    lever[0], lever[1] = -step[1], step[0]
+    lever[3::2], lever[4::2] = -step[4::2], step[3::2]
+    half = cov[2] + (0.5 * cov[2, 2]) * lever
+    change = np.outer(lever, half)
+    cov += change + change.T

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.matching import mutual_nearest
@@ -20,6 +19,7 @@ from ceilvo.daemon.slam.association import (
     spread_out,
     usable,
 )
+from ceilvo.daemon.slam.conditional import Bools, View
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.daemon.slam.pose_filter import COUNTERS, checked_motion
 from ceilvo.daemon.slam.spatial_index import IndexedMap, unpacked
@@ -29,42 +29,6 @@ from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Lan
 
 ALL_LABELS = 1 << 60
 """More landmarks than any map has: labels of the joint map are not bounded by those that are shown."""
-Bools = NDArray[np.bool_]
-_POSE = np.arange(3)
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """Features of one update with the landmarks that explain them.
-
-    xy, var: (K, 2) features in base and their variances; landmark: (K, 2) means in map; joint: (3 + 2 K, 3 + 2 K)
-    covariance of pose and landmarks; heading: measured, with its variance; inflation: of var, because features of a
-    frame share errors.
-    """
-
-    xy: Array
-    var: Array
-    landmark: Array
-    joint: Array
-    heading: float
-    heading_var: float
-    inflation: float
-
-    def __len__(self) -> int:
-        return len(self.xy)
-
-    def of(self, which: Ints, inflation: float) -> View:
-        """The features `which` in that order, with another inflation."""
-        rows = np.concatenate([_POSE, np.column_stack([3 + 2 * which, 4 + 2 * which]).ravel()])
-        joint = self.joint[rows[:, None], rows]
-        return replace(
-            self,
-            xy=self.xy[which],
-            var=self.var[which],
-            landmark=self.landmark[which],
-            joint=joint,
-            inflation=inflation,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +147,7 @@ class JointFilter:
             upkeep.forget(self._state.joint, ids, newborn)
             self._summary = None
 
-    def update(self, obs: Observations) -> None:
+    def update(self, obs: Observations, learnt_from: int = 0) -> None:
         """Associate, absorb, then births and deaths of landmarks."""
         state = self._state
         obs = usable(obs, self.size())
@@ -192,7 +156,7 @@ class JointFilter:
         obs = self._associated(obs)
         matched = np.flatnonzero(obs.label >= 0)
         used = self._used(obs, matched)
-        found = self._rule.absorb(state, self._view(obs, used), self._rows(obs.label[used]))
+        found = self._rule.absorb(state, self._view(obs, used, learnt_from), self._rows(obs.label[used]))
         state.nis, state.nis_dof, state.trimmed_nis = found.nis, found.nis_dof, found.trimmed_nis
         believed = used[found.inliers]
         if len(used) < len(matched):
@@ -200,11 +164,12 @@ class JointFilter:
         self._count(len(matched), len(believed))
         if state.known is None:
             state.joint.seen_at[obs.label[matched]] = state.now
-            self._keep_up(obs, obs.label[believed], len(matched))
-            state.counters["refused"] += upkeep.settle(state.joint, state.now, self.settings.birth_sightings)
+            self._keep_up(obs, obs.label[believed], len(matched), learnt_from)
+            birth_sightings = self.settings.birth_sightings
+            state.counters["refused"] += upkeep.settle(state.joint, state.now, birth_sightings, learnt_from)
             unknown = np.flatnonzero(obs.label == NO_LANDMARK)
-            if len(unknown):
-                self._be_born(obs, unknown)
+            if len(unknown) and state.joint.next_id >= learnt_from:
+                self._be_born(obs, unknown, learnt_from)
             state.joint.bound()
         self._summary = None
 
@@ -236,13 +201,16 @@ class JointFilter:
         chi2 = near_landmarks(obs.of(which), j.pose, j.pose_cov, at, unpacked(cov))
         return which[chi2 <= self.settings.gate_chi2]
 
-    def _keep_up(self, obs: Observations, seen: Ints, matched: int) -> None:
+    def _keep_up(self, obs: Observations, seen: Ints, matched: int, learnt_from: int) -> None:
         """Count what was seen and what should have been; drop what is gone, or one that is there twice.
 
-        A view most of whose features were refused says something of the pose, not of what is missing.
+        A view most of whose features were refused says something of the pose, not of what is missing, and so does one
+        from a place where not all may be learnt.
         """
         state, j = self._state, self._state.joint
-        missed = upkeep.count(j, seen, obs.visible_m if 2 * len(seen) >= matched else obs.visible_m[:0])
+        tells = 2 * len(seen) >= matched and not learnt_from
+        seen = seen[j.ids[seen] >= learnt_from]
+        missed = upkeep.count(j, seen, obs.visible_m if tells else obs.visible_m[:0])
         gone, names = np.empty(0, np.int64), np.empty(0, np.int64)
         if state.weighed_at is None or np.hypot(*(j.pose - state.weighed_at)[:2]) > upkeep.APART_M:
             gone, state.weighed_at = upkeep.gone(j, seen, missed), j.pose.copy()
@@ -253,21 +221,21 @@ class JointFilter:
             j.forget(np.concatenate([gone, names]))
             return
         pair = upkeep.duplicates(j, seen[:MOST_FEATURES], state.now, self.settings.association_gate_m)
-        if pair is not None:
-            state.counters["merges"] += int(j.merge(*pair, self.settings.gate_chi2))
+        if pair is not None and min(j.ids[list(pair)]) >= learnt_from:
+            state.counters["merges"] += int(j.merge(*pair, self.settings.gate_chi2, learnt_from))
 
-    def _be_born(self, obs: Observations, which: Ints) -> None:
+    def _be_born(self, obs: Observations, which: Ints, learnt_from: int) -> None:
         state, j, cfg = self._state, self._state.joint, self.settings
         which = which[spread_out(obs.xy_base_m[which], MOST_FEATURES, state.now)]
         which = upkeep.fresh(j, obs, which, cfg.association_gate_m)
         over = min(len(j) + len(which) - cfg.max_landmarks, len(which))
         if over > 0:
-            which = which[: len(which) - over + upkeep.make_room(j, over, state.now)]
+            which = which[: len(which) - over + upkeep.make_room(j, over, state.now, learnt_from)]
             state.counters["map_full"] += over
         if len(which):
             j.give_birth(obs.xy_base_m[which], obs.var_m2[which], obs.crossing_type[which], state.now)
             state.counters["births"] += len(which)
-            state.counters["refused"] += upkeep.settle(j, state.now, cfg.birth_sightings)
+            state.counters["refused"] += upkeep.settle(j, state.now, cfg.birth_sightings, learnt_from)
 
     def _count(self, matched: int, inliers: int) -> None:
         c = self._state.counters
@@ -328,8 +296,8 @@ class JointFilter:
         label[free[seen]] = near[which]
         return usable(replace(obs, label=label), ALL_LABELS)
 
-    def _view(self, obs: Observations, matched: Ints) -> View:
-        labels = obs.label[matched]
+    def _view(self, obs: Observations, matched: Ints, learnt_from: int) -> View:
+        labels, held = obs.label[matched], np.zeros(0, bool)
         if self._state.known is not None:
             at, joint = self._state.known.landmarks.xy_map_m[labels], np.zeros((3 + 2 * len(labels),) * 2)
             joint[:3, :3] = self._state.joint.pose_cov
@@ -339,12 +307,14 @@ class JointFilter:
             self._state.joint.bring_in(labels)
             rows = np.concatenate([np.arange(3), self._state.joint.rows(labels)])
             at, joint = self._state.joint.xy(labels), self._state.joint.cov[np.ix_(rows, rows)]
+            held = self._state.joint.held(learnt_from)
         var = obs.var_m2[matched]
         k = max(len(matched), 1)
         correlation = obs.common_var_m2 / float(np.mean(var)) if len(matched) else 0.0
         inflation = k / independent(k, self.settings.feature_independence, correlation)
         var_heading = obs.heading_var_rad2 if np.isfinite(obs.heading_rad) and obs.heading_var_rad2 > 0 else np.inf
-        return View(obs.xy_base_m[matched], var, at, joint, obs.heading_rad, max(var_heading, VAR_FLOOR), inflation)
+        var_heading = max(var_heading, VAR_FLOOR)
+        return View(obs.xy_base_m[matched], var, at, joint, obs.heading_rad, var_heading, inflation, held)
 
     def _rows(self, labels: Ints) -> Ints:
         return np.empty(0, np.int64) if self._state.known is not None else self._state.joint.rows(labels)

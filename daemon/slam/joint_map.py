@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.slam.conditional import Bools, along_the_turn, hold, turn_about
+from ceilvo.daemon.slam.pose_filter import JITTER
 from ceilvo.daemon.slam.spatial_index import ChangingIndex, in_box, packed, unpacked
 from ceilvo.se2 import compose, rotation, wrap
 from ceilvo.types import Array, Ints, Landmarks, Motion, frozen
 
 WINDOW = 160
 """Landmarks whose correlations are kept; beyond, those seen least recently keep their own covariance only."""
-JITTER = np.array([1e-12, 1e-12, 1e-12])
-"""m^2, m^2, rad^2: added to a covariance so that it can be inverted; a micrometre and a microradian, squared."""
 
 
 _COLUMNS = (
@@ -223,8 +223,16 @@ class JointMap:
         self._widen(labels, self.mean[:2] + arm, cross, own)
         return labels
 
-    def merge(self, keep: int, drop: int, gate_chi2: float) -> bool:
-        """Make one of two landmarks by observing that their difference is zero, where that is plausible."""
+    def held(self, below_id: int) -> Bools:
+        """(3 + 2 W,) rows of mean and cov of landmarks with smaller ids; (0,) for none."""
+        landmarks = self.ids[self.label_of] < below_id
+        return np.concatenate([np.zeros(3, bool), np.repeat(landmarks, 2)]) if np.any(landmarks) else landmarks[:0]
+
+    def merge(self, keep: int, drop: int, gate_chi2: float, learnt_from: int = 0) -> bool:
+        """Make one of two landmarks by observing that their difference is zero, where that is plausible.
+
+        Landmarks with ids below learnt_from stay as they are.
+        """
         self.bring_in(np.array([keep, drop]))
         rows = self.rows(np.array([keep, drop]))
         cross = self.cov[:, rows[:2]] - self.cov[:, rows[2:]]
@@ -233,10 +241,12 @@ class JointMap:
         if float(off @ np.linalg.solve(total, off)) > gate_chi2:
             return False
         gain = np.linalg.solve(total, cross.T).T
-        step = along_the_turn(-gain @ off)
+        step, less = -gain @ off, gain @ cross.T
+        hold(step, less, self.held(learnt_from))
+        step = along_the_turn(step)
         self.mean = self.mean + step
         self.mean[2] = wrap(float(self.mean[2]))
-        cov = self.cov - gain @ cross.T
+        cov = self.cov - less
         self.cov = 0.5 * (cov + cov.T)
         turn_about(self.cov, step)
         self.sightings[keep] += self.sightings[drop]
@@ -324,27 +334,3 @@ def _resized(column: NDArray[Any], rows: int) -> NDArray[Any]:
     whole = np.empty((rows + max(_ROOM, len(column) // 2), *column.shape[1:]), column.dtype)
     whole[: len(column)] = column
     return whole[:rows]
-
-
-def along_the_turn(step: Array) -> Array:
-    """A correction (3 + 2 W,) of pose and landmarks, its displacements along the arcs of its change of heading."""
-    half = 0.5 * step[2]
-    c, s = np.cos(half) * np.sinc(half / np.pi), np.sin(half) * np.sinc(half / np.pi)
-    out: Array = step.copy()
-    out[0], out[1] = c * step[0] - s * step[1], s * step[0] + c * step[1]
-    out[3::2], out[4::2] = c * step[3::2] - s * step[4::2], s * step[3::2] + c * step[4::2]
-    return out
-
-
-def turn_about(cov: Array, step: Array) -> None:
-    """Let the error of heading turn the estimate where it is now, not where it was before a step (3 + 2 W,); in place.
-
-    Else a filter learns its heading from its own corrections: pose and map together may turn freely (the invariant
-    error of Barrau and Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015).
-    """
-    lever = np.zeros(len(step))
-    lever[0], lever[1] = -step[1], step[0]
-    lever[3::2], lever[4::2] = -step[4::2], step[3::2]
-    half = cov[2] + (0.5 * cov[2, 2]) * lever
-    change = np.outer(lever, half)
-    cov += change + change.T

@@ -13,9 +13,8 @@ import numpy as np
 from ceilvo.config import Filter
 from ceilvo.daemon.slam import modes
 from ceilvo.daemon.slam.association import NIS_CAP
-from ceilvo.daemon.slam.conditional import Predicted, nis_of, root_of
-from ceilvo.daemon.slam.joint_filter import Bools, Innovations, JointFilterState, View
-from ceilvo.daemon.slam.joint_map import along_the_turn, turn_about
+from ceilvo.daemon.slam.conditional import Bools, Predicted, View, along_the_turn, nis_of, root_of, turn_about
+from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState
 from ceilvo.daemon.slam.log_quadratic import ROUNDS, WIDEN, Fitted, Weighing, normals, proposal
 from ceilvo.daemon.slam.modes import Mode
 from ceilvo.daemon.slam.pose_filter import normalised
@@ -144,23 +143,32 @@ class JointRule:
         joint = state.joint
         view = replace(view, var=view.var + rule.model_var_m2)
         chi2 = nis_of(view, joint.pose, joint.pose_cov, 1.0) if len(view) else np.empty(0)
-        rule.model_var_m2 = learnt_model_var(rule.model_var_m2, view, joint.pose_cov, chi2)
+        doubtful = bool(np.any(view.held[rows])) if len(view.held) else False
+        if not doubtful:
+            rule.model_var_m2 = learnt_model_var(rule.model_var_m2, view, joint.pose_cov, chi2)
         for m in rule.modes:
             m.follow(joint)
+        if not modes.agree(rule.modes, joint, view.held):  # weights that change would move what they say together
+            rule.modes = []
         apart = [(m, m.view(view, rows)) for m in rule.modes] or [(Mode.of(joint, rule.slipping), view)]
         chosen = _chosen(chi2, state.now)
         branches = [b for m, v in apart for b in self._branches(state, m, v, chosen)]
         weight = normalised(np.array([b.log_weight + self._log_evidence(b) for b in branches]))
         best = branches[int(np.argmax(weight))]
-        rule.slip.learn(_starts(branches, weight))
+        if not doubtful:
+            rule.slip.learn(_starts(branches, weight))
         rule.slip.rest()
         rule.ess, rule.fit_residual = best.fitted.ess, best.fitted.residual
         rule.white = normals(self._settings.particles, state.rng)
         kept = [(b, float(w)) for b, w in zip(branches, weight, strict=True) if w > modes.FAINT]
         after = [_after(state, b, w, rows) for b, w in kept]
-        _learn_turns(rule.turns, [b for b, _ in kept], after)
+        if doubtful:
+            rule.turns.rest()
+        else:
+            _learn_turns(rule.turns, [b for b, _ in kept], after)
         rule.turns.told = state.known is not None or bool(np.isfinite(view.heading_var))
         rule.modes, told = modes.settled(after, mapping=state.known is None)
+        modes.restore([*rule.modes, told], joint, view.held)
         joint.mean, joint.cov = told.mean, told.cov
         rule.slipping, rule.sure = told.slipping, told.weight
         state.counters["slips"] += int(best.slip.kind != NONE)

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ceilvo.daemon.slam.conditional import Conditional, Predicted, given_pose_chi2, root_of
-from ceilvo.daemon.slam.joint_filter import Bools, View
-from ceilvo.daemon.slam.joint_map import JITTER
-from ceilvo.daemon.slam.pose_filter import effective_size, normalised
+from ceilvo.daemon.slam.conditional import Bools, Conditional, Predicted, View, given_pose_chi2, root_of
+from ceilvo.daemon.slam.pose_filter import JITTER, effective_size, normalised
 from ceilvo.types import Array, Ints
 
 ROUNDS = (10.0, 1.25)

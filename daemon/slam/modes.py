@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ceilvo.daemon.slam.conditional import add_blocks, jacobian, noise_in_map
-from ceilvo.daemon.slam.joint_filter import View
+from ceilvo.daemon.slam.conditional import Bools, View, add_blocks, hold, jacobian, noise_in_map
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.se2 import inverse, rotation, transform, wrap, wrap_array
 from ceilvo.types import Array, Ints, Motion
@@ -145,6 +144,23 @@ def settled(modes: list[Mode], mapping: bool = False) -> tuple[list[Mode], Mode]
     return [replace(m, weight=m.weight / total) for m in kept], told
 
 
+def agree(modes: list[Mode], j: JointMap, held: Bools) -> bool:
+    """Whether all modes have the rows `held`, (S,) or (0,), as the joint map has them."""
+    which = np.flatnonzero(held)
+    square = np.ix_(which, which)
+    return all(np.array_equal(m.mean[which], j.mean[which]) for m in modes) and all(
+        np.array_equal(m.cov[square], j.cov[square]) for m in modes
+    )
+
+
+def restore(modes: list[Mode], j: JointMap, held: Bools) -> None:
+    """Give modes that were mixed the rows `held` of the joint map again, in place: the same but for rounding."""
+    which = np.flatnonzero(held)
+    square = np.ix_(which, which)
+    for m in modes if len(which) else ():
+        m.mean[which], m.cov[square] = j.mean[which], j.cov[square]
+
+
 def _without(modes: list[Mode], those: list[Mode]) -> list[Mode]:
     return [m for m in modes if not any(m is t for t in those)]
 
@@ -190,7 +206,9 @@ def corrected(mean: Array, cov: Array, view: View, rows: Ints, fitted: Array, kn
     total[k:, k:] += view.heading_var
     white = np.linalg.solve(np.linalg.cholesky(total), np.column_stack([innovation, cross]))
     cross = np.ascontiguousarray(white[:, 1:])
-    return cross.T @ white[:, 0], cov - cross.T @ cross  # a product with itself comes out symmetric
+    step, less = cross.T @ white[:, 0], cross.T @ cross  # a product with itself comes out symmetric
+    hold(step, less, view.held)
+    return step, cov - less
 
 
 def _far(a: Mode, b: Mode) -> bool:

@@ -50,8 +50,16 @@ class PoseFilter(Protocol):
     def predict(self, motion: Motion) -> None:
         """Move by the motion since the last call."""
 
-    def update(self, obs: Observations) -> None:
-        """Weigh against the map; labels index the landmarks() of this moment (types.NO_LANDMARK, UNLABELLED)."""
+    def update(self, obs: Observations, learnt_from: int = 0) -> None:
+        """Weigh against the map; labels index the landmarks() of this moment (types.NO_LANDMARK, UNLABELLED).
+
+        Args:
+            learnt_from: landmarks with smaller ids say where the robot is, as well as they are known themselves, and
+                learn nothing: no mean, covariance or count of them changes, and none is born, shown, joined or dropped
+                (conditional.hold). MAX_ID: no landmark learns. What the view says of the wheels or the lens by such
+                landmarks is not learnt either. Of particles the map of each stays as it is, and so does what is
+                told of all; but which particles live on the pose decides, and after the doubt what is told follows.
+        """
 
     def estimate(self) -> tuple[Array, Array, FilterHealth]:
         """Pose, covariance and health."""
@@ -102,6 +110,8 @@ they were not seen again."""
 
 TINY = 1e-300
 """In place of a chance of zero, whose logarithm there is not."""
+JITTER = np.array([1e-12, 1e-12, 1e-12])
+"""m^2, m^2, rad^2: added to a covariance so that it can be inverted; a micrometre and a microradian, squared."""
 
 
 def checked_motion(motion: Motion) -> Motion:

@@ -137,15 +137,23 @@ def mistaken_names(j: JointMap, labels: Ints) -> Ints:
     return out
 
 
-def settle(j: JointMap, now: int, birth_sightings: int) -> int:
-    """Show the newborn landmarks that were seen often enough, and forget those that were not for too long; how many."""
-    newborn = np.arange(j.size, len(j))
+def settle(j: JointMap, now: int, birth_sightings: int, learnt_from: int = 0) -> int:
+    """Show the newborn landmarks that were seen often enough, and forget those that were not for too long; how many.
+
+    Those with ids below learnt_from wait.
+    """
+    newborn = _newborn(j, learnt_from)
     often = newborn[j.sightings[newborn] >= birth_sightings]
     j.confirm(np.setdiff1d(often, mistaken_names(j, often)))
-    newborn = np.arange(j.size, len(j))
+    newborn = _newborn(j, learnt_from)
     never_again = newborn[now - j.seen_at[newborn] > EXPIRES_UPDATES]
     j.forget(never_again)
     return len(never_again)
+
+
+def _newborn(j: JointMap, learnt_from: int) -> Ints:
+    labels = np.arange(j.size, len(j))
+    return labels[j.ids[labels] >= learnt_from]
 
 
 def forget(j: JointMap, ids: Ints, newborn: bool = False) -> None:
@@ -155,9 +163,9 @@ def forget(j: JointMap, ids: Ints, newborn: bool = False) -> None:
     j.forget(np.flatnonzero(gone))
 
 
-def make_room(j: JointMap, most: int, now: int) -> int:
+def make_room(j: JointMap, most: int, now: int, learnt_from: int = 0) -> int:
     """Forget the least certain newborn landmarks that are not in view, so many at most; returns how many there were."""
-    newborn = np.arange(j.size, len(j))
+    newborn = _newborn(j, learnt_from)
     newborn = newborn[j.seen_at[newborn] < now]
     gone = newborn[np.lexsort((j.seen_at[newborn], j.sightings[newborn]))][:most]
     j.forget(gone)

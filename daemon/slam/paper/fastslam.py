@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ceilvo.config import Filter
 from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.daemon.slam.association import (
-    CANDIDATE_GATE_CHI2,
     DUPLICATE_FRACTION,
     EXPIRES_UPDATES,
     NIS_CAP,
@@ -143,22 +142,23 @@ class FastSlam:
         self.state.poses = moved(self.state.poses, checked_motion(motion), self.state.rng)
         self.state.mean = self.state.cov = None
 
-    def update(self, obs: Observations) -> None:
+    def update(self, obs: Observations, learnt_from: int = 0) -> None:
         """Weights by eq. 18 (the motion being the proposal, they grow by the likelihood), then map, then resampling."""
         obs = bounded(self._labelled(usable(obs, self.size())), self.state.counters["updates"])
         self.state.counters["updates"] += 1
         matched = np.flatnonzero(obs.label >= 0)
-        likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched)
+        likelihood, unexplained, nis, dof = self._weigh_and_map(obs, matched, learnt_from)
         self.state.weights = self._tempered(likelihood + self._heading_log_likelihood(obs))
         self.state.mean, self.state.cov = mean_and_cov(self.state.poses, self.state.weights)  # resampling adds noise
         self.state.counters["observations"] += len(matched)
         self.state.counters["outliers"] += int(np.count_nonzero(unexplained))
         self.state.counters["rejected_updates"] += int(2 * np.count_nonzero(unexplained) > len(matched))
         if self.state.known is None:
-            self.state.maps.refresh(self.state.weights, obs.label[matched])
+            self.state.maps.refresh(self.state.weights, obs.label[matched], learnt_from)
             self.state.summary = None
             unknown = np.concatenate([np.flatnonzero(obs.label < 0), matched[unexplained]])
-            self._consider(obs, unknown, self.state.mean)
+            if self.state.maps.next_id >= learnt_from:
+                self._consider(obs, unknown, self.state.mean, learnt_from)
         ess, ancestors, residual = effective_size(self.state.weights), len(self.state.weights), float("nan")
         if ess < self._settings.resample_ess_ratio * len(self.state.weights):
             ancestors, residual = self._resample()
@@ -208,7 +208,7 @@ class FastSlam:
         return usable(replace(obs, label=label), self.size())
 
     def _weigh_and_map(
-        self, obs: Observations, matched: NDArray[np.intp]
+        self, obs: Observations, matched: NDArray[np.intp], learnt_from: int
     ) -> tuple[Array, NDArray[np.bool_], float, int]:
         """Log-likelihood (N,) of the matched observations, which of them the outlier term explains, and their NIS.
 
@@ -228,9 +228,10 @@ class FastSlam:
         explained = wins @ self.state.weights > 0.5
         if self.state.known is None:
             new_mean, new_cov = fused(mean, cov, innovation, innovation_cov)
-            take = wins[:, None, :]
+            learns = self.state.maps.ids[labels] >= learnt_from
+            take = (wins & learns[:, None])[:, None, :]
             self.state.maps.scatter(labels, np.where(take, new_mean, mean), np.where(take, new_cov, cov))
-            self.state.maps.sightings[labels[explained]] += 1
+            self.state.maps.sightings[labels[explained & learns]] += 1
         variance = 0.5 * float(np.mean((innovation_cov[:, 0] + innovation_cov[:, 2]) @ self.state.weights))
         count = independent(len(matched), self._settings.feature_independence, obs.common_var_m2 / variance)
         log_likelihood = count / len(matched) * np.sum(np.logaddexp(inlier, outlier), axis=0)
@@ -279,24 +280,17 @@ class FastSlam:
             low, high = (middle, high) if effective_size(weights) >= floor else (low, middle)
         return normalised(before + low * log_likelihood)
 
-    def _consider(self, obs: Observations, unknown: NDArray[np.intp], pose: Array) -> None:
+    def _consider(self, obs: Observations, unknown: NDArray[np.intp], pose: Array, learnt_from: int) -> None:
         """Count sightings of unknown features; those seen often enough become landmarks of every particle."""
         self.state.candidates.grow_older()
         xy, kind = transform(pose, obs.xy_base_m[unknown]), obs.crossing_type[unknown]
         new = self._not_mapped(xy, kind)
         xy, kind, unknown = xy[new], kind[new], unknown[new]
         cov = turned(obs.var_m2[unknown], float(pose[2]))
-        gate = self._settings.association_gate_m
-        seen, which = mutual_nearest(xy, kind, self.state.candidates.xy, self.state.candidates.crossing_type, gate)
-        off = mahalanobis(xy[seen] - self.state.candidates.xy[which], cov[seen] + self.state.candidates.cov[which])
-        seen, which = seen[off <= CANDIDATE_GATE_CHI2], which[off <= CANDIDATE_GATE_CHI2]
-        first = np.setdiff1d(np.arange(len(kind)), seen)
-        self.state.candidates.merge(which, xy[seen], cov[seen])
-        self.state.candidates.append(xy[first], cov[first], kind[first])
-        which = np.concatenate([which, np.arange(len(self.state.candidates) - len(first), len(self.state.candidates))])
+        order, which = self.state.candidates.sight(xy, cov, kind, self._settings.association_gate_m)
         ready = self.state.candidates.count[which] >= self._settings.birth_sightings
         if np.any(ready):
-            self._give_birth(obs, unknown[np.concatenate([seen, first])[ready]], which[ready], pose)
+            self._give_birth(obs, unknown[order[ready]], which[ready], pose, learnt_from)
 
     def _not_mapped(self, xy: Array, kind: Ints) -> NDArray[np.intp]:
         if not len(self.state.maps) or not len(kind):
@@ -306,7 +300,7 @@ class FastSlam:
         apart[kind[:, None] != known.crossing_type] = np.inf
         return np.flatnonzero(np.min(apart, axis=1) > DUPLICATE_FRACTION * self._settings.association_gate_m)
 
-    def _give_birth(self, obs: Observations, which_obs: NDArray[np.intp], which: NDArray[np.intp], pose: Array) -> None:
+    def _give_birth(self, obs: Observations, which_obs: Ints, which: Ints, pose: Array, learnt_from: int) -> None:
         """Each particle places the feature from its own pose, corrected by what the earlier sightings averaged to."""
         candidates, n = self.state.candidates, len(self.state.weights)
         room = max(self._settings.max_landmarks - self.size(), 0)
@@ -321,7 +315,7 @@ class FastSlam:
             candidates.count[which],
         )
         self.state.counters["births"] += len(labels)
-        self.state.maps.refresh(self.state.weights, labels)
+        self.state.maps.refresh(self.state.weights, labels, learnt_from)
         self.state.summary = None
         candidates.remove(which)
 

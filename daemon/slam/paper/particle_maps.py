@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.daemon.odometry.matching import mutual_nearest
+from ceilvo.daemon.slam.association import CANDIDATE_GATE_CHI2
 from ceilvo.daemon.slam.spatial_index import unpacked
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Landmarks, frozen
@@ -108,13 +110,17 @@ class ParticleMaps:
         """Particle i goes on with the map of particle ancestors[i]."""
         self.row[: self.size] = self.row[: self.size, ancestors]
 
-    def refresh(self, weights: Array, labels: Ints) -> None:
-        """Renew the summary of the landmarks `labels`, and of the next few in turn, for changed weights."""
+    def refresh(self, weights: Array, labels: Ints, learnt_from: int = 0) -> None:
+        """Renew the summary of the landmarks `labels`, and of the next few in turn, for changed weights.
+
+        That of landmarks with ids below learnt_from waits.
+        """
         if not self.size:
             return
         turn = (self.turn + np.arange(min(_REFRESH, self.size))) % self.size
         self.turn = int((self.turn + len(turn)) % self.size)
         labels = np.union1d(labels, turn)
+        labels = labels[self.ids[labels] >= learnt_from]
         mean, cov = self.gather(labels)
         xy = mean @ weights
         x, y = mean[:, 0] - xy[:, :1], mean[:, 1] - xy[:, 1:]
@@ -152,6 +158,17 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.crossing_type)
+
+    def sight(self, xy: Array, cov: Array, kind: Ints, gate_m: float) -> tuple[Ints, Ints]:
+        """Take sightings (M, 2), (M, 3) of types (M,); in another order (M,) of them, the candidates they are of."""
+        seen, which = mutual_nearest(xy, kind, self.xy, self.crossing_type, gate_m)
+        off = mahalanobis(xy[seen] - self.xy[which], cov[seen] + self.cov[which])
+        seen, which = seen[off <= CANDIDATE_GATE_CHI2], which[off <= CANDIDATE_GATE_CHI2]
+        first = np.setdiff1d(np.arange(len(kind)), seen)
+        self.merge(which, xy[seen], cov[seen])
+        self.append(xy[first], cov[first], kind[first])
+        new = np.arange(len(self) - len(first), len(self))
+        return np.concatenate([seen, first]), np.concatenate([which, new])
 
     def merge(self, which: NDArray[np.intp], xy: Array, cov: Array) -> None:
         """Average sightings (M, 2), (M, 3) into the candidates `which`, each weighted by its information."""

@@ -6,7 +6,8 @@ import numpy as np
 
 from ceilvo.config import Filter
 from ceilvo.daemon.slam.association import NIS_CAP
-from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState, View
+from ceilvo.daemon.slam.conditional import View, hold
+from ceilvo.daemon.slam.joint_filter import Innovations, JointFilterState
 from ceilvo.daemon.slam.pose_filter import spread
 from ceilvo.se2 import wrap, wrap_array
 from ceilvo.types import Array, Ints, Motion
@@ -71,9 +72,11 @@ def _correct(state: JointFilterState, view: View, rows: Ints, innovation: Array,
         link = np.linalg.lstsq(view.joint, j.cov[block], rcond=1e-13)[0]
         local = link.T @ cross
     gain = np.linalg.solve(total, local.T).T
-    j.mean += gain @ innovation
+    step, less = gain @ innovation, gain @ local.T
+    hold(step, less, view.held)
+    j.mean += step
     j.mean[2] = wrap(float(j.mean[2]))
-    j.cov -= gain @ local.T
+    j.cov -= less
     j.cov = 0.5 * (j.cov + j.cov.T)
 
 

@@ -8,8 +8,7 @@ import pytest
 from ceilvo.config import Filter
 from ceilvo.daemon.relocalisation.filters import make_filter
 from ceilvo.daemon.slam import log_quadratic
-from ceilvo.daemon.slam.conditional import Conditional, noise_in_map
-from ceilvo.daemon.slam.joint_filter import View
+from ceilvo.daemon.slam.conditional import Conditional, View, noise_in_map
 from ceilvo.daemon.slam.joint_map import JointMap
 from ceilvo.daemon.slam.upkeep import DUPLICATES_EVERY
 from ceilvo.se2 import compose, inverse, rotation, transform, wrap
