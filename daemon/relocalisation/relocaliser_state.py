@@ -17,7 +17,8 @@ from ceilvo.daemon.relocalisation.submap import first_id_after, turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState
-from ceilvo.types import MAX_ID, Array
+from ceilvo.json_values import MAX_ID
+from ceilvo.types import Array
 
 USUAL_WEIGHT = 0.05
 """Of one view's crossings in those of a usual one; chosen: two seconds at 10 Hz."""

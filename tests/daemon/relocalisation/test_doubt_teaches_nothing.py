@@ -12,7 +12,8 @@ from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.bench.place.robot.drive import Drive
 from ceilvo.config import Config, Filter
 from ceilvo.daemon.relocalisation.relocaliser_state import RelocaliserState
-from ceilvo.types import MAX_ID, Array
+from ceilvo.json_values import MAX_ID
+from ceilvo.types import Array
 
 SEED = 6
 COLUMNS = ("xy_map_m", "cov_m2", "crossing_type", "sightings", "expected")

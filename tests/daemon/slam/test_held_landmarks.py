@@ -13,8 +13,9 @@ from ceilvo.daemon.slam import modes
 from ceilvo.daemon.slam.conditional import View, hold
 from ceilvo.daemon.slam.joint_filter import JointFilter
 from ceilvo.daemon.slam.pose_filter import PoseFilter
+from ceilvo.json_values import MAX_ID
 from ceilvo.se2 import compose, inverse, rotation, transform, wrap
-from ceilvo.types import MAX_ID, NO_LANDMARK, Array, Displacement, Ints, Landmarks, Motion, Observations
+from ceilvo.types import NO_LANDMARK, Array, Displacement, Ints, Landmarks, Motion, Observations
 
 SEED = 53
 METHODS = ("joint", "ukf", "pf", "pfcf_paper")
