@@ -37,6 +37,9 @@ _MOST = 64
 _BLURRED = 3.0
 """Times their own standard deviation by which the lines of a view lie beside the key's, half of them, where a turn has
 doubled them; chosen: noise does not."""
+_ARM_M = 1.0
+"""Distance at which a turn leaves lines as far apart as blur has them: so vague is their direction; chosen: half
+of a view."""
 _QUARTER_SIGMAS = 4.0
 """A heading that is known to an eighth of a turn within so many standard deviations tells which way lines go."""
 _RENEWED = 0.5
@@ -145,6 +148,7 @@ def across(
         moved = moved + np.append(shift.beyond_m * n, 0.0)
         # of the key's lines, not of every step's
         cov = with_variance(cov, n, max(shift.var_m2 - before_m2, 0.0) + shift.blur_m2)
+        cov[2, 2] += shift.blur_m2 / _ARM_M**2
         there = there + np.append(shift.beyond_m * shift.normal, 0.0)
         there_cov = with_variance(there_cov, shift.normal, shift.var_m2)
     s.met(shifts, there, there_cov, dt_s)
