@@ -249,7 +249,8 @@ def _as_the_fleet_calls(store: FleetStore, learnt: Landmarks, fleet: Landmarks) 
     """What a robot told of before it took any map of the fleet's, by the names there, if that began with its own: the
     service took an offer, and all lies there where it lies on the robot's map. Else None.
 
-    Places alone do not say so: a ceiling of tiles fits itself a tile further on.
+    Places alone do not say so: a ceiling of tiles fits itself a tile further on. A version that is older than the last
+    offers has only a part of them.
     """
     told = store.told()
     if not store.counters().get(OFFERS_TAKEN, 0) or not _agree(told.landmarks, learnt):
@@ -257,7 +258,7 @@ def _as_the_fleet_calls(store: FleetStore, learnt: Landmarks, fleet: Landmarks) 
     m = matches_by_place(told.landmarks, fleet, GATE_CHI2)
     near = np.hypot(*(told.landmarks.xy_map_m[m.a] - fleet.xy_map_m[m.b]).T) <= SAME_M
     count = int(np.count_nonzero(near))
-    if count < FEWEST_KNOWN or count < SAME_SHARE * len(told.landmarks):
+    if count < FEWEST_KNOWN or count < SAME_SHARE * min(len(told.landmarks), len(fleet)):
         return None
     refs = told.refs.copy()
     refs[m.a[near]] = fleet.ids[m.b[near]]

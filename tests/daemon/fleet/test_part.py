@@ -18,9 +18,11 @@ from zenoh_world import free_port
 from ceilvo.bench.fleet.robots import AXIS_RAD, key_of
 from ceilvo.bench.fleet.world import Region, driven
 from ceilvo.config import Config, Fleet, Zenoh
+from ceilvo.daemon.fleet.robot.client import send
+from ceilvo.daemon.fleet.robot.link import linked
 from ceilvo.daemon.fleet.robot.part import part
 from ceilvo.daemon.fleet.robot.store import FleetStore
-from ceilvo.daemon.fleet.robot.sync import Met, Standing, meet, standing_of, store_of, take_held
+from ceilvo.daemon.fleet.robot.sync import Met, Standing, make_offers, meet, standing_of, store_of, take_held, who_of
 from ceilvo.daemon.fleet.service.ledger import Ledger
 from ceilvo.daemon.fleet.service.server import Server
 from ceilvo.daemon.fleet.service.tables import ledger_of
@@ -126,6 +128,31 @@ def test_the_robot_whose_map_the_fleets_began_with_takes_the_next(tmp_path: Path
         met = meet(config, path, may_offer=True)
         assert met.standing is not None and met.standing.version >= 2
         assert met.standing.offered == 1, "nothing is told twice"
+
+
+def test_a_version_that_is_older_than_the_last_offers_is_taken_too(tmp_path: Path, config: Config, port: int) -> None:
+    """The robot was switched off between an offer and the version with it: its own map seemed to be none of the
+    fleet's."""
+    service, path = tmp_path / "empty.db", tmp_path / "map.db"
+    with open_map(service, "", create=True), Ledger(ledger_of(service)) as ledger:
+        ledger.add_key(key_of(0).public, "robot0", True, 0.0)
+    whole, who = survey(), who_of(config)
+    learnt, part_of_it = replace(whole, expected=whole.sightings), whole.xy_map_m[:, 0] < 4.0
+    assert who is not None and 8 < np.count_nonzero(part_of_it) < 0.6 * len(whole)
+    with contextmanager(running)(service, port), open_map(path, create=True) as db:
+        db.save(learnt.of(part_of_it), AXIS_RAD, "robot0/drive")
+        met = meet(config, path, may_offer=True)
+        assert met.standing is not None and met.standing.offered == 1
+        until(lambda: meet(config, path, may_offer=False).newer, "a version with it")
+        before = count_held(path)
+        twice = 2 * learnt.sightings  # what it told of it has seen again
+        again = replace(learnt, cov_m2=0.5 * learnt.cov_m2, sightings=twice, expected=twice)
+        db.save(again, AXIS_RAD, "robot0/drive")
+        with FleetStore(store_of(path)) as store, linked(config.zenoh, config.fleet.service) as link:
+            make_offers(db, store, who, 10**8)
+            assert send(store, who, link).taken >= 1
+        assert count_held(path) == before
+        assert take_held(config, path).startswith(f"map of the fleet taken, {len(learnt)} landmarks, ")
 
 
 def grown(service: Path, config: Config, tmp_path: Path) -> None:
