@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES
+from ceilvo.crossing_types import CROSSING_TYPES, CeilingLines
 from ceilvo.json_values import MAX_COORDINATE_M, MAX_ID
 from ceilvo.se2 import covariance_problem
 from ceilvo.senses.heard import Turn
@@ -79,12 +79,28 @@ def crossings_problem(c: Crossings) -> str:
             "common_cov_m2": (c.common_cov_m2, (2, 2), MAX_COORDINATE_M**2),
         }
     )
-    problem = next(numbers, "") or _types_problem(c.crossing_type)
+    problem = next(numbers, "") or _types_problem(c.crossing_type) or _lines_problem(c.lines)
     problem = problem or _named("cov_base_m2", covariance_problem(c.cov_base_m2))
     problem = problem or _named("common_cov_m2", covariance_problem(c.common_cov_m2[None]))
     if not problem and min(c.psi_sigma_rad, *c.tilt_sigma_rad) < 0.0:
         problem = "a sigma is below 0"
     return problem or ("" if c.sample_gray.ndim == 1 else "sample_gray is not a row of grey levels")
+
+
+def _lines_problem(lines: CeilingLines | None) -> str:
+    if lines is None:
+        return ""
+    n = lines.axis.size
+    numbers = _number_problems(
+        {
+            "lines.axis": (lines.axis, (n,), 1.0),
+            "lines.offset_m": (lines.offset_m, (n,), MAX_COORDINATE_M),
+            "lines.sigma_m": (lines.sigma_m, (n,), MAX_COORDINATE_M),
+            "lines.kind": (lines.kind, (n,), 1.0),
+        }
+    )
+    below = lines.axis.min(initial=0) < 0 or not lines.sigma_m.min(initial=np.inf) > 0.0
+    return next(numbers, "") or ("a line's axis is below 0, or its sigma is not above" if below else "")
 
 
 def _types_problem(crossing_type: NDArray[np.int64]) -> str:

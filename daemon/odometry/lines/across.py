@@ -29,7 +29,7 @@ points."""
 _RIVAL_CHI2 = 18.4
 """By which a rival's squared distance from the prediction must be the larger one: e^-9.2, once in 10,000."""
 _FEWEST = 2
-"""Lines a tile's groove apart or more that must move alike: a single one may have been taken for its neighbour."""
+"""Joints that must move alike; edges nearer than LINE_M are of one. A single one may have been taken for another."""
 _MEET = 1.0 / 3.0
 """Least part of the lines of the view that shows fewer; chosen, as of crossings."""
 _MOST = 64

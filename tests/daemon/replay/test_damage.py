@@ -55,6 +55,10 @@ def test_what_a_run_has_is_plausible() -> None:
         ("tilt_sigma_rad", lambda v: -1.0 - v),
         ("common_cov_m2", lambda v: np.array([[1.0, 2.0], [0.0, 1.0]])),
         ("sample_gray", lambda v: np.zeros((2, 2), np.uint8)),
+        ("lines", lambda v: replace(v, axis=v.axis + 2)),
+        ("lines", lambda v: replace(v, offset_m=v.offset_m[:-1])),
+        ("lines", lambda v: replace(v, sigma_m=-v.sigma_m)),
+        ("lines", lambda v: replace(v, kind=v.kind + 5)),
     ],
 )
 def test_crossings_that_do_not_fit_each_other_are_refused(name: str, change: Callable[[Any], Any]) -> None:
