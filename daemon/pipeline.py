@@ -144,8 +144,6 @@ class Pipeline:
         view = None
         if crossings is not None and len(crossings) and track.gap is None and not stands:
             view = self.relocaliser.look(stamp_ns, crossings)
-        if self.relocaliser.sure and track.gap is None:
-            self.odometry.slope.is_at(self.filter.estimate()[0])
         on_stage_done("filter")
         seen = 0 if crossings is None else len(crossings)
         return self._estimate(stamp_ns, motion, track, seen, view, suspicions, odd_ceiling, rocking)
@@ -163,6 +161,7 @@ class Pipeline:
     ) -> Estimate:
         pose, cov, health = self.filter.estimate()
         landmarks = self.filter.size()
+        self.odometry.slope.state.here = pose if self.relocaliser.sure and track.gap is None else None
         pose, cov = self.checks.corrected(*self.relocaliser.carry(track, Pose(pose), cov))
         path = self.dead_reckoning.state
         degraded, jump = (suspicions.gravest(severity) for severity in (Severity.DEGRADED, Severity.IN_DOUBT))
@@ -215,11 +214,6 @@ class Pipeline:
         return self.relocaliser.filter
 
     @property
-    def ceiling(self) -> CeilingShape:
-        """What was found out of the ceiling's shape, on the map."""
-        return self.odometry.ceiling(self.filter.estimate()[0])
-
-    @property
     def elsewhere(self) -> float:
         """Probability that the robot is at another place than the tracked one, for a run that begins where this ends.
 
@@ -269,7 +263,9 @@ class Pipeline:
         """
         cfg = self.config.filter
         start = np.array([cfg.initial_pose_x_m, cfg.initial_pose_y_m, np.radians(cfg.initial_pose_theta_deg)])
-        known, ceiling = (self.landmarks(), self.ceiling) if keep_map else (None, LEVEL_CEILING)
+        known, ceiling = None, LEVEL_CEILING
+        if keep_map:
+            known, ceiling = self.landmarks(), self.odometry.ceiling(self.filter.estimate()[0])
         doubt = Doubt("the pose was reset", np.diag(START_SIGMA**2), doubts.RESET_WRONG, np.inf)
         self.odometry.state = VisualOdometryState()
         self.vision.state = LineFinderState()

@@ -154,7 +154,8 @@ def _started_again(pipeline: Pipeline, condition: Condition, config: Config, fra
         pipeline.step(frame)
     again, axis_rad = _pipeline(condition, config), pipeline.relocaliser.state.map_axis_rad or 0.0
     start, cov = Pose(np.zeros(3)), np.diag(START_SIGMA**2)
-    again.load_map(pipeline.landmarks(), axis_rad, start, cov, ago_s=JUST_NOW_S, ceiling=pipeline.ceiling)
+    ceiling = pipeline.odometry.ceiling(pipeline.filter.estimate()[0])
+    again.load_map(pipeline.landmarks(), axis_rad, start, cov, ago_s=JUST_NOW_S, ceiling=ceiling)
     return again
 
 

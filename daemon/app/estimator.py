@@ -347,4 +347,4 @@ class Estimator:
     def ceiling(self) -> CeilingShape:
         """What was found out of the ceiling's shape."""
         with self._lock:
-            return self._pipeline.ceiling
+            return self._pipeline.odometry.ceiling(self._pipeline.filter.estimate()[0])

@@ -14,6 +14,7 @@ from ceilvo.bench.vision.comparisons import compared, comparisons
 from ceilvo.bench.vision.condition import Condition
 from ceilvo.bench.vision.conditions import KNOWN, conditions
 from ceilvo.bench.vision.run import Options, run
+from ceilvo.calibration import CeilingShape
 from ceilvo.daemon.odometry.heights.stage import Heights
 from ceilvo.daemon.pipeline import Pipeline
 
@@ -69,7 +70,7 @@ def test_a_robot_that_knows_its_heights_starts_on_map_and_heights_of_a_lap_befor
     for again, landmarks, _, pose, _, others in told:
         assert again is seen[frames] is not seen[0] and again is seen[-1]
         assert len(landmarks) > 10 and not np.any(pose)
-        assert others["drops_m"] == drops_m
+        assert others["ceiling"] == CeilingShape(drops_m)
         assert figures["tracking_worst_mm"] < 20.0, "the map lies where the truth begins"
 
 

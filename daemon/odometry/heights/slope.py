@@ -97,6 +97,7 @@ class SlopeState:
         ended: a plane ended before.
         bent: lines that cross at right angles do not seem to, more than the joint fit bears.
         on_map: the fixed axes are the map's, and pose is that on it, for the plane is known of an earlier run.
+        here: (3,) on the map in the last frame, None where that was in doubt.
         learnt: (N, 2) along the fixed axes, where crossings were taken to be in the first frames and in those that
             leant, before a plane was known; some more than once.
     """
@@ -115,6 +116,7 @@ class SlopeState:
     ended: bool = False
     bent: bool = False
     on_map: bool = False
+    here: Array | None = None
     learnt: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
@@ -162,15 +164,16 @@ class Slope:
         high = s.used.high - float(rise @ map_from_axes[:2]) / self._high_m
         return (float(rise[0]), float(rise[1]), high)
 
-    def is_at(self, pose: Array) -> None:
-        """The robot is at a pose (3,) on the map."""
+    def _follow(self) -> None:
+        """Go on from where the map has the robot, where the plane is of that map."""
         s = self.state
-        off = se2.between(s.pose, pose)
-        if s.on_map and (np.hypot(*off[:2]) > _AWAY_M or abs(off[2]) > _AWAY_RAD):
-            s.pose, s.looked, s.key, s.raw = pose.copy(), pose.copy(), None, None
+        off = np.zeros(3) if s.here is None else se2.between(s.pose, s.here)
+        if s.here is not None and s.on_map and (np.hypot(*off[:2]) > _AWAY_M or abs(off[2]) > _AWAY_RAD):
+            s.pose, s.looked, s.key, s.raw = s.here.copy(), s.here.copy(), None, None
 
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
         """Crossings where they are; expected: (3,) motion since the last frame."""
+        self._follow()
         s = self.state
         usable = crossings is not None and crossings.directed
         self._seen = crossings if usable else None
