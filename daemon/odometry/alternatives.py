@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, quarter_turns
+from ceilvo.daemon.odometry.lines.direction import knows_quarter
 from ceilvo.daemon.odometry.registration import MIN_AGREEING, expected_turn, view_size_m
 from ceilvo.daemon.odometry.sight import BIN_M, SMALLEST_TILE_M, Matched, Sight, shifts_by_votes
 from ceilvo.se2 import compose, wrap, wrap_array
@@ -59,8 +60,6 @@ _VOTES_WORTH = 2.0
 _CLEAR = 3.0
 """Log-likelihood ratio from which a heading that the prediction knows is not looked for among the quarter turns;
 chosen: a wrong quarter turn would have to fit even better to matter."""
-_QUARTER_SIGMAS = 4.0
-"""By which the prediction must be off to be in another quarter: once in 16,000."""
 _QUARTER_RAD = 0.5 * np.pi
 _FLICKERS = 0.3
 """Such a fraction from which it is the ceiling; chosen: 0.38 at the edge of a step, 0.2 before any was seen."""
@@ -94,11 +93,6 @@ class Prior:
     carried: float
     carried_s: float = math.inf
     flickers: float = 0.0
-
-
-def knows_quarter(cov: Array) -> bool:
-    """Whether a prediction with this covariance (3, 3) tells the heading to well within a quarter turn."""
-    return _QUARTER_SIGMAS**2 * float(cov[2, 2]) < (0.5 * _QUARTER_RAD) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +158,7 @@ def find_candidates(
         turn = float(wrap(turn_rad + quarter * _QUARTER_RAD))
         extra = np.zeros((0, 3)) if known is None or quarter else known[None]
         found += _matched(*views, turn, extra, prior, far_m)
-        if quarter == 0 and knows_quarter(prior.cov):
+        if quarter == 0 and knows_quarter(float(prior.cov[2, 2])):
             straight = _weighed(found, far_m, prior)
             if len(straight) and straight.log_ratio[0] > _CLEAR:
                 return straight

@@ -10,8 +10,7 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.config import Odometry
-from ceilvo.daemon.odometry.alternatives import knows_quarter
-from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS
+from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, knows_quarter
 from ceilvo.daemon.odometry.points.constellation import has_points
 from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import (
@@ -85,7 +84,7 @@ class Course:
 
     def is_within(self, radius_m: float) -> bool:
         """Whether the robot is not further off the prediction, which knows the heading to well within a quarter."""
-        return knows_quarter(self.cov) and self.reach_m < radius_m
+        return knows_quarter(float(self.cov[2, 2])) and self.reach_m < radius_m
 
 
 @dataclass(frozen=True, slots=True)

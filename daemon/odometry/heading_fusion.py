@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 
 from ceilvo.daemon.odometry.course import Course
-from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
+from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, turn_by_lines
 from ceilvo.daemon.odometry.points.constellation import has_points
 from ceilvo.daemon.odometry.registration import Registration
 from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
@@ -23,8 +23,6 @@ NEW_ERROR = 0.6
 Chosen: the whole makes motions too cautious, which column NEES/3 of `make bench-vision` shows (docs/bench.md)."""
 _VAGUE_RAD = math.radians(0.3)
 """Lines whose direction is known worse hold no heading; chosen: outlines of stains tell theirs to a degree."""
-_QUARTER_SIGMAS = 4.0
-"""A prediction that many standard deviations from an eighth of a turn tells which way lines point; 1 in 16,000."""
 _AGREE_SIGMAS = 3.0
 """Lines and points agree within this, in standard deviations of their difference: 99.7 %."""
 
@@ -132,13 +130,10 @@ def held(
         step_var_rad2: of the predicted rotation.
         gate_rad: lines that are off the prediction by more, beside its error, are others.
     """
-    var_rad2 = float(before_cov[2, 2]) + step_var_rad2
-    sigma, vague = math.hypot(view.psi_sigma_rad, crossings.psi_sigma_rad), math.sqrt(var_rad2)
-    if sigma > _VAGUE_RAD or _QUARTER_SIGMAS * vague > 0.25 * math.pi:
-        return predicted
+    sigma = math.hypot(view.psi_sigma_rad, crossings.psi_sigma_rad)
     guess = float(before[2] + predicted.prev_from_curr[2])
-    turn = direction_change(view.psi_rad, crossings.psi_rad, guess)
-    if abs(turn - guess) > gate_rad + DIRECTION_SIGMAS * vague:
+    turn = turn_by_lines(view.psi_rad, crossings.psi_rad, guess, float(before_cov[2, 2]) + step_var_rad2, gate_rad)
+    if sigma > _VAGUE_RAD or turn is None:
         return predicted
     moved, cov = predicted.prev_from_curr.copy(), predicted.cov.copy()
     moved[2], cov[2, :2], cov[:2, 2] = wrap(turn - float(before[2])), 0.0, 0.0

@@ -144,8 +144,8 @@ def register(
     if len(i) < need:
         return None, f"{len(i)} of {len(crossings)} crossings matched, {need} needed"
     by_points = has_points(crossings)
-    spread = _are_spread(ref.xy_base_m[j], ref.crossing_type[j], ref.psi_rad)
-    if spread and not by_points:  # of points their own sigma decides, of which the level view's pixels know nothing
+    # of points their own sigma decides, of which the level view's pixels know nothing
+    if not by_points and _are_spread(ref.xy_base_m[j], ref.crossing_type[j], ref.psi_rad):
         good = consistent(crossings.uv_px[i], ref.uv_px[j], config.ransac_px)
         i, j = i[good], j[good]
     seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]

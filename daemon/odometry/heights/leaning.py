@@ -11,7 +11,8 @@ from ceilvo.daemon.odometry.lines.through import lines_through
 from ceilvo.types import Array, Crossings
 
 RASTER_M, MOST_LEARNT = 0.02, 2000
-"""Of the places that are remembered for that, and how many; chosen: a third of how far landmarks are looked for."""
+"""Of the places where crossings were taken to be, and how many are remembered; chosen: a third of how far landmarks are
+looked for."""
 
 
 def once(places: Array) -> Array:

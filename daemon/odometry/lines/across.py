@@ -10,11 +10,12 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo import se2
 from ceilvo.crossing_types import CeilingLines
-from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
-from ceilvo.daemon.odometry.lines.through import LINE_M
+from ceilvo.daemon.odometry.lines.direction import turn_by_lines
+from ceilvo.daemon.odometry.lines.through import LINE_M, numbered
 from ceilvo.robust import MAD_TO_SIGMA, median
 from ceilvo.types import Array, Crossings, Displacement, Ints, Motion
 
@@ -40,8 +41,6 @@ doubled them; chosen: noise does not."""
 _ARM_M = 1.0
 """Distance at which a turn leaves lines as far apart as blur has them: so vague is their direction; chosen: half
 of a view."""
-_QUARTER_SIGMAS = 4.0
-"""A heading that is known to an eighth of a turn within so many standard deviations tells which way lines go."""
 _RENEWED = 0.5
 """The key gives way to a view of which it shows less; chosen: the rest goes out of view next."""
 
@@ -121,8 +120,7 @@ class _Parallels:
         sign = np.where((lines.axis[which] + quarters) % 4 > 1, -1, 1)
         which, sign = (a[np.argsort(sign * lines.offset_m[which], kind="stable")] for a in (which, sign))
         offset_m = sign * lines.offset_m[which]
-        joint = np.cumsum(np.diff(offset_m, prepend=-np.inf) > LINE_M) - 1
-        return _Parallels(offset_m, lines.sigma_m[which], sign * lines.kind[which], joint)
+        return _Parallels(offset_m, lines.sigma_m[which], sign * lines.kind[which], numbered(offset_m) - 1)
 
     @property
     def joints(self) -> int:
@@ -141,7 +139,7 @@ def across(
     """
     moved, cov = predicted.prev_from_curr, predicted.cov
     there, there_cov = se2.compose(s.at, moved), se2.compose_cov(s.at, s.cov, moved, step_cov)
-    shifts = [] if crossings is None else _shifts(s.key, crossings, there, there_cov, gate_rad)
+    shifts = _shifts(s.key, crossings, there, there_cov, gate_rad)
     to_prev = se2.rotation(-float(s.at[2]))
     for shift in shifts:
         n, before_m2 = to_prev @ shift.normal, float(shift.normal @ s.cov[:2, :2] @ shift.normal)
@@ -152,16 +150,15 @@ def across(
         there = there + np.append(shift.beyond_m * shift.normal, 0.0)
         there_cov = with_variance(there_cov, shift.normal, shift.var_m2)
     s.met(shifts, there, there_cov, dt_s)
-    if max((shift.share for shift in shifts), default=0.0) < _RENEWED and tells(crossings):
+    if max((shift.share for shift in shifts), default=0.0) < _RENEWED and _lines_of(crossings) is not None:
         s.key, s.at, s.cov, s.since_s = crossings, np.zeros(3), np.zeros((3, 3)), 0.0
     return replace(predicted, prev_from_curr=Displacement(moved), cov=cov)
 
 
-def tells(crossings: Crossings | None) -> bool:
-    """Whether a view has lines to lay others on."""
-    return (
-        crossings is not None and crossings.directed and crossings.lines is not None and len(crossings.lines.axis) > 0
-    )
+def _lines_of(view: Crossings | None) -> CeilingLines | None:
+    """Those that tell a direction, to lay others on or on others."""
+    lines = None if view is None or not view.directed else view.lines
+    return None if lines is None or not len(lines.axis) else lines
 
 
 def slid(s: AcrossState, twist: Array, motion: Motion) -> Array:
@@ -192,14 +189,15 @@ def with_variance(cov: Array, normal: Array, var_m2: float) -> Array:
     return np.asarray(out)
 
 
-def _shifts(key: Crossings | None, crossings: Crossings, there: Array, cov: Array, gate_rad: float) -> list[_Shift]:
+def _shifts(
+    key: Crossings | None, crossings: Crossings | None, there: Array, cov: Array, gate_rad: float
+) -> list[_Shift]:
     """Along each axis of the key of which lines tell; there: (3,) key_from_curr as predicted, with cov (3, 3)."""
-    vague = math.sqrt(float(cov[2, 2]))
-    if key is None or key.lines is None or crossings.lines is None or not (key.directed and crossings.directed):
+    before, seen = _lines_of(key), _lines_of(crossings)
+    if key is None or crossings is None or before is None or seen is None:
         return []
-    turn = direction_change(key.psi_rad, crossings.psi_rad, float(there[2]))
-    off = abs(turn - float(there[2]))
-    if _QUARTER_SIGMAS * vague > 0.25 * math.pi or off > gate_rad + DIRECTION_SIGMAS * vague:
+    turn = turn_by_lines(key.psi_rad, crossings.psi_rad, float(there[2]), float(cov[2, 2]), gate_rad)
+    if turn is None:
         return []
     quarters = round((crossings.psi_rad + turn - key.psi_rad) / (0.5 * math.pi))
     back = se2.rotation(turn)
@@ -207,17 +205,17 @@ def _shifts(key: Crossings | None, crossings: Crossings, there: Array, cov: Arra
     found = []
     for axis in (0, 1):
         normal = se2.rotation(key.psi_rad + axis * 0.5 * math.pi)[:, 0]
-        then, now = _Parallels.of(key.lines, axis), _Parallels.of(crossings.lines, axis, quarters)
+        then, now = _Parallels.of(before, axis), _Parallels.of(seen, axis, quarters)
         sigma_m = math.sqrt(max(float(normal @ cov[:2, :2] @ normal), 0.0))
-        met = _met(then, now, float(normal @ there[:2]), sigma_m)
-        if met is not None:
-            found.append(replace(met, normal=normal, var_m2=met.var_m2 + float(normal @ common @ normal)))
+        common_m2 = float(normal @ common @ normal)
+        if (met := _met(then, now, normal, float(normal @ there[:2]), sigma_m)) is not None:
+            found.append(replace(met, var_m2=met.var_m2 + common_m2))
     return found
 
 
-def _met(then: _Parallels, now: _Parallels, predicted_m: float, sigma_m: float) -> _Shift | None:
-    """How far lines moved that were predicted to move so far, to sigma_m; None where too few did, or they may have
-    moved otherwise."""
+def _met(then: _Parallels, now: _Parallels, normal: Array, predicted_m: float, sigma_m: float) -> _Shift | None:
+    """How far lines moved along a normal that were predicted to move so far, to sigma_m; None where too few did, or
+    they may have moved otherwise. The variance is without what an error of the tilt adds."""
     fewest = max(_FEWEST, _MEET * min(then.joints, now.joints))
     if min(then.joints, now.joints) < _FEWEST:
         return None
@@ -235,15 +233,25 @@ def _met(then: _Parallels, now: _Parallels, predicted_m: float, sigma_m: float) 
     rival = (joints >= _RIVAL * joints[best]) & (np.abs(ways - ways[best]) > 2.0 * np.max(within_m))
     if joints[best] < fewest or np.any(chi2[rival] - chi2[best] < _RIVAL_CHI2):
         return None
-    nearest = np.argmin(np.abs(beyond - ways[best]), axis=0)
-    off, weight = beyond[nearest, np.arange(len(nearest))], 1.0 / var[nearest, np.arange(len(nearest))]
-    met, beside = agree[best], np.abs(off - ways[best]) < LINE_M
-    mean = float(np.average(off[met], weights=weight[met]))
-    spread = float(np.sum(weight[met] * (off[met] - mean) ** 2)) / max(np.count_nonzero(met) - 1, 1)
-    scatter_m2 = (MAD_TO_SIGMA * median(np.abs(off[beside] - mean))) ** 2
-    blur_m2 = scatter_m2 if scatter_m2 > _BLURRED**2 * median(var[nearest, np.arange(len(nearest))][beside]) else 0.0
-    var_m2 = max(spread, 1.0) / float(np.sum(weight[met]))
     apart_m = (now.offset_m[-1] - now.offset_m[0]) / (now.joints - 1)
     reach_m = _REACH_SIGMAS * sigma_m + float(np.median(within_m))
-    chance = min(2.0 * reach_m / apart_m, 1.0)
-    return _Shift(np.zeros(2), mean, var_m2, blur_m2, float(joints[best]) / now.joints, chance)
+    chance, share = min(2.0 * reach_m / apart_m, 1.0), float(joints[best]) / now.joints
+    return _Shift(normal, *_measured(beyond, var, agree[best], ways[best]), share, chance)
+
+
+def _measured(beyond: Array, var: Array, met: NDArray[np.bool_], way_m: float) -> tuple[float, float, float]:
+    """The mean of what lines (L,) that met say, its variance, and what blur adds to that.
+
+    Args:
+        beyond, var: (K, L) shift of each line of the view from each of the key's, and its variance.
+        way_m: the shift at which most meet.
+    """
+    which = np.arange(beyond.shape[1])
+    nearest = np.argmin(np.abs(beyond - way_m), axis=0)
+    off, var = beyond[nearest, which], var[nearest, which]
+    beside, weight = np.abs(off - way_m) < LINE_M, 1.0 / var[met]
+    mean = float(np.average(off[met], weights=weight))
+    spread = float(np.sum(weight * (off[met] - mean) ** 2)) / max(len(weight) - 1, 1)
+    scatter_m2 = (MAD_TO_SIGMA * median(np.abs(off[beside] - mean))) ** 2
+    blur_m2 = scatter_m2 if scatter_m2 > _BLURRED**2 * median(var[beside]) else 0.0
+    return mean, max(spread, 1.0) / float(np.sum(weight)), blur_m2

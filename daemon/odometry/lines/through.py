@@ -12,13 +12,18 @@ LINE_M = 0.04
 """Crossings that differ by less across a line lie on it: as is said of landmarks in a row, lattice.ALIGNED_M."""
 
 
+def numbered(ascending_m: Array) -> Ints:
+    """(N,) numbers of the lines that places (N,) across them are on, from 1."""
+    return np.asarray(np.cumsum(np.diff(ascending_m, prepend=-np.inf) > LINE_M))
+
+
 def lines_through(xy: Array, types: Ints, axis_rad: float) -> Ints:
     """(N, 2) numbers of the lines through crossings (N, 2), along both axes; points are on none but their own."""
     across = xy @ rotation(axis_rad)
     out = np.empty((len(xy), 2), np.int64)
     for axis in (0, 1):
         order = np.argsort(across[:, axis], kind="stable")
-        out[order, axis] = np.cumsum(np.diff(across[order, axis], prepend=-np.inf) > LINE_M)
+        out[order, axis] = numbered(across[order, axis])
     point = np.flatnonzero(types >= LINE_CROSSINGS)
     out[point] = len(xy) + 1 + np.arange(len(point))[:, None]
     return out
