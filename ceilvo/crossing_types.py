@@ -18,8 +18,8 @@ LINE_CROSSINGS = 9
 """Three line kinds on each of two axes."""
 
 LAMP, SPOT, CORNER = 10, 11, 12
-"""Points: a bright blob's weighted centre, the middle of what is darker or brighter around it, a corner. 9 is no type:
-its bit means mapped ground in the index of places, also in recordings that are older than points."""
+"""Points: a bright blob's weighted centre, the middle of what is darker or brighter around it, a corner or a long
+lamp's end. 9 is no type: its bit means mapped ground in the index of places, also in recordings older than points."""
 
 CROSSING_TYPES = 13
 """Crossings of lines, and points."""

@@ -191,7 +191,7 @@ def met_as_foreseen(ref: Crossings, crossings: Crossings, course: Course) -> tup
     on the way to another place."""
     met = len(matched(ref, crossings, foreseen(ref, crossings, course.guess), course.reach_m)[0])
     each_m2 = 0.5 * view_size_m(ref) ** 2 / len(ref)  # over pi: half of a disc is within its median radius
-    return met, len(crossings) * course.reach_m**2 / each_m2
+    return met, len(crossings) * course.reach_m**2 / max(each_m2, course.reach_m**2)
 
 
 def with_parts(found: Found, ref: Crossings, crossings: Crossings, course: Course) -> Found:

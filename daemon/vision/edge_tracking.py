@@ -151,8 +151,8 @@ class EdgeTracker:
         free = fit.finish()
         if fit.noise_px > NOISE_RATIO * last.noise_px:
             return None
-        if self._config.estimate_tilt:
-            fit.apply_prior(prior)
+        if self._config.estimate_tilt and not fit.apply_prior(prior):
+            return None
         return pair_edges(fit, self._config, fraction, free, uniform=True)
 
 

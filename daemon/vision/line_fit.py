@@ -257,7 +257,7 @@ class JointFit:
         if len(self.line):
             self.covariance[0, 0] = self._step_by_pieces(*self._pieces(), tilt=False)[1][0, 0]
 
-    def apply_prior(self, prior: TiltPrior) -> None:
+    def apply_prior(self, prior: TiltPrior) -> bool:
         """Combine with what is known of the tilt, unless the two disagree; psi follows through its correlation.
 
         Blurred pieces are a degree off and sure of it: where they disagree it is by whole lines.
@@ -271,8 +271,8 @@ class JointFit:
             if self._whole is not None:
                 whole, self._whole = self._whole, None
                 self._be(*whole)
-                self.apply_prior(prior)
-            return
+                return self.apply_prior(prior)
+            return False
         gain = [(r[1] * a + r[2] * c, r[1] * b + r[2] * d) for r in cov]
         turn, x, y = (u * off_x + v * off_y for u, v in gain)
         self.covariance = np.array(
@@ -281,6 +281,7 @@ class JointFit:
         self.psi += turn
         self.tilt = self.tilt + np.array([x, y])
         self._settle()
+        return True
 
     def _settle(self) -> None:
         """Turn the seen rays back by the robot's tilt, with offsets as the means of their points."""

@@ -1,4 +1,4 @@
-"""Lamps: bright blobs, by the centre of their light."""
+"""Lamps: bright blobs, by the centre of their light, and by their ends where they are long."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ceilvo.crossing_types import LAMP
+from ceilvo.crossing_types import CORNER, LAMP
+from ceilvo.daemon.vision.points.lamp_ends import SIGMA_PX as END_SIGMA_PX
+from ceilvo.daemon.vision.points.lamp_ends import lamp_ends
 from ceilvo.daemon.vision.points.places import NONE, Found, Gray, Places, joined
 from ceilvo.types import Array
 
@@ -40,16 +42,19 @@ def find_lamps(gray: Gray, places: Places) -> tuple[Found, Gray]:
     x, y, wide, high, area = stats.T
     whole = (x >= _BORDER_PX) & (y >= _BORDER_PX)
     whole &= (x + wide <= places.width - _BORDER_PX) & (y + high <= places.height - _BORDER_PX)
-    whole &= (area >= _LEAST_PX) & (area <= _MOST_SHARE * gray.size)
-    whole[0] = False  # what is not bright
-    ids = np.flatnonzero(whole)
-    found = []
+    lamp = (area >= _LEAST_PX) & (area <= _MOST_SHARE * gray.size)
+    lamp[0] = False  # what is not bright
+    ids = np.flatnonzero(lamp)
+    found, ends = [], []
     for i in ids[np.argsort(-area[ids], kind="stable")[:_MOST]].tolist():
         rows, columns = slice(y[i], y[i] + high[i]), slice(x[i], x[i] + wide[i])
         weight = np.where(labels[rows, columns] == i, gray[rows, columns] - limit, 0.0)
-        one = _centre(weight, rows, columns, places)
+        one = _centre(weight, rows, columns, places) if whole[i] else None
         if one is not None:
             found.append(one)
+        ends.append(lamp_ends(weight, x[i], y[i], gray.shape, _BORDER_PX))
+    if ends:
+        found.append(places.found(np.concatenate(ends), END_SIGMA_PX, CORNER))
     return joined(found) if found else NONE, bright
 
 

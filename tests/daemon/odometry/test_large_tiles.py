@@ -97,6 +97,16 @@ def test_what_is_met_on_the_way_to_another_place_is_counted() -> None:
     assert counted < mean < 6.0 * counted
 
 
+def test_views_without_an_extent_say_nothing_of_a_hand() -> None:
+    """One crossing, or several in one place: all others would be met anywhere."""
+    here = np.array([20.0, 20.0, 0.2])
+    seen = CrossingCamera.under(CEILING, 1, USUAL).sees(here, 1)
+    for ref in (seen.of(np.array([0])), seen.of(np.zeros(3, np.int64))):
+        met, by_chance = met_as_foreseen(ref, seen, course(np.zeros(3), 0.02))
+        assert 0 < met <= by_chance == len(seen)
+        assert moved_though_met(met, by_chance) == JUMPED
+
+
 def test_each_crossing_that_is_met_makes_a_hand_less_likely() -> None:
     chances = [moved_though_met(k, 0.07) for k in range(4)]
     assert chances[0] == JUMPED

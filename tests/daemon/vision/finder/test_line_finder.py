@@ -116,6 +116,20 @@ def test_a_scene_that_is_not_as_predicted_gets_a_full_look() -> None:
     assert abs((lines.psi_rad + truth[2] + np.pi / 4) % (np.pi / 2) - np.pi / 4) < np.radians(0.05)
 
 
+@pytest.mark.parametrize("tilt_deg", [0.3, 1.0])
+def test_a_tilt_that_the_last_seconds_exclude_gets_a_full_look(tilt_deg: float) -> None:
+    """Edges of two lamps in a row pass for one line until the robot turns, and then seem bent by a tilt of a degree: a
+    close look keeps them, a full one does not. A robot that does tilt is looked at twice, once."""
+    finder, t = warmed(world_with(0.0))
+    full = finder.state.detections
+    leaning = world_with(tilt_deg)
+    now = t + max(np.arange(0.0, 0.3, 0.01), key=lambda s: float(np.max(np.abs(leaning.tilt_at(t + s)))))
+    lines = finder(leaning.frame_at(now), se2.between(leaning.truth_at(t), leaning.truth_at(now)))
+    assert finder.state.detections == full + 1
+    assert lines is not None
+    assert np.max(np.abs(lines.tilt_rad - leaning.tilt_at(now))) < np.radians(0.06)
+
+
 def test_without_a_prediction_every_look_is_full() -> None:
     world = world_with(0.0)
     finder, t = warmed(world)
