@@ -100,6 +100,13 @@ class EkfNearestNeighbour:
             gone = np.isin(np.arange(len(self._kind)), ids) | (newborn & (self._sightings < CONFIRMED))
             self._keep(~gone)
 
+    def next_id(self) -> int:
+        return len(self._kind)
+
+    def carry(self, first_id: int, there_from_here: Array) -> Landmarks:
+        """Never asked: the rival is never in doubt of its place."""
+        raise NotImplementedError
+
     def size(self) -> int:
         return len(self.landmarks())
 

@@ -105,6 +105,12 @@ class RecoveringFilter:
     def forget(self, ids: Ints, newborn: bool = False) -> None:
         self._tracker.forget(ids, newborn)
 
+    def next_id(self) -> int:
+        return self._tracker.next_id()
+
+    def carry(self, first_id: int, there_from_here: Array) -> Landmarks:
+        return self._tracker.carry(first_id, there_from_here)
+
     def predict(self, motion: Motion) -> None:
         self._tracker.predict(motion)
         for poses in (self._memory.search, self._memory.alternatives):

@@ -21,13 +21,12 @@ from ceilvo.daemon.relocalisation.lattice import WATCH_M, Lattice, of_tracked, o
 from ceilvo.daemon.relocalisation.not_this_map import NotThisMap
 from ceilvo.daemon.relocalisation.place_belief import SPOT_M, PlaceBelief
 from ceilvo.daemon.relocalisation.relocaliser_state import PlaceSearch, RelocaliserState
-from ceilvo.daemon.relocalisation.submap import joined
 from ceilvo.daemon.relocalisation.survey import MapSurvey, aligned_pose, beside_tiles, better_of
 from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import UpdateSchedule
 from ceilvo.daemon.vision.thinning import for_places
-from ceilvo.se2 import compose, transform, wrap
+from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import Array, Crossings, Landmarks, Motion, Observations, Pose
 
 VIEW_PERIOD_S = 0.1
@@ -333,12 +332,9 @@ class Relocaliser:
         s.close_submap()
         tracked = self.filter.estimate()[0]
         s.picture.found(found, tracked)
-        whole = None if first_id is None else joined(self.filter.landmarks(), first_id, tracked, found)
-        if first_id is None or whole is None:
-            self.filter.jump(Pose(found), cov)
-            return
-        self.filter.reset(found, cov, whole)
-        s.survey.index.sync(whole.of(whole.ids >= first_id))
+        if first_id is not None:
+            s.survey.index.sync(self.filter.carry(first_id, compose(found, inverse(tracked))))
+        self.filter.jump(Pose(found), cov)
 
     def _admitted(self, view: Observations) -> Observations | None:
         """What of a view may teach the filter; None for nothing of it."""

@@ -13,7 +13,7 @@ from ceilvo.daemon.relocalisation.evidence.unmapped import Unmapped
 from ceilvo.daemon.relocalisation.flipped_picture import FlippedPicture
 from ceilvo.daemon.relocalisation.not_this_map import UNLISTED, NotThisMapState
 from ceilvo.daemon.relocalisation.place_belief import PlaceBelief
-from ceilvo.daemon.relocalisation.submap import first_id_after, turned_cov
+from ceilvo.daemon.relocalisation.submap import turned_cov
 from ceilvo.daemon.relocalisation.survey import MapSurvey
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import ScheduleState
@@ -166,7 +166,7 @@ class RelocaliserState:
         """What a filter learns from now on is apart. What it was about to learn is of neither side of the doubt."""
         if self.submap_from is None:
             filter_.forget(np.empty(0, np.int64), newborn=True)
-            self.submap_from = first_id_after(filter_.landmarks())
+            self.submap_from = filter_.next_id()
 
     def close_submap(self) -> None:
         """The place is another one or sure: what is learnt from now on is of the map, no search is asked for, and what

@@ -147,6 +147,15 @@ class JointFilter:
             upkeep.forget(self._state.joint, ids, newborn)
             self._summary = None
 
+    def next_id(self) -> int:
+        return self._state.joint.next_id if self._state.known is None else self._state.known.next_id
+
+    def carry(self, first_id: int, there_from_here: Array) -> Landmarks:
+        if self._state.known is not None:
+            return self._state.known.landmarks.of(np.empty(0, np.int64))
+        self._summary = None
+        return upkeep.carry(self._state.joint, first_id, there_from_here)
+
     def update(self, obs: Observations, learnt_from: int = 0) -> None:
         """Associate, absorb, then births and deaths of landmarks."""
         state = self._state

@@ -47,6 +47,19 @@ class PoseFilter(Protocol):
             newborn: drop also all that was not seen often enough to be shown.
         """
 
+    def next_id(self) -> int:
+        """The least id that no landmark has reached, at no cost."""
+
+    def carry(self, first_id: int, there_from_here: Array) -> Landmarks:
+        """Move the landmarks with ids from first_id on by a pose (3,); where it turns them their types are named anew.
+
+        Of what both they and the others know (one type, within upkeep.SAME_M) the others' stays. They keep what they
+        know of each other, and the pose stays: jump() is what moves the robot. Costs what is moved.
+
+        Returns:
+            Those of them that are shown, as they are now.
+        """
+
     def predict(self, motion: Motion) -> None:
         """Move by the motion since the last call."""
 

@@ -34,16 +34,19 @@ class IndexedMap:
         landmarks: the map; it does not change.
         cell_m: side of a cell.
         packed: (L, 3) covariances xx, xy, yy.
+        next_id: the least that no landmark has reached.
     """
 
     landmarks: Landmarks
     cell_m: float = CELL_M
     packed: Array = field(init=False)
+    next_id: int = field(init=False)
     _order: Ints = field(init=False)
     _sorted: Ints = field(init=False)
 
     def __post_init__(self) -> None:
         self.packed = packed(self.landmarks.cov_m2)
+        self.next_id = int(np.max(self.landmarks.ids, initial=-1)) + 1
         cell = _numbers(_cells(self.landmarks.xy_map_m, self.cell_m))
         self._order = np.argsort(cell, kind="stable").astype(np.int64)
         self._sorted = cell[self._order]

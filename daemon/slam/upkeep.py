@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import JOINTS
+from ceilvo.crossing_types import JOINTS, quarter_turns, turned_type
 from ceilvo.daemon.slam.association import CANDIDATE_GATE_CHI2, DUPLICATE_FRACTION, EXPIRES_UPDATES
 from ceilvo.daemon.slam.joint_map import JointMap
-from ceilvo.se2 import inverse, transform
-from ceilvo.types import Array, Ints, Observations
+from ceilvo.daemon.slam.spatial_index import landmarks_near, packed, unpacked
+from ceilvo.se2 import inverse, rotation, transform
+from ceilvo.types import Array, Ints, Landmarks, Observations
 
 DUPLICATES_EVERY = 4
 """Updates in which every landmark in view is looked at once, whether it is there twice; chosen, to share the cost."""
@@ -34,6 +37,8 @@ SELDOM, SELDOM_DOUBT = 0.2, 1.5
 """A landmark seen less often than this share of the median of those in view, and missed in some twenty views, is a
 chance crossing; chosen: one that is there but USEFUL at least is seen twice as often. Frames alone do not count: below
 what hides a landmark a robot may stand for hours."""
+SAME_M = 0.1
+"""A carried landmark so near one of its type is that one; chosen: as far as places are told apart."""
 APART_M = 0.04
 """Views nearer to the last one show the same again; chosen: less than filter.update_travel_m."""
 
@@ -161,6 +166,56 @@ def forget(j: JointMap, ids: Ints, newborn: bool = False) -> None:
     gone = np.isin(j.ids, ids)
     gone[j.size :] |= newborn
     j.forget(np.flatnonzero(gone))
+
+
+def carry(j: JointMap, first_id: int, there_from_here: Array) -> Landmarks:
+    """Move the landmarks with ids from first_id on, see PoseFilter.carry."""
+    own = np.flatnonzero(j.ids >= first_id)
+    _move(j, own, there_from_here)
+    near = near_points(j, j.xy(own), SAME_M)
+    near = near[j.ids[near] < first_id]
+    j.forget(own[_known(j.xy(own), j.crossing_type[own], j.xy(near), j.crossing_type[near])])
+    return j.summary(np.flatnonzero(j.ids[: j.size] >= first_id))
+
+
+def _move(j: JointMap, labels: Ints, there_from_here: Array) -> None:
+    """By a pose (3,), rigidly: means, their covariance with all, and the names of types."""
+    out, turn = labels[j.slot[labels] < 0], rotation(float(there_from_here[2]))
+    j.crossing_type[labels] = _named_anew(j.crossing_type[labels], there_from_here)
+    j.index.remove(out, j.table_xy[out])
+    j.table_xy[out] = transform(there_from_here, j.table_xy[out])
+    j.table_packed[out] = packed(turn @ unpacked(j.table_packed[out]) @ turn.T)
+    j.index.add(out, j.table_xy[out])
+    rows, size = j.rows(labels[j.slot[labels] >= 0]), len(j.mean)
+    j.mean[rows] = transform(there_from_here, j.mean[rows].reshape(-1, 2)).ravel()
+    j.cov[rows] = (turn @ j.cov[rows].reshape(-1, 2, size)).reshape(-1, size)
+    j.cov[:, rows] = (turn @ j.cov[:, rows].T.reshape(-1, 2, size)).reshape(-1, size).T
+
+
+def _named_anew(kind: Ints, there_from_here: Array) -> Ints:
+    """(K,) types of landmarks that a pose (3,) turns, named by the map's axes again."""
+    return turned_type(kind, -quarter_turns(0.0, float(there_from_here[2])))
+
+
+def carried(landmarks: Landmarks, first_id: int, there_from_here: Array) -> Landmarks:
+    """A whole map, as carry() leaves it: for filters that hold it in no table."""
+    own = landmarks.ids >= first_id
+    new, old, turn = landmarks.of(own), landmarks.of(~own), rotation(float(there_from_here[2]))
+    new = replace(
+        new,
+        xy_map_m=transform(there_from_here, new.xy_map_m),
+        cov_m2=turn @ new.cov_m2 @ turn.T,
+        crossing_type=_named_anew(new.crossing_type, there_from_here),
+    )
+    near = landmarks_near(old, new.xy_map_m, SAME_M)[1]
+    new = new.of(~_known(new.xy_map_m, new.crossing_type, near.xy_map_m, near.crossing_type))
+    return Landmarks(*(np.concatenate([getattr(old, f.name), getattr(new, f.name)]) for f in fields(Landmarks)))
+
+
+def _known(xy: Array, kind: Ints, others: Array, their_kind: Ints) -> NDArray[np.bool_]:
+    """(N,) which of (N, 2) are within SAME_M of others (M, 2) of their type."""
+    close = np.hypot(*(xy[:, None] - others).transpose(2, 0, 1)) < SAME_M
+    return np.asarray(np.any(close & (kind[:, None] == their_kind), axis=1))
 
 
 def make_room(j: JointMap, most: int, now: int, learnt_from: int = 0) -> int:

@@ -15,7 +15,7 @@ from small_disk import SmallDisk
 
 from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.map.map_file import load_state
-from ceilvo.daemon.relocalisation.submap import SAME_M
+from ceilvo.daemon.slam.upkeep import SAME_M
 
 WHY_NOT = small_disk.why_not()
 CHILD = Path(database_on_disk.__file__)

@@ -41,6 +41,7 @@ from ceilvo.daemon.slam.pose_filter import (
     systematic,
 )
 from ceilvo.daemon.slam.spatial_index import IndexedMap, landmarks_near, packed
+from ceilvo.daemon.slam.upkeep import carried
 from ceilvo.errors import CeilvoError
 from ceilvo.se2 import transform, wrap_array
 from ceilvo.types import NO_LANDMARK, UNLABELLED, Array, FilterHealth, Ints, Landmarks, Motion, Observations
@@ -50,7 +51,7 @@ Redraw = Callable[[Array, Array, int, np.random.Generator], tuple[Array, float] 
 OUTLIER_DENSITY_PER_RAD = 2.0 / np.pi
 """A wrong direction may be anywhere in its quarter turn."""
 ESS_FLOOR = 0.1
-"""Share of the particles that one update must leave effective; the likelihood is tempered until it does."""
+"""Share of the particles that an update leaves effective; the likelihood is tempered until it does."""
 REGULARISATION = (2e-5, 2e-5, 1e-5)
 """m, m, rad: noise after resampling, so that no cloud ever collapses to a point."""
 
@@ -137,6 +138,14 @@ class FastSlam:
             self.state.maps.forget(ids)
             self.state.candidates = Candidates(EXPIRES_UPDATES) if newborn else self.state.candidates
             self.state.summary = None
+
+    def next_id(self) -> int:
+        return (self.state.known or self.state.maps).next_id
+
+    def carry(self, first_id: int, there_from_here: Array) -> Landmarks:
+        if self.state.known is None and self.next_id() > first_id:  # the particles' maps become one
+            self.reset(*self.estimate()[:2], carried(self.landmarks(), first_id, there_from_here))
+        return self.landmarks().of(self.landmarks().ids >= first_id)
 
     def predict(self, motion: Motion) -> None:
         self.state.poses = moved(self.state.poses, checked_motion(motion), self.state.rng)
@@ -246,10 +255,7 @@ class FastSlam:
         return seen, np.stack([c * c * vx + s * s * vy, c * s * (vx - vy), s * s * vx + c * c * vy], axis=1)
 
     def _nis(self, innovation: Array, innovation_cov: Array) -> float:
-        """Mean normalised innovation squared per degree of freedom at the mean pose and map.
-
-        The particles' spread of the innovation is the part that pose and map uncertainty have in it.
-        """
+        """Mean NIS per degree of freedom at the mean pose and map, whose uncertainty is the particles' spread."""
         mean = innovation @ self.state.weights
         off = innovation - mean[:, :, None]
         spread_cov = np.stack([off[:, 0] * off[:, 0], off[:, 0] * off[:, 1], off[:, 1] * off[:, 1]], axis=1)

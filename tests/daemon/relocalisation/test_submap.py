@@ -12,7 +12,8 @@ from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world
 from ceilvo.crossing_types import quarter_turns, turned_type
 from ceilvo.daemon.relocalisation.evidence.admission import of_doubtful_place, of_sure_place
 from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
-from ceilvo.daemon.relocalisation.submap import first_id_after, joined, rest_of
+from ceilvo.daemon.relocalisation.submap import rest_of
+from ceilvo.daemon.slam.upkeep import carried
 from ceilvo.se2 import compose, inverse, transform
 from ceilvo.types import Array, Ints, Landmarks, Observations, State
 
@@ -39,8 +40,7 @@ def test_a_joined_landmark_is_seen_from_the_found_pose_as_it_was_from_the_tracke
 ) -> None:
     rng = np.random.default_rng(4)
     old, new = landmarks(rng.uniform(200, 220, (5, 2))), landmarks(rng.uniform(-3, 3, (7, 2)), first_id=5)
-    whole = joined(both(old, new), 5, tracked, found)
-    assert whole is not None
+    whole = carried(both(old, new), 5, compose(found, inverse(tracked)))
     assert np.array_equal(whole.xy_map_m[:5], old.xy_map_m)
     before = transform(inverse(tracked), new.xy_map_m)
     assert np.allclose(transform(inverse(found), whole.xy_map_m[5:]), before, atol=1e-9)
@@ -57,25 +57,18 @@ def test_a_joined_landmark_has_the_type_that_it_is_seen_as_from_the_found_pose(q
     old = landmarks(rng.uniform(200, 220, (5, 2)))
     new = landmarks(rng.uniform(-3, 3, (30, 2)), first_id=5)
     new = replace(new, crossing_type=turned_type(seen, quarter_turns(psi + tracked[2], 0.0)))
-    whole = joined(both(old, new), 5, tracked, found)
-    assert whole is not None
+    whole = carried(both(old, new), 5, compose(found, inverse(tracked)))
     assert np.array_equal(whole.crossing_type[5:], turned_type(seen, quarter_turns(psi + found[2], 0.0)))
 
 
-def test_of_what_both_know_the_rest_is_kept_and_an_empty_submap_is_none() -> None:
+def test_of_what_both_know_the_rest_is_kept() -> None:
     old = landmarks(np.array([[1.0, 1.0], [2.0, 1.0]]))
     new = landmarks(np.array([[1.03, 1.0], [5.0, 5.0]]), first_id=2)
-    whole = joined(both(old, new), 2, np.zeros(3), np.zeros(3))
-    assert whole is not None
-    assert whole.ids.tolist() == [0, 1, 3]
-    other_kind = replace(new, crossing_type=np.full(2, 8))
-    whole = joined(both(old, other_kind), 2, np.zeros(3), np.zeros(3))
-    assert whole is not None
-    assert len(whole) == 4
-    assert joined(old, 2, np.zeros(3), np.zeros(3)) is None
+    assert carried(both(old, new), 2, np.zeros(3)).ids.tolist() == [0, 1, 3]
+    assert len(carried(both(old, replace(new, crossing_type=np.full(2, 8))), 2, np.zeros(3))) == 4
+    assert np.array_equal(carried(old, 2, np.ones(3)).xy_map_m, old.xy_map_m), "no submap"
     assert rest_of(both(old, new), 2).ids.tolist() == [0, 1]
     assert len(rest_of(both(old, new), None)) == 4
-    assert first_id_after(both(old, new)) == 4
 
 
 def view(xy: Array, label: list[int]) -> Observations:
