@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from ceilvo.types import Array
@@ -43,26 +44,27 @@ def lamp_ends(weight: Array, left: int, top: int, shape: tuple[int, ...], border
         weight: (h, w) light of the lamp, 0 beside it; left, top: of the window in the picture of that shape.
         border_px: light that is nearer to the picture's side may go on beyond it.
     """
-    row, column = np.nonzero(weight > 0.0)
-    at, light = np.column_stack([column + left, row + top]).astype(np.float64), weight[row, column]
-    axis = _axis(at, light)
+    axis = _axis(weight, left, top)
     if axis is None:
         return np.zeros((0, 2))
+    row, column = np.nonzero(weight > 0.0)
+    at, light = np.column_stack([column + left, row + top]).astype(np.float64), weight[row, column]
     far = np.array(shape[1::-1]) - 1 - border_px
     inside = np.all((at >= border_px) & (at <= far), axis=1)
     ends = [_end(at, light, inside, axis, sign) for sign in (1.0, -1.0)]
     return np.array([end for end in ends if end is not None]).reshape(-1, 2)
 
 
-def _axis(at: Array, light: Array) -> _Axis | None:
-    """The axis of light (N,) at (N, 2) px; None where it is not long."""
-    middle = light @ at / np.sum(light)
-    off = at - middle
-    variance, axes = np.linalg.eigh((off * light[:, None]).T @ off / np.sum(light))
+def _axis(weight: Array, left: int, top: int) -> _Axis | None:
+    """The axis of light (h, w) in a window; None where it is not long."""
+    m = cv2.moments(weight)
+    if m["m00"] <= 0.0:
+        return None
+    variance, axes = np.linalg.eigh(np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"])
     width, length = np.sqrt(_UNIFORM * np.maximum(variance, 0.0)).tolist()
     if width < _NARROWEST_PX or length < _LONG * width:
         return None
-    return _Axis(middle, axes[:, 1], width)
+    return _Axis(np.array([left + m["m10"] / m["m00"], top + m["m01"] / m["m00"]]), axes[:, 1], width)
 
 
 def _end(at: Array, light: Array, inside: Array, axis: _Axis, sign: float) -> Array | None:
