@@ -51,7 +51,7 @@ Redraw = Callable[[Array, Array, int, np.random.Generator], tuple[Array, float] 
 OUTLIER_DENSITY_PER_RAD = 2.0 / np.pi
 """A wrong direction may be anywhere in its quarter turn."""
 ESS_FLOOR = 0.1
-"""Share of the particles that an update leaves effective; the likelihood is tempered until it does."""
+"""Share of the particles that one update must leave effective; the likelihood is tempered until it does."""
 REGULARISATION = (2e-5, 2e-5, 1e-5)
 """m, m, rad: noise after resampling, so that no cloud ever collapses to a point."""
 

@@ -234,7 +234,8 @@ def _misfit_px2(lines: Lines | None, edges: EdgeSet | None, points: int) -> floa
 
 
 def _stays(free: Lines, carried: Lines) -> bool:
-    """Whether lines that were found freely are kept over those found along the last frame's direction."""
+    """Whether lines that were found freely are kept over those found along the last frame's direction: of one direction
+    unless those know it far better, of another where these know theirs far better."""
     if _apart(free.psi_rad, carried.psi_rad) < _TURNED_RAD:
         return bool(carried.psi_sigma_rad >= _CLEARLY * free.psi_sigma_rad)
     return bool(free.psi_sigma_rad < _CLEARLY * carried.psi_sigma_rad)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ceilvo.config import Config, Features
-from ceilvo.crossing_types import LAMP
+from ceilvo.crossing_types import CORNER, LAMP
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder
 from ceilvo.se2 import transform
@@ -53,4 +53,6 @@ def test_a_bend_under_open_cells_is_driven_in_tracking(world: World) -> None:
         off_m.append(float(np.hypot(*(estimate.pose - world.truth_at(t_s))[:2])))
     assert np.mean(tracked) > 0.9
     assert max(off_m) < 0.005
-    assert estimate.landmarks < 36, "lamps and their ends, not cells"
+    kind = pipeline.landmarks().crossing_type
+    assert np.count_nonzero(kind == LAMP) == np.count_nonzero(kind != CORNER) < 12, "lamps, not cells"
+    assert np.count_nonzero(kind == CORNER) < 24, "two ends of each"

@@ -10,7 +10,7 @@ from point_ceilings import VIEW_DEG, followed
 from ceilvo import se2
 from ceilvo.bench.vision.conditions import conditions
 from ceilvo.crossing_types import CORNER
-from ceilvo.daemon.vision.points.lamp_ends import SIGMA_PX, lamp_ends
+from ceilvo.daemon.vision.points.lamp_ends import lamp_ends
 from ceilvo.daemon.vision.points.stage import PointFinder
 from ceilvo.types import Array, State
 
@@ -20,6 +20,7 @@ BORDER_PX = 2
 BLUR_PX = 0.7
 INWARD_PX = 2.0 * np.hypot(BLUR_PX, 12.0**-0.5) / np.sqrt(2.0 * np.pi)
 """By which light above half of a blurred edge is short of it; always alike, so it is no error."""
+WITHIN_PX = 0.3
 NEAR_MM = 50.0
 """Corners that are further from a lamp's end are others."""
 STRIPS = next(c for c in conditions() if c.name == "strips-only")
@@ -52,14 +53,14 @@ def test_an_end_is_where_the_light_ends(angle: float, length: float, width: floa
     assert len(found) >= np.count_nonzero(inside)
     for end in ends[inside]:
         inward = INWARD_PX * (np.mean(ends, axis=0) - end) / (0.5 * length)
-        assert np.min(np.hypot(*(found - end - inward).T)) < 0.3 * SIGMA_PX
+        assert np.min(np.hypot(*(found - end - inward).T)) < WITHIN_PX
 
 
 def test_a_lamp_that_goes_on_beyond_the_picture_has_the_end_that_is_seen() -> None:
     light, ends = drawn(np.array([20.0, 120.0]), 0.3, 140.0, 12.0)
     found = lamp_ends(light, 0, 0, SHAPE, BORDER_PX)
     assert len(found) == 1
-    assert np.hypot(*(found[0] - ends[0])) < INWARD_PX + 0.3 * SIGMA_PX
+    assert np.hypot(*(found[0] - ends[0])) < INWARD_PX + WITHIN_PX
 
 
 @pytest.mark.parametrize("length", [12.0, 20.0, 30.0])
