@@ -300,7 +300,7 @@ class JointFilter:
             if not np.any(obs.label == UNLABELLED):
                 near = near[near >= self._state.joint.size]
             near = near[~np.isin(near, label)]
-            at, kind = self._state.joint.xy(near), self._state.joint.crossing_type[near]
+            at, kind = self._state.joint.xy(near), self._state.joint.kinds(near)
         seen, which = mutual_nearest(xy, obs.crossing_type[free], at, kind, gate)
         label[free[seen]] = near[which]
         return usable(replace(obs, label=label), ALL_LABELS)

@@ -18,16 +18,23 @@ WINDOW = 160
 """Landmarks whose correlations are kept; beyond, those seen least recently keep their own covariance only."""
 
 
-_COLUMNS = (
-    *("ids", "crossing_type", "sightings", "expected", "doubt"),
-    *("seen_at", "confirmed", "slot", "table_xy", "table_packed"),
-)
+_SMALL: dict[str, type] = {"crossing_type": np.int16, "doubt": np.float32}
+_SMALL |= dict.fromkeys(("sightings", "expected", "seen_at", "slot"), np.int32)
+"""Narrow columns: a building full of landmarks would pay for wider ones."""
+_MOST = np.iinfo(np.int32).max
+"""Sightings are counted up to here."""
+_COLUMNS = (*_SMALL, "ids", "confirmed", "table_xy", "table_packed")
 _ROOM = 64
 """Rows by which a table grows at least, and by half of what it has; chosen."""
+Counts = NDArray[np.int32]
 
 
 def _no_ints() -> Ints:
     return np.empty(0, np.int64)
+
+
+def _no_counts() -> Counts:
+    return np.empty(0, np.int32)
 
 
 @dataclass(slots=True)
@@ -56,23 +63,25 @@ class JointMap:
     cov: Array
     label_of: Ints = field(default_factory=_no_ints)
     ids: Ints = field(default_factory=_no_ints)
-    crossing_type: Ints = field(default_factory=_no_ints)
-    sightings: Ints = field(default_factory=_no_ints)
-    seen_at: Ints = field(default_factory=_no_ints)
+    crossing_type: NDArray[np.int16] = field(default_factory=lambda: np.empty(0, np.int16))
+    sightings: Counts = field(default_factory=_no_counts)
+    seen_at: Counts = field(default_factory=_no_counts)
     confirmed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
-    slot: Ints = field(default_factory=_no_ints)
+    slot: Counts = field(default_factory=_no_counts)
     table_xy: Array = field(default_factory=lambda: np.empty((0, 2)))
     table_packed: Array = field(default_factory=lambda: np.empty((0, 3)))
     next_id: int = 0
-    expected: Ints = field(default_factory=_no_ints)
-    doubt: Array = field(default_factory=lambda: np.empty(0))
+    expected: Counts = field(default_factory=_no_counts)
+    doubt: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
     size: int = field(init=False)
     index: ChangingIndex = field(init=False, repr=False, default_factory=ChangingIndex)
 
     def __post_init__(self) -> None:
-        """States of older recordings have no counts, and confirmed landmarks anywhere."""
+        """States of older recordings have no counts, wider columns, and confirmed landmarks anywhere."""
         if len(self.expected) != len(self):
-            self.expected, self.doubt = self.sightings.copy(), np.zeros(len(self))
+            self.expected, self.doubt = self.sightings.copy(), np.zeros(len(self), np.float32)
+        for name, kind in _SMALL.items():
+            setattr(self, name, getattr(self, name).astype(kind, copy=False))
         first = np.flatnonzero(self.confirmed)
         self.size = 0
         self.confirm(first)
@@ -119,7 +128,7 @@ class JointMap:
 
     def rows(self, labels: Ints) -> Ints:
         """(2 K,) rows of mean and cov of landmarks in the window."""
-        first = 3 + 2 * self.slot[labels]
+        first = 3 + 2 * self.slot[labels].astype(np.int64)
         return np.column_stack([first, first + 1]).ravel()
 
     def xy(self, labels: Ints) -> Array:
@@ -136,10 +145,14 @@ class JointMap:
         out[slot >= 0] = self.cov[a + np.array([0, 0, 1]), a + np.array([0, 1, 1])]
         return out
 
+    def kinds(self, labels: Ints) -> Ints:
+        """(K,) types."""
+        return self.crossing_type[labels].astype(np.int64)
+
     def load(self, landmarks: Landmarks) -> None:
         """Append a map; its landmarks enter the window when they are seen."""
-        new = self._append(landmarks.crossing_type, landmarks.sightings, landmarks.ids)
-        self.expected[new] = landmarks.expected
+        new = self._append(landmarks.crossing_type, np.minimum(landmarks.sightings, _MOST), landmarks.ids)
+        self.expected[new] = np.minimum(landmarks.expected, _MOST)
         self.table_xy[new], self.table_packed[new] = landmarks.xy_map_m, packed(landmarks.cov_m2)
         self.index.add(new, self.table_xy[new])
         self.confirm(new)
@@ -308,9 +321,9 @@ class JointMap:
             ids=self.ids[labels],
             xy_map_m=frozen(self.xy(labels)),
             cov_m2=frozen(unpacked(self.packed(labels))),
-            crossing_type=self.crossing_type[labels],
-            sightings=self.sightings[labels],
-            expected=self.expected[labels],
+            crossing_type=self.kinds(labels),
+            sightings=self.sightings[labels].astype(np.int64),
+            expected=self.expected[labels].astype(np.int64),
         )
 
 

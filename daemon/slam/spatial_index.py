@@ -12,8 +12,9 @@ from ceilvo.types import Array, Ints, Landmarks
 
 CELL_M = 1.0
 """Side of a cell; chosen: a view of 2 m touches about ten."""
-CHANGING_CELL_M = 2.0
-"""Side of a cell of a map that changes; chosen: fewer cells to keep, and still a view touches about four."""
+CHANGING_CELL_M = 3.0
+"""Side of a cell of a map that changes; chosen: a view touches about four, and a cell takes 230 bytes beside 4 of each
+landmark."""
 _SIDE = 1 << 20
 """Cells are numbered row by row; no building is a million cells wide."""
 
@@ -24,6 +25,9 @@ def _cells(xy: Array, cell_m: float) -> Ints:
 
 def _numbers(cells: Ints) -> Ints:
     return np.asarray(cells[..., 0] * _SIDE + cells[..., 1], np.int64)
+
+
+Labels = NDArray[np.int32]
 
 
 @dataclass(slots=True)
@@ -104,7 +108,7 @@ class ChangingIndex:
     __slots__ = ("_labels",)
 
     def __init__(self) -> None:
-        self._labels: dict[int, Ints] | None = None
+        self._labels: dict[int, Labels] | None = None
 
     def __deepcopy__(self, memo: Any) -> ChangingIndex:
         return ChangingIndex()
@@ -118,13 +122,13 @@ class ChangingIndex:
         number = _numbers(_cells(xy_m, CHANGING_CELL_M))
         order = np.argsort(number, kind="stable")
         cells, start = np.unique(number[order], return_index=True)
-        self._labels = dict(zip(cells.tolist(), np.split(labels[order], start[1:]), strict=False))
+        self._labels = dict(zip(cells.tolist(), np.split(labels[order].astype(np.int32), start[1:]), strict=False))
 
     def add(self, labels: Ints, xy_m: Array) -> None:
         """Points (N, 2) that are new."""
         if self._labels is None:
             return
-        for cell, label in zip(_numbers(_cells(xy_m, CHANGING_CELL_M)).tolist(), labels, strict=True):
+        for cell, label in zip(_numbers(_cells(xy_m, CHANGING_CELL_M)).tolist(), labels.astype(np.int32), strict=True):
             here = self._labels.get(cell)
             self._labels[cell] = np.array([label]) if here is None else np.append(here, label)
 
@@ -145,10 +149,10 @@ class ChangingIndex:
             return np.empty(0, np.int64)
         (x0, y0), (x1, y1) = (_cells(corner, CHANGING_CELL_M).tolist() for corner in (low_m, high_m))
         if (x1 - x0 + 1) * (y1 - y0 + 1) > len(self._labels):
-            return np.concatenate(list(self._labels.values()))
+            return np.concatenate(list(self._labels.values())).astype(np.int64)
         cells = (x * _SIDE + y for x in range(x0, x1 + 1) for y in range(y0, y1 + 1))
         found = [self._labels[c] for c in cells if c in self._labels]
-        return np.concatenate(found) if found else np.empty(0, np.int64)
+        return np.concatenate(found).astype(np.int64) if found else np.empty(0, np.int64)
 
 
 def in_box(at_m: Array, low_m: Array, high_m: Array) -> NDArray[np.bool_]:

@@ -174,14 +174,14 @@ def carry(j: JointMap, first_id: int, there_from_here: Array) -> Landmarks:
     _move(j, own, there_from_here)
     near = near_points(j, j.xy(own), SAME_M)
     near = near[j.ids[near] < first_id]
-    j.forget(own[_known(j.xy(own), j.crossing_type[own], j.xy(near), j.crossing_type[near])])
+    j.forget(own[_known(j.xy(own), j.kinds(own), j.xy(near), j.kinds(near))])
     return j.summary(np.flatnonzero(j.ids[: j.size] >= first_id))
 
 
 def _move(j: JointMap, labels: Ints, there_from_here: Array) -> None:
     """By a pose (3,), rigidly: means, their covariance with all, and the names of types."""
     out, turn = labels[j.slot[labels] < 0], rotation(float(there_from_here[2]))
-    j.crossing_type[labels] = _named_anew(j.crossing_type[labels], there_from_here)
+    j.crossing_type[labels] = _named_anew(j.kinds(labels), there_from_here)
     j.index.remove(out, j.table_xy[out])
     j.table_xy[out] = transform(there_from_here, j.table_xy[out])
     j.table_packed[out] = packed(turn @ unpacked(j.table_packed[out]) @ turn.T)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import CROSSING_TYPES, TYPE_MISTAKEN, commonest, turned_type
-from ceilvo.daemon.odometry.sight import is_in
-from ceilvo.daemon.relocalisation.evidence.coverage import Coverage
+from ceilvo.crossing_types import CROSSING_TYPES, LINE_CROSSINGS, TYPE_MISTAKEN, commonest, turned_type
+from ceilvo.daemon.relocalisation import kernel
+from ceilvo.daemon.relocalisation.evidence.coverage import VIEWS, Coverage
 from ceilvo.daemon.relocalisation.evidence.type_raster import RARE, TypeRaster
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints, Landmarks
@@ -97,14 +97,14 @@ class Chance:
         if not len(shifts) or not len(landmarks):
             return Chance.unmeasured(landmarks)
         some = landmarks.of(_measured_by(landmarks.crossing_type))
-        tried, hits, anyone = _tried(some.xy_map_m, some.crossing_type, raster, coverage, shifts)
+        counts = [_tried(some.xy_map_m, some.crossing_type, raster, coverage, shifts)]
         some = some.of(some.crossing_type != commonest(landmarks.crossing_type))
         turns, middle_m = ((), np.zeros(2)) if about_m is None else ((1, 2, 3), about_m)
         for turn in turns:
             at = (some.xy_map_m - middle_m) @ rotation(turn * 0.5 * np.pi).T + middle_m
             kind, moved = turned_type(some.crossing_type, -turn), np.concatenate([shifts, np.zeros((1, 2))])
-            more = _tried(at, kind, raster, coverage, moved)
-            tried, hits, anyone = (np.concatenate(pair) for pair in zip((tried, hits, anyone), more, strict=True))
+            counts.append(_tried(at, kind, raster, coverage, moved))
+        tried, hits, anyone = np.concatenate(counts, axis=1)
         out, out_any = _rates(landmarks, tried, hits), _rates(landmarks, tried, anyone)
         if any_name:
             rare = np.arange(CROSSING_TYPES) != commonest(landmarks.crossing_type)
@@ -112,13 +112,16 @@ class Chance:
         return Chance(out, _between(out, out_any))
 
 
-def _tried(at: Array, kind: Ints, raster: TypeRaster, coverage: Coverage, shifts: Array) -> tuple[Array, Array, Array]:
-    """(S, T) landmarks at points (L, 2) that shifts (S, 2) move onto known ground, by the types (L,) they have there;
-    those of them that find their like, and those that find any rare one."""
-    there = at + shifts[:, None]
-    known, bits, of = coverage.knows(there, kind), raster.at(there), np.eye(CROSSING_TYPES)[kind]
-    same = is_in(bits, np.broadcast_to(kind, there.shape[:2])) & known
-    return known @ of, same @ of, (same | (bits & RARE > 0) & known) @ of
+def _tried(at: Array, kind: Ints, raster: TypeRaster, coverage: Coverage, shifts: Array) -> Array:
+    """(3, S, T) landmarks at points (L, 2) that shifts (S, 2) move onto known ground, by the types (L,) they have
+    there; those of them that find their like, and those that find any rare one."""
+    out = np.zeros((3, len(shifts), CROSSING_TYPES))
+    for points in (False, True):
+        of = (kind >= LINE_CROSSINGS) == points
+        if np.any(of):
+            ground = coverage.of_kind(points).ground
+            out += kernel.alike(raster.picture, ground, VIEWS, at[of], kind[of], shifts, CROSSING_TYPES, int(RARE))
+    return out
 
 
 def _measured_by(crossing_type: Ints) -> Ints:

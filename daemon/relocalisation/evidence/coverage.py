@@ -105,14 +105,23 @@ class Coverage:
     def views(self, xy_m: Array, kind: Ints | None = None) -> Ints:
         """(...,) views that showed the ground at (..., 2), and where a feature is said, would have shown its type."""
         if kind is None:
-            views: Ints = kernel.views(Ground(self.block, self.shown, CELL_M), xy_m.reshape(-1, 2))
+            views: Ints = kernel.views(self.ground, xy_m.reshape(-1, 2))
             return views.reshape(xy_m.shape[:-1])
-        points, of_lines = np.broadcast_to(kind >= LINE_CROSSINGS, xy_m.shape[:-1]), self.of_lines or self
+        points, of_lines = np.broadcast_to(kind >= LINE_CROSSINGS, xy_m.shape[:-1]), self.of_kind(points=False)
         if not np.any(points):
             return of_lines.views(xy_m)
         out = np.empty(xy_m.shape[:-1], np.int64)
-        out[points], out[~points] = (self.of_points or self).views(xy_m[points]), of_lines.views(xy_m[~points])
+        out[points], out[~points] = self.of_kind(points=True).views(xy_m[points]), of_lines.views(xy_m[~points])
         return out
+
+    @property
+    def ground(self) -> Ground:
+        """Where kinds are not told apart."""
+        return Ground(self.block, self.shown, CELL_M)
+
+    def of_kind(self, points: bool) -> Coverage:
+        """The ground that points, or crossings of lines, would have been seen on."""
+        return (self.of_points if points else self.of_lines) or self
 
     def knows(self, xy_m: Array, kind: Ints | None = None) -> NDArray[np.bool_]:
         """(...,) whether the map should know what is at (..., 2), or a feature there of a type."""

@@ -15,10 +15,11 @@ except ImportError:
 
 each_of = reference.each_of
 pairs, nearest = _neighbours.pairs, _neighbours.nearest
-stamped, looked_up, views, scored, missed = (
+stamped, looked_up, views, alike, scored, missed = (
     _evidence.stamped,
     _evidence.looked_up,
     _evidence.views,
+    _evidence.alike,
     _evidence.scored,
     _evidence.missed,
 )

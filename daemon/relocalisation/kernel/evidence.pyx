@@ -17,6 +17,7 @@ if SIDE != arguments.COVERAGE_SIDE:
 
 cdef int64_t OFFSET = arguments.COVERAGE_OFFSET
 cdef double LINE_FEATURES = arguments.LINE_FEATURES
+cdef int64_t NO_BLOCK = -(1 << 62)  # no block has this number
 cdef double FAR = 1e9  # no cell is further out: what is less may be made an integer, and multiplied
 
 
@@ -81,26 +82,73 @@ cdef inline int64_t row_of(const int64_t[::1] block, int64_t number) noexcept no
     return low if low < block.shape[0] and block[low] == number else -1
 
 
+cdef inline int64_t views_at(
+    const int64_t[::1] block, const uint8_t[:, :, ::1] shown, double cell_m, double at_x, double at_y, int64_t *last,
+    int64_t *row
+) noexcept nogil:
+    """Of a cell; the block that was asked last and its row are kept, for neighbours are mostly in one block."""
+    cdef int64_t x = cell_of(at_x / cell_m), y = cell_of(at_y / cell_m)
+    cdef int64_t number = ((x >> 5) + OFFSET) * (2 * OFFSET) + ((y >> 5) + OFFSET)
+    if number != last[0]:
+        last[0], row[0] = number, row_of(block, number)
+    return shown[row[0], x & (SIDE - 1), y & (SIDE - 1)] if row[0] >= 0 else 0
+
+
+cdef check_ground(ground):
+    check_length("shown", ground.shown.shape[0], ground.block.shape[0])
+    check_length("side of a block", ground.shown.shape[1], SIDE)
+    check_length("side of a block", ground.shown.shape[2], SIDE)
+
+
 def views(ground, const double[:, :] xy not None):
     cdef const int64_t[::1] block = ground.block
     cdef const uint8_t[:, :, ::1] shown = ground.shown
     cdef double cell_m = ground.cell_m
     cdef Py_ssize_t n = xy.shape[0], i
-    cdef int64_t x, y, number, last = -1, row = -1
+    cdef int64_t last = NO_BLOCK, row = -1
     check_length("a point", xy.shape[1], 2)
-    check_length("shown", shown.shape[0], block.shape[0])
-    check_length("side of a block", shown.shape[1], SIDE)
-    check_length("side of a block", shown.shape[2], SIDE)
+    check_ground(ground)
     out = np.zeros(n, np.int64)
     cdef int64_t[::1] seen = out
     with nogil:
         for i in range(n):
-            x, y = cell_of(xy[i, 0] / cell_m), cell_of(xy[i, 1] / cell_m)
-            number = ((x >> 5) + OFFSET) * (2 * OFFSET) + ((y >> 5) + OFFSET)
-            if i == 0 or number != last:  # neighbours are mostly in one block
-                last, row = number, row_of(block, number)
-            if row >= 0:
-                seen[i] = shown[row, x & (SIDE - 1), y & (SIDE - 1)]
+            seen[i] = views_at(block, shown, cell_m, xy[i, 0], xy[i, 1], &last, &row)
+    return out
+
+
+def alike(
+    raster, ground, int known_views, const double[:, :] xy not None, const int64_t[::1] kind not None,
+    const double[:, :] shifts not None, int types, int rare
+):
+    cdef const int64_t[::1] low = raster.low, block = ground.block
+    cdef const uint16_t[:, ::1] cells = raster.cells
+    cdef const uint8_t[:, :, ::1] shown = ground.shown
+    cdef double per_m = 1.0 / raster.cell_m, cell_m = ground.cell_m, x, y
+    cdef Py_ssize_t n = xy.shape[0], m = shifts.shape[0], i, j
+    cdef int64_t last = NO_BLOCK, row = -1
+    cdef uint16_t bits
+    check_length("a landmark", xy.shape[1], 2)
+    check_length("a shift", shifts.shape[1], 2)
+    check_length("types", kind.shape[0], n)
+    check_length("low", low.shape[0], 2)
+    check_ground(ground)
+    for i in range(n):
+        if not 0 <= kind[i] < min(types, 16):
+            raise ValueError(f"landmark {i}: type {kind[i]}, expected 0 to {min(types, 16) - 1}")
+    out = np.zeros((3, m, types))
+    cdef double[:, :, ::1] count = out
+    with nogil:
+        for i in range(n):
+            for j in range(m):
+                x, y = xy[i, 0] + shifts[j, 0], xy[i, 1] + shifts[j, 1]
+                if views_at(block, shown, cell_m, x, y, &last, &row) < known_views:
+                    continue
+                bits = bits_at(cells, low[0], low[1], per_m, x, y)
+                count[0, j, kind[i]] += 1.0
+                if bits >> kind[i] & 1:
+                    count[1, j, kind[i]] += 1.0
+                if bits & (rare | 1 << kind[i]):
+                    count[2, j, kind[i]] += 1.0
     return out
 
 

@@ -130,6 +130,28 @@ def views(ground: Ground, xy: Array) -> Ints:
     return np.where(ground.block[at] == number, shown, 0).astype(np.int64)
 
 
+def alike(
+    raster: Raster, ground: Ground, known_views: int, xy: Array, kind: Ints, shifts: Array, types: int, rare: int
+) -> Array:
+    """(3, S, T) landmarks of each type that shifts (S, 2) move onto known ground; those of them that find their like
+    there, and those that find any rare one.
+
+    Args:
+        raster: of the map's types.
+        ground: known from so many views on.
+        xy, kind: (L, 2) landmarks, m, and their types.
+        types: how many there are, T.
+        rare: bit that says that something rare is there.
+    """
+    there = xy + shifts[:, None]
+    at, shape = there.reshape(-1, 2), there.shape[:2]
+    known, bits = views(ground, at).reshape(shape) >= known_views, looked_up(raster, at).reshape(shape)
+    same = ((bits >> kind.astype(np.uint16)) & np.uint16(1) > 0) & known
+    anyone = same | ((bits & np.uint16(rare)) > 0) & known
+    of = np.eye(types)[kind]
+    return np.stack([known @ of, same @ of, anyone @ of])
+
+
 # -- what a view says of places
 
 

@@ -110,6 +110,35 @@ def test_views_of_the_ground_are_the_same(seed: int, blocks: int) -> None:
     np.testing.assert_array_equal(kernel.views(ground, at), reference.views(ground, at))
 
 
+@given(SEEDS, st.integers(0, 5), st.integers(0, 40), st.integers(0, 9))
+@settings(max_examples=60, deadline=None)
+def test_how_alike_the_map_is_shifted_is_the_same(seed: int, blocks: int, landmarks: int, shifts: int) -> None:
+    rng = np.random.default_rng(seed)
+    raster = Raster(np.array([-200, -200]), rng.integers(0, 1 << 15, (400, 400)).astype(np.uint16), 0.025)
+    x, y = rng.integers(-1, 2, (2, blocks)) + (1 << 20)
+    number = np.unique(x * (2 << 20) + y)
+    ground = Ground(number, rng.integers(0, 12, (len(number), 32, 32)).astype(np.uint8), 0.25)
+    xy, kind = rng.uniform(-6.0, 6.0, (landmarks, 2)), rng.integers(0, 13, landmarks)
+    steps = rng.uniform(-3.0, 3.0, (shifts, 2))
+    arguments = (raster, ground, 8, xy, kind, steps, 16, 1 << 14)
+    found = kernel.alike(*arguments)
+    np.testing.assert_array_equal(found, reference.alike(*arguments))
+    true = np.zeros((3, shifts, 16))  # one by one
+    for j, step in enumerate(steps):
+        for at, own in zip(xy + step, kind.tolist(), strict=True):
+            if reference.views(ground, at[None])[0] >= 8:
+                bits = int(reference.looked_up(raster, at[None])[0])
+                true[:, j, own] += (1, bits >> own & 1, bool(bits & (1 << own | 1 << 14)))
+    np.testing.assert_array_equal(found, true)
+
+
+def test_a_type_that_there_is_not_is_refused() -> None:
+    raster = Raster(np.zeros(2, np.int64), np.zeros((1, 1), np.uint16), 0.025)
+    ground = Ground(np.empty(0, np.int64), np.empty((0, 32, 32), np.uint8), 0.25)
+    with pytest.raises(ValueError, match="landmark 1: type 16, expected 0 to 15"):
+        kernel.alike(raster, ground, 8, np.zeros((2, 2)), np.array([0, 16]), np.zeros((1, 2)), 16, 1 << 14)
+
+
 def scene(seed: int, places: int, features: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     tables = [rng.normal(0.0, 2.0, (32, 13, 8)) for _ in range(3)]
