@@ -12,6 +12,7 @@ from ceilvo.config import Odometry
 from ceilvo.daemon.odometry.coasting import KnownTurn, LastTwist, accelerations, coast, goes_on_turning
 from ceilvo.daemon.odometry.course import Course
 from ceilvo.daemon.odometry.lines.across import as_told, with_variance
+from ceilvo.daemon.odometry.lines.votes import agreed
 from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import Registration
@@ -108,7 +109,7 @@ def turning_of(s: VisualOdometryState, config: Odometry, course: Course, told: b
 
 
 def steadied(fit: RigidFit, place: Registration, axis_rad: float, course: Course) -> RigidFit:
-    """A motion that is a little off its prediction, or whose features are at odds, by those that are where foreseen.
+    """A motion whose features are at odds by what most agree on; one that is off its prediction by those foreseen.
 
     Where an edge is seen in place of the one beside it, all crossings on it move by a centimetre together, points do
     not, and the motion is in between. No robot jumps so within a frame. Should it have, the next view shows that.
@@ -124,11 +125,26 @@ def steadied(fit: RigidFit, place: Registration, axis_rad: float, course: Course
     if not apart and off @ np.linalg.solve(spread, off) < _OFF_CHI2:
         return fit
     theta_rad = float(fit.b_from_a[2])
+    if apart:
+        return _by_votes(fit, place, axis_rad, course)
     away = place.before - se2.transform(np.array([*course.guess[:2], theta_rad]), place.seen)
     var = 1.0 / weight[:, None, None] * np.eye(2) + course.cov[:2, :2]
     met = np.einsum("ni,nij,nj->n", away, np.linalg.inv(var), away) < _WITHIN**2
     if place.apart(axis_rad, met) < _FEWEST_WORTH:
-        doubt = np.diag([place.fit.rms_m**2] * 2 + [0.0]) if apart else 0.0
-        return replace(fit, cov=fit.cov + doubt)
+        return fit
     by_those = replace(place.fit, used=met, variance_m2=float(np.mean(1.0 / weight[met])))
     return with_known_rotation(by_those, place.seen, place.before, theta_rad, math.sqrt(fit.cov[2, 2]))
+
+
+def _by_votes(fit: RigidFit, place: Registration, axis_rad: float, course: Course) -> RigidFit:
+    """A motion with the translation that most lines and points agree on, and the rotation that it has."""
+    theta_rad, weight = float(fit.b_from_a[2]), place.fit.weight
+    assert weight is not None
+    turned = place.seen @ se2.rotation(theta_rad).T
+    where = (place.before - turned, place.before, place.kinds, weight**-0.5, axis_rad)
+    most = agreed(*where, course.guess[:2], course.cov[:2, :2])
+    middle = np.mean(turned[most.used] if np.any(most.used) else turned, axis=0)
+    lever = np.array([middle[1], -middle[0], 1.0])
+    cov = float(fit.cov[2, 2]) * np.outer(lever, lever)
+    cov[:2, :2] += most.cov
+    return replace(fit, b_from_a=np.array([*most.translation, theta_rad]), cov=cov)
