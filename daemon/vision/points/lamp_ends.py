@@ -18,7 +18,8 @@ their ends move by pixels from frame to frame."""
 _BODY, _MIDDLE, _TIP = 2.5, 1.75, 1.0
 """Where the lamp is as bright as inside, in widths before its end: from, half of it, to; chosen: a blurred end is
 shorter."""
-_EVEN = 0.1
+_LONGEST = 4.0
+_EVEN = 0.15
 """By which one half of that may be brighter than the other; chosen: 90 of 100 rendered strip lamps are within 0.03.
 Light that tapers ends wherever the threshold is."""
 _UNIFORM = 12.0
@@ -35,6 +36,7 @@ class _Axis:
     middle: Array
     along: Array
     width: float
+    length: float
 
 
 def lamp_ends(weight: Array, left: int, top: int, shape: tuple[int, ...], border_px: int) -> Array:
@@ -64,7 +66,7 @@ def _axis(weight: Array, left: int, top: int) -> _Axis | None:
     width, length = np.sqrt(_UNIFORM * np.maximum(variance, 0.0)).tolist()
     if width < _NARROWEST_PX or length < _LONG * width:
         return None
-    return _Axis(np.array([left + m["m10"] / m["m00"], top + m["m01"] / m["m00"]]), axes[:, 1], width)
+    return _Axis(np.array([left + m["m10"] / m["m00"], top + m["m01"] / m["m00"]]), axes[:, 1], width, length)
 
 
 def _end(at: Array, light: Array, inside: Array, axis: _Axis, sign: float) -> Array | None:
@@ -78,12 +80,16 @@ def _end(at: Array, light: Array, inside: Array, axis: _Axis, sign: float) -> Ar
     last = float(np.max(t))
     if not np.all(inside[t > last - axis.width]):
         return None
-    first, half, tip = (last - k * axis.width for k in (_BODY, _MIDDLE, _TIP))
+    body = float(np.clip(axis.length / axis.width - 1.0, _BODY, _LONGEST))
+    first, half, tip = (last - k * axis.width for k in (body, 0.5 * (body + _TIP), _TIP))
     from_first, from_half, beyond = (float(light @ np.clip(t - begin + 0.5, 0.0, 1.0)) for begin in (first, half, tip))
-    per_px = (from_first - beyond) / (tip - first)
-    if abs((from_first - from_half) - (from_half - beyond)) >= _EVEN * (from_half - beyond):
+    inner, outer = (from_first - from_half) / (half - first), (from_half - beyond) / (tip - half)
+    if abs(inner - outer) >= _EVEN * outer:
         return None
-    end, near = tip + beyond / per_px, t > first
+    fades = (outer - inner) / (tip - half)
+    at_tip = outer + 0.5 * fades * (tip - half)
+    length = 2.0 * beyond / (at_tip + np.sqrt(max(at_tip**2 + 2.0 * fades * beyond, 0.0)))
+    end, near = tip + length, t > first
     model = np.column_stack([np.ones(np.count_nonzero(near)), t[near] - end])
     offset, *_ = np.linalg.lstsq(model * light[near, None] ** 0.5, s[near] * light[near] ** 0.5, rcond=None)
     return np.asarray(axis.middle + end * along + offset[0] * across)
