@@ -40,7 +40,7 @@ def test_a_small_turn_is_the_lever_of_first_order_and_no_way_changes_nothing() -
     assert not np.any(turned_cov(np.zeros((3, 3)), np.array([9.0, 9.0])))
 
 
-@pytest.mark.parametrize(("seed", "dark_s"), [(7, 1.0), (7, 2.0), (13, 1.0)])
+@pytest.mark.parametrize(("seed", "dark_s"), [(7, 2.0), (13, 1.0)])
 def test_after_a_gap_on_new_ground_the_pose_covers_the_gap_and_the_reason_says_what_to_drive_by(
     seed: int, dark_s: float
 ) -> None:
