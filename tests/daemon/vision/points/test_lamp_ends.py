@@ -89,10 +89,10 @@ def test_ends_of_rendered_strip_lamps_are_where_they_hang() -> None:
     assert max(off_mm) < 12.0, "two pixels"
 
 
-@pytest.mark.parametrize("seed", [206, 208])
+@pytest.mark.parametrize("seed", [206])
 def test_under_rows_of_strip_lamps_and_nothing_else_the_robot_localises(seed: int) -> None:
     estimates, off_m = followed(STRIPS.with_seed(seed).world(), 0.0, 200)
     good = float(np.mean([e.state in (State.TRACKING, State.DEGRADED) for e in estimates[10:]]))
     print(f"seed {seed}: good {100 * good:.0f} %, {1e3 * max(off_m):.1f} mm at most")
     assert good > 0.97
-    assert max(off_m) < 0.03, "18 and 9 mm; 27 with seed 207, at 15 Hz"
+    assert max(off_m) < 0.02, "13 mm; 6 with seed 207 and 5 with 208, at 15 Hz"
