@@ -13,7 +13,7 @@ from ceilvo.crossing_types import LAMP, LINE_CROSSINGS, commonest, quarter_turns
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
 from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
-from ceilvo.daemon.odometry.lines.through import lines_through
+from ceilvo.daemon.odometry.lines.through import LINE_M, lines_through
 from ceilvo.daemon.odometry.matching import Bools, consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points, has_points
 from ceilvo.daemon.odometry.points.turning import TURNED, Turning
@@ -145,7 +145,7 @@ def register(
         return None, f"{len(i)} of {len(crossings)} crossings matched, {need} needed"
     by_points = has_points(crossings)
     # of points their own sigma decides, of which the level view's pixels know nothing
-    if not by_points and _are_spread(ref.xy_base_m[j], ref.crossing_type[j], ref.psi_rad):
+    if not by_points and _are_spread(ref.xy_base_m[j], ref.psi_rad):
         good = consistent(crossings.uv_px[i], ref.uv_px[j], config.ransac_px)
         i, j = i[good], j[good]
     seen, before = crossings.xy_base_m[i], ref.xy_base_m[j]
@@ -181,11 +181,12 @@ def register(
     )
 
 
-def _are_spread(at: Array, kinds: Ints, axis_rad: float) -> bool:
+def _are_spread(at: Array, axis_rad: float) -> bool:
     """Whether crossings (N, 2) determine a homography: two at least lie beside any one line. Where a corridor's joints
     meet a single one RANSAC keeps any few of them."""
-    lines = lines_through(at, kinds, axis_rad)
-    return all(len(at) - np.max(np.unique(lines[:, k], return_counts=True)[1], initial=0) > 1 for k in (0, 1))
+    apart = np.diff(np.sort(at @ se2.rotation(axis_rad), axis=0), axis=0) > LINE_M
+    gaps = np.count_nonzero(apart, axis=0)
+    return bool(np.all((gaps > 1) | (gaps == 1) & ~apart[:1].any(axis=0) & ~apart[-1:].any(axis=0)))
 
 
 def matched(ref: Crossings, crossings: Crossings, guess: Array, radius_m: float) -> tuple[Ints, Ints, Ints]:
