@@ -133,7 +133,7 @@ def started_again(spec: WorldSpec, at_s: float, folder: Path) -> Again:
     return Again(begun / FPS, all(s is State.TRACKING for s in states[begun:]), max(off))
 
 
-@pytest.mark.parametrize("scene", [scenes.step, scenes.beams, scenes.coffers])
+@pytest.mark.parametrize("scene", [scenes.step, scenes.beams])
 def test_a_robot_that_stops_and_starts_at_once_keeps_the_heights(scene: object) -> None:
     """Somebody stands in its way, four times: it moves 5 cm less than expected in a frame, and then 5 cm more."""
     surroundings = scene(LAP.room_m, HIGH_M)  # type: ignore[operator]

@@ -40,8 +40,8 @@ def run(camera: CrossingCamera, poses: np.ndarray, rate_hz: float) -> np.ndarray
 
 
 def test_views_that_miss_joints_are_no_hand() -> None:
-    """At 27f54b9 396 of these 7200 frames were one, and odometry began anew 23 times."""
-    seeds, found = range(50, 56), []
+    """At 27f54b9 396 of 7200 such frames were one, and odometry began anew 23 times."""
+    seeds, found = range(50, 53), []
     for seed in seeds:
         start = np.array([20.0, 20.0, 0.3 * seed])
         poses = np.array(list(driven(Wander(seed), start, 120.0, 10.0)))
@@ -52,7 +52,7 @@ def test_views_that_miss_joints_are_no_hand() -> None:
     print(f"seeds {seeds}: {int(failed.sum())} of {len(said)} failed, {hand} a hand, {anew_often} anew, {wrong} wrong")
     assert wrong == 0
     assert hand < 0.015 * len(said)
-    assert anew_often < 10
+    assert anew_often < 5
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 30.0])

@@ -62,7 +62,7 @@ def test_where_nothing_tells_the_motion_it_is_never_called_good(pattern: str) ->
     assert off_m[-1] < 3.0 * sigma_m[-1]
 
 
-@pytest.mark.parametrize("seed", [95, 96])
+@pytest.mark.parametrize("seed", [96])
 def test_a_ceiling_that_shows_now_lines_and_now_corners_is_one(seed: int) -> None:
     """Hexagons have joints along one direction only; where few of them are in view, corners take over, and the map
     must have them by then."""

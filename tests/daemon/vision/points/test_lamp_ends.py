@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from point_ceilings import VIEW_DEG, followed
 
@@ -39,6 +39,7 @@ def drawn(middle: Array, angle_rad: float, length: float, width: float) -> tuple
     return np.maximum(light - 0.5, 0.0), middle + 0.5 * length * np.outer([1.0, -1.0], along)
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     st.floats(-1.5, 1.5),
     st.floats(70.0, 150.0),
