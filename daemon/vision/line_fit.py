@@ -25,20 +25,18 @@ _SIGMA_FLOOR_PX = 0.02
 """Least standard deviation of points and of offsets; chosen: more points do not average out what is no noise."""
 _DIRECTION_INFO = 1e-3
 """rad^-2, of the direction beforehand: as good as none, but no line may leave the equations singular."""
-_HELD_PRIOR_DEG = 1e-6
-"""Standard deviation of a tilt that is held: as good as 0 in double precision."""
-_HELD_RAD = np.radians(0.02)
-"""Standard deviation reported for it; chosen: below what a frame with few lines could tell, above 0."""
+_HELD_PRIOR_DEG, _HELD_RAD = 1e-6, np.radians(0.02)
+"""Standard deviation of a tilt that is held, as good as 0 in double precision; and that reported for it; chosen: below
+what a frame with few lines could tell, above 0."""
 _TILT_CHI2 = 9.21
 """Frame and prior, or frame and a level robot, disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
-_VAGUE_RAD = np.radians(0.1)
-"""A tilt known worse than this, of a robot of which nothing is known yet, is not used; chosen: a lamp's is worse."""
+_VAGUE_RAD, _LEVEL_RAD = np.radians(0.1), np.radians(0.05)
+"""A tilt known worse tells nothing where a level robot may show it, by pieces of lines and by whole ones; chosen."""
 _SPREAD_STRIDE = 3
 """Every third point tells the spread; chosen: saves time, hundreds remain."""
-_DOUBT_RAD = np.radians(0.3)
-"""A tilt this far from the expected one is tried again from there; chosen: 11 mm on a ceiling 2.2 m high."""
-_DOUBT_SIGMAS = 3.0
-"""The same in standard deviations of the prior, where that is more: 99.7 %."""
+_DOUBT_RAD, _DOUBT_SIGMAS = np.radians(0.3), 3.0
+"""A tilt this far from the expected one is tried again from there, or so many standard deviations of the prior, where
+that is more (99.7 %); chosen: 11 mm on a ceiling 2.2 m high."""
 _DOUBLE, _DOUBLE_ROUNDS = 2.0, 3
 """A line is two whose points scatter by so many times what half of the points do; and how often that is asked; chosen:
 two lines half a pixel apart scatter by four times as much, and what they bent by twice at first."""
@@ -138,9 +136,11 @@ class JointFit:
         spread = _DOUBT_RAD if prior is None else np.maximum(_DOUBT_SIGMAS * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
 
-    def is_vague(self, free: TiltPrior, prior: TiltPrior | None) -> bool:
-        """Whether hardly anything is known of the tilt, from this frame, as finish() gave it, or from others."""
-        return prior is None and float(np.max(free.sigma_rad)) > _VAGUE_RAD and not self.tilts_for_sure()
+    def is_vague(self, free: TiltPrior) -> bool:
+        """Whether this frame, which gave `free` in finish(), tells hardly anything of the tilt."""
+        known_rad = float(np.max(free.sigma_rad))
+        tilts = self.tilts_for_sure() if known_rad > _VAGUE_RAD else _is_tilt(self.tilt, self.covariance)
+        return known_rad > _LEVEL_RAD and not tilts
 
     def tilts_for_sure(self) -> bool:
         """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""
