@@ -35,7 +35,7 @@ Run = Callable[..., tuple[int, str, str]]
 TRUE = simulated_camera()
 BOARD = Board()
 TILE_M, HEIGHT_M, ROLL_RAD, PITCH_RAD = 0.6, 2.2, 0.02, -0.03
-SEEDS = range(5)
+SEEDS = range(8)
 
 
 def board_lens(seed: int, noise_px: float = 0.15) -> Intrinsics:

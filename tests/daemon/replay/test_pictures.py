@@ -21,6 +21,7 @@ from patience import until
 
 from ceilvo import se2
 from ceilvo.config import Config
+from ceilvo.daemon.replay import pictures
 from ceilvo.daemon.replay.drawing.innovations import innovations_px, within_reach
 from ceilvo.daemon.replay.pictures import Pictures, drawn
 from ceilvo.daemon.vision.finder.crossing_finder import CrossingFinder, View
@@ -39,6 +40,12 @@ made.jpeg(*seen)
 print(made.pid, flush=True)
 time.sleep(1000)
 """
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process gets what others leave, and tests leave nothing for long."""
+    monkeypatch.setattr(pictures, "_ANSWER_S", 120.0)
 
 
 @pytest.fixture(scope="module")

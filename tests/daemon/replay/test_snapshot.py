@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from ceilvo.calibration_file import parse_calibration
 from ceilvo.config import Config, Features, Filter
@@ -198,3 +199,26 @@ def test_a_value_keeps_its_bits() -> None:
     assert read_value(value_json(None), Motion) is None
     with pytest.raises(SnapshotError):
         read_value(value_json(odd), Crossings)
+
+
+@dataclass
+class Wide:
+    count: NDArray[np.int64]
+    doubt: NDArray[np.float64]
+
+
+@dataclass
+class Narrow:
+    count: NDArray[np.int16]
+    doubt: NDArray[np.float32]
+
+
+def test_columns_that_were_wider_in_earlier_versions_are_read() -> None:
+    """Where their numbers fit; narrower ones are of no version."""
+    kept = read_value(value_json(Wide(np.array([3, -70]), np.array([0.5, 2.0]))), Narrow)
+    assert kept is not None and kept.count.dtype == np.int16 and kept.doubt.dtype == np.float32
+    assert kept.count.tolist() == [3, -70] and kept.doubt.tolist() == [0.5, 2.0]
+    with pytest.raises(SnapshotError, match="numbers that fit <i2"):
+        read_value(value_json(Wide(np.array([70_000]), np.zeros(1))), Narrow)
+    with pytest.raises(SnapshotError, match="found <i2, expected <i8"):
+        read_value(value_json(Narrow(np.array([3], np.int16), np.zeros(1, np.float32))), Wide)
