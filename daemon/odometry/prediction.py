@@ -16,7 +16,7 @@ from ceilvo.daemon.odometry.lines.votes import agreed
 from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import Registration
-from ceilvo.daemon.odometry.rigid import RigidFit, with_known_rotation
+from ceilvo.daemon.odometry.rigid import RigidFit, cov_of_turn, with_known_rotation
 from ceilvo.types import Array, Motion, WheelMotion
 
 _BESIDE_M = 0.05
@@ -126,7 +126,7 @@ def steadied(fit: RigidFit, place: Registration, axis_rad: float, course: Course
         return fit
     theta_rad = float(fit.b_from_a[2])
     if apart:
-        return _by_votes(fit, place, axis_rad, course)
+        return _by_votes(fit, place, weight**-0.5, axis_rad, course)
     away = place.before - se2.transform(np.array([*course.guess[:2], theta_rad]), place.seen)
     var = 1.0 / weight[:, None, None] * np.eye(2) + course.cov[:2, :2]
     met = np.einsum("ni,nij,nj->n", away, np.linalg.inv(var), away) < _WITHIN**2
@@ -136,15 +136,17 @@ def steadied(fit: RigidFit, place: Registration, axis_rad: float, course: Course
     return with_known_rotation(by_those, place.seen, place.before, theta_rad, math.sqrt(fit.cov[2, 2]))
 
 
-def _by_votes(fit: RigidFit, place: Registration, axis_rad: float, course: Course) -> RigidFit:
-    """A motion with the translation that most lines and points agree on, and the rotation that it has."""
-    theta_rad, weight = float(fit.b_from_a[2]), place.fit.weight
-    assert weight is not None
+def _by_votes(fit: RigidFit, place: Registration, sigma_m: Array, axis_rad: float, course: Course) -> RigidFit:
+    """A motion with the translation that most lines and points agree on, and the rotation that it has.
+
+    Args:
+        sigma_m: (N,) of the features' displacements.
+    """
+    theta_rad = float(fit.b_from_a[2])
     turned = place.seen @ se2.rotation(theta_rad).T
-    where = (place.before - turned, place.before, place.kinds, weight**-0.5, axis_rad)
+    where = (place.before - turned, place.before, place.kinds, sigma_m, axis_rad)
     most = agreed(*where, course.guess[:2], course.cov[:2, :2])
     middle = np.mean(turned[most.used] if np.any(most.used) else turned, axis=0)
-    lever = np.array([middle[1], -middle[0], 1.0])
-    cov = float(fit.cov[2, 2]) * np.outer(lever, lever)
+    cov = cov_of_turn(middle, float(fit.cov[2, 2]))
     cov[:2, :2] += most.cov
     return replace(fit, b_from_a=np.array([*most.translation, theta_rad]), cov=cov)

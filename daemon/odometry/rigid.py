@@ -101,10 +101,15 @@ def with_known_rotation(fit: RigidFit, a: Array, b: Array, theta_rad: float, the
     centre = rotation(theta_rad) @ fit.middle(a)
     t = fit.middle(b) - centre  # eq. 12
     n = max(int(np.count_nonzero(fit.used)), 1)
-    lever = np.array([centre[1], -centre[0], 1.0])
-    cov = theta_sigma_rad**2 * np.outer(lever, lever)
+    cov = cov_of_turn(centre, theta_sigma_rad**2)
     cov[[0, 1], [0, 1]] += fit.variance_m2 / n
     return RigidFit(np.array([t[0], t[1], theta_rad]), fit.used, fit.rms_m, cov, fit.variance_m2)
+
+
+def cov_of_turn(centre: Array, var_rad2: float) -> Array:
+    """(3, 3) of a motion whose rotation errs, and which puts the point (2,) that turns to `centre` where it is."""
+    lever = np.array([centre[1], -centre[0], 1.0])
+    return var_rad2 * np.outer(lever, lever)
 
 
 def median_translation(a: Array, b: Array, theta_rad: float, axis_rad: float) -> Array:

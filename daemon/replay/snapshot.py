@@ -215,14 +215,13 @@ def _array(node: Any, args: tuple[Any, ...]) -> np.ndarray[Any, Any]:
     name, shape, order, data = node["array"]
     _expect(name, isinstance(name, str) and len(name) <= _LONGEST_NAME, "the name of a type of numbers")
     dtype = np.dtype(name)
-    (wanted,) = get_args(args[1])
-    wider = dtype.kind in "if" and dtype.kind == np.dtype(wanted).kind and dtype.itemsize > np.dtype(wanted).itemsize
-    _expect(name, wider or np.issubdtype(dtype, wanted), np.dtype(wanted).str)
+    wanted = np.dtype(get_args(args[1])[0])
+    wider = dtype.kind in "if" and dtype.kind == wanted.kind and dtype.itemsize > wanted.itemsize
+    _expect(name, wider or np.issubdtype(dtype, wanted), wanted.str)
     flat: np.ndarray[Any, Any] = np.frombuffer(bytearray(base64.b64decode(data, validate=True)), dtype)
     if wider:  # columns that were wider in earlier versions
-        narrow = flat.astype(wanted)
-        _expect(name, dtype.kind == "f" or np.array_equal(narrow, flat), f"numbers that fit {np.dtype(wanted).str}")
-        flat = narrow
+        kept, flat = flat, flat.astype(wanted)
+        _expect(name, dtype.kind == "f" or np.array_equal(flat, kept), f"numbers that fit {wanted.str}")
     out: np.ndarray[Any, Any] = flat.reshape(shape, order=order)
     return out
 

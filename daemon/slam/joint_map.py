@@ -18,12 +18,12 @@ WINDOW = 160
 """Landmarks whose correlations are kept; beyond, those seen least recently keep their own covariance only."""
 
 
-_SMALL: dict[str, type] = {"crossing_type": np.int16, "doubt": np.float32}
-_SMALL |= dict.fromkeys(("sightings", "expected", "seen_at", "slot"), np.int32)
-"""Narrow columns: a building full of landmarks would pay for wider ones."""
+_COLUMNS = (
+    *("ids", "crossing_type", "sightings", "expected", "doubt"),
+    *("seen_at", "confirmed", "slot", "table_xy", "table_packed"),
+)
 _MOST = np.iinfo(np.int32).max
-"""Sightings are counted up to here."""
-_COLUMNS = (*_SMALL, "ids", "confirmed", "table_xy", "table_packed")
+"""Sightings of a map that is loaded count up to here: a building full of landmarks would pay for wider columns."""
 _ROOM = 64
 """Rows by which a table grows at least, and by half of what it has; chosen."""
 Counts = NDArray[np.int32]
@@ -77,11 +77,9 @@ class JointMap:
     index: ChangingIndex = field(init=False, repr=False, default_factory=ChangingIndex)
 
     def __post_init__(self) -> None:
-        """States of older recordings have no counts, wider columns, and confirmed landmarks anywhere."""
+        """States of older recordings have no counts, and confirmed landmarks anywhere."""
         if len(self.expected) != len(self):
             self.expected, self.doubt = self.sightings.copy(), np.zeros(len(self), np.float32)
-        for name, kind in _SMALL.items():
-            setattr(self, name, getattr(self, name).astype(kind, copy=False))
         first = np.flatnonzero(self.confirmed)
         self.size = 0
         self.confirm(first)

@@ -13,8 +13,8 @@ from ceilvo.types import Array, Ints, Landmarks
 CELL_M = 1.0
 """Side of a cell; chosen: a view of 2 m touches about ten."""
 CHANGING_CELL_M = 3.0
-"""Side of a cell of a map that changes; chosen: a view touches about four, and a cell takes 230 bytes beside 4 of each
-landmark."""
+"""Side of a cell of a map that changes; chosen: a view touches about four, and a cell takes some 190 bytes beside 4
+of each landmark."""
 _SIDE = 1 << 20
 """Cells are numbered row by row; no building is a million cells wide."""
 
@@ -149,9 +149,10 @@ class ChangingIndex:
             return np.empty(0, np.int64)
         (x0, y0), (x1, y1) = (_cells(corner, CHANGING_CELL_M).tolist() for corner in (low_m, high_m))
         if (x1 - x0 + 1) * (y1 - y0 + 1) > len(self._labels):
-            return np.concatenate(list(self._labels.values())).astype(np.int64)
-        cells = (x * _SIDE + y for x in range(x0, x1 + 1) for y in range(y0, y1 + 1))
-        found = [self._labels[c] for c in cells if c in self._labels]
+            found = list(self._labels.values())
+        else:
+            cells = (x * _SIDE + y for x in range(x0, x1 + 1) for y in range(y0, y1 + 1))
+            found = [self._labels[c] for c in cells if c in self._labels]
         return np.concatenate(found).astype(np.int64) if found else np.empty(0, np.int64)
 
 

@@ -136,11 +136,11 @@ class JointFit:
         spread = _DOUBT_RAD if prior is None else np.maximum(_DOUBT_SIGMAS * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
 
-    def is_vague(self, free: TiltPrior) -> bool:
-        """Whether this frame, which gave `free` in finish(), tells hardly anything of the tilt."""
-        known_rad = float(np.max(free.sigma_rad))
-        tilts = self.tilts_for_sure() if known_rad > _VAGUE_RAD else _is_tilt(self.tilt, self.covariance)
-        return known_rad > _LEVEL_RAD and not tilts
+    def is_vague(self, free: TiltPrior, prior: TiltPrior | None) -> bool:
+        """Whether hardly anything is known of the tilt, from this frame, as finish() gave it, or from others."""
+        open_rad = float(np.max(free.sigma_rad)) if prior is None else 0.0
+        tilts = self.tilts_for_sure() if open_rad > _VAGUE_RAD else _is_tilt(self.tilt, self.covariance)
+        return open_rad > _LEVEL_RAD and not tilts
 
     def tilts_for_sure(self) -> bool:
         """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ceilvo.crossing_types import LINE_CROSSINGS
+from ceilvo.daemon.odometry.lines.through import lines_through
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Ints
 
@@ -80,20 +80,16 @@ def agreed(
         predicted_m, cov_m2: (2,) displacement that is expected, with its covariance (2, 2).
     """
     axes = rotation(axis_rad)
-    off, at, cov = off_m @ axes, at_m @ axes, np.diag(axes.T @ cov_m2 @ axes)
-    best, var = np.zeros(2), np.zeros(2)
+    off, cov = off_m @ axes, np.diag(axes.T @ cov_m2 @ axes)
+    line, best, var = lines_through(at_m, kinds, axis_rad, _ONE_LINE_M), np.zeros(2), np.zeros(2)
     for axis, predicted in enumerate((predicted_m @ axes).tolist()):
-        value, sigma = _by_line(off[:, axis], at[:, axis], kinds, sigma_m)
+        value, sigma = _by_line(off[:, axis], sigma_m, line[:, axis])
         best[axis], var[axis] = _Votes(value, sigma, predicted, float(cov[axis])).likeliest()
     used = np.all(np.abs(off - best) < _AGREE_SIGMAS * sigma_m[:, None], axis=1)
     return Agreed(axes @ best, axes @ np.diag(var) @ axes.T, used)
 
 
-def _by_line(off: Array, at: Array, kinds: Ints, sigma_m: Array) -> tuple[Array, Array]:
-    """(V,) votes and their standard deviations: the mean of a line's crossings, and every point."""
-    order, of = np.argsort(at, kind="stable"), np.empty(len(at), np.int64)
-    of[order] = np.cumsum(np.diff(at[order], prepend=-np.inf) > _ONE_LINE_M)
-    points = np.flatnonzero(kinds >= LINE_CROSSINGS)
-    of[points] = len(at) + 1 + np.arange(len(points))
-    _, of, count = np.unique(of, return_inverse=True, return_counts=True)
+def _by_line(off: Array, sigma_m: Array, line: Ints) -> tuple[Array, Array]:
+    """(V,) votes and their standard deviations: the means of those that lie on one line (N,)."""
+    _, of, count = np.unique(line, return_inverse=True, return_counts=True)
     return np.bincount(of, off) / count, np.bincount(of, sigma_m) / count

@@ -82,9 +82,7 @@ def find_faint(
             return None
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
         free = fit.finish(pieces=False)
-        if (
-            config.estimate_tilt and prior is None and fit.is_vague(free)
-        ):  # as for edge points: no tilt is read from so little
+        if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
             fit.finish_held(pieces=False)
         if prior is not None and config.estimate_tilt:

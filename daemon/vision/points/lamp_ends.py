@@ -24,8 +24,8 @@ are within 0.043 (484 of `strips-only`, seed 150). Light that tapers ends wherev
 _UNIFORM = 12.0
 """A uniform bar's squared length over the variance of its light."""
 SIGMA_PX = 1.0
-"""Error of an end; chosen: 95 of 100 ends of `strips-only` (484, seed 150) lie within 0.65 px of their median, but the
-recorded lamps (frames 0 to 99) are followed better with 1 px than with 0.5."""
+"""Error of an end; chosen above the 0.65 px within which 95 of 100 ends of `strips-only` (484, seed 150) lie of their
+median."""
 
 
 @dataclass(frozen=True, slots=True)
