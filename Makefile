@@ -15,7 +15,7 @@ help:
 	@echo "make test              every check and every test that needs no special rights"
 	@echo "make check             format, lint and types only"
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
-	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each): SEED=1"
+	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each; DRAWN=24: random ones): SEED=1"
 	@echo "make bench-frame-cost  time of a frame over bare Canny, looked at near predicted edges and whole: OFFICE=folder"
 	@echo "make bench-real DATA=d recordings of real ceilings in folder d"
 	@echo "make bench-paper       the paper's experiment against rivals: SEEDS=100 JOBS=1; resumable"
@@ -162,7 +162,7 @@ wheels: $(VENV)/.installed
 	bash packaging/wheels.sh dist
 
 bench-vision: $(VENV)/.installed-dev
-	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS)) $(if $(SEED),--seed $(SEED))
+	@$(BIN)/python -m ceilvo.bench.vision $(if $(QUICK),--quick) $(if $(CONDITIONS),--conditions $(CONDITIONS)) $(if $(DRAWN),--drawn $(DRAWN)) $(if $(SEED),--seed $(SEED))
 
 bench-frame-cost: $(VENV)/.installed-dev
 	@$(BIN)/python -m ceilvo.bench.speed.frame_cost --look both $(if $(OFFICE),--office $(OFFICE))

@@ -25,6 +25,7 @@ from ceilvo.bench.results.bars import table as bar_table
 from ceilvo.bench.vision.comparisons import compared
 from ceilvo.bench.vision.condition import Condition
 from ceilvo.bench.vision.conditions import conditions
+from ceilvo.bench.vision.drawn import drawn, named
 from ceilvo.bench.vision.run import Options, run
 from ceilvo.bench.vision.textures import OFFICE_TEXTURE, PICTURED
 from ceilvo.config import Config
@@ -74,11 +75,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """0 whether or not the bars are met: they are in the table and in the JSON."""
     args = _parser().parse_args(arguments)
     try:
-        chosen = _chosen(args.conditions, args.seed)
+        chosen = [drawn(args.seed, k) for k in range(args.drawn)] or _chosen(args.conditions, args.seed)
         seconds = args.seconds if args.seconds is not None else (QUICK_S if args.quick else None)
         replace_keys(Config(), args.set)  # a typing mistake is told before anything runs
         results = _run_all(chosen, Options(seconds, args.pictures, not args.no_baselines, tuple(args.set)), args.jobs)
         console = Console(width=None if sys.stdout.isatty() else _TABLE_WIDTH)
+        if args.drawn:
+            console.print("\n".join(f"{c.name}: {c.about}" for c in chosen))
         console.print(table(chosen, results))
         if ratios := compared(chosen, results):
             console.print(bar_table(ratios, "Ratios to a twin (both)"))
@@ -98,6 +101,13 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m ceilvo.bench.vision", description="Front end against exact truth.", epilog=_EXAMPLE
     )
     p.add_argument("--conditions", metavar="A,B", help="names, separated by commas (default: all)")
+    p.add_argument(
+        "--drawn",
+        type=from_up(1),
+        default=0,
+        metavar="N",
+        help="instead, N conditions drawn at random by the seed; drawn-3 names one of them",
+    )
     p.add_argument("--quick", action="store_true", help=f"{QUICK_S:g} s of each condition instead of a lap")
     p.add_argument("--seconds", type=float, metavar="S", help="world time of each condition instead of a lap")
     p.add_argument(
@@ -126,6 +136,8 @@ def _chosen(names: str | None, seed: int) -> list[Condition]:
     for name in names.split(","):
         if name == PICTURED and name not in known:
             raise ConfigError(f"condition: {name} needs {data_path(OFFICE_TEXTURE)}, found nothing; set CEILVO_DATA")
+        if drawn_one := named(name, seed):
+            known[name] = drawn_one
         if name not in known:
             raise ConfigError(f"condition: no '{name}'; known are {', '.join(known)}")
     return [known[name] for name in names.split(",")]
@@ -144,7 +156,7 @@ def _run_all(chosen: list[Condition], options: Options, jobs: int) -> list[dict[
         spawn.Pool(jobs, _hear, (done,), maxtasksperchild=1) as pool,
     ):
         task = progress.add_task("frames", total=sum(totals))
-        running = [pool.apply_async(_job, (c.name, c.spec.seed, options)) for c in chosen]
+        running = [pool.apply_async(_job, (c, options)) for c in chosen]
         while not all(r.ready() for r in running):
             try:
                 name, frames = done.get(timeout=0.2)
@@ -159,16 +171,16 @@ def _hear(done: Any) -> None:
     _frames_done = done
 
 
-def _job(name: str, seed: int, options: Options) -> dict[str, float]:
+def _job(condition: Condition, options: Options) -> dict[str, float]:
     count = 0
 
     def progress(frames: int) -> None:
         nonlocal count
         count += frames
         if count % _REPORT_EVERY == 0:
-            _frames_done.put((name, _REPORT_EVERY))
+            _frames_done.put((condition.name, _REPORT_EVERY))
 
-    return run(_chosen(name, seed)[0], options, progress)
+    return run(condition, options, progress)
 
 
 def table(chosen: list[Condition], results: list[dict[str, float]]) -> Table:

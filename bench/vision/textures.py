@@ -39,7 +39,7 @@ PICTURED, OFFICE_TEXTURE = "office-texture", "textures/OfficeCeiling006_4K_color
 TWO_LAMPS = CeilingSpec(joints=False, vents=0, spots=0, stains=0, tile_spread=0.0, texture=0.0, lamp_every=(4, 3))
 _LIGHTS_EVERY_M, _LIGHTS_BELOW_M, _ROOM_M = 1.7, 1.4, 6.94
 """Lights that a glossy ceiling shows: how far apart, how far below it, and up to where; chosen, as desk lamps stand."""
-_GLINT_M, _GLINT, _POOL_M, _POOL = 0.015, 4.0, 0.25, 0.35
+GLINT, POOL = (0.015, 4.0), (0.25, 0.35)
 """Size on the ceiling (sigma) and radiance of a glint, which saturates, and of a pool of glow; chosen."""
 
 
@@ -73,9 +73,9 @@ def found_ceilings() -> tuple[Found, ...]:
         Found("hexagons-round", "hexagons of 0.5 m with round lamps", replace(HEXAGONS, round_lamps=True)),
         Found("slats-round", "slats of wood with round lamps", replace(WOOD, round_lamps=True)),
         Found("plaster-round", "plaster with round lamps, one to four in view", replace(PLASTER, round_lamps=True)),
-        Found("plaster-glints", "plaster with troffers, and glints that slide", PLASTER, _reflecting(_GLINT_M, _GLINT)),
-        Found("pools", "pools of glow that slide with the robot", render=_reflecting(_POOL_M, _POOL)),
-        Found("glints", "glints that pass for lamps and slide", render=_reflecting(_GLINT_M, _GLINT)),
+        Found("plaster-glints", "plaster with troffers, and glints that slide", PLASTER, reflecting(*GLINT)),
+        Found("pools", "pools of glow that slide with the robot", render=reflecting(*POOL)),
+        Found("glints", "glints that pass for lamps and slide", render=reflecting(*GLINT)),
         Found("off-24-deg", "camera mounted 24 deg off the vertical", true=askew),
         *_pictured(data_path(OFFICE_TEXTURE)),
     )
@@ -91,7 +91,7 @@ def _pictured(path: Path) -> list[Found]:
     return [Found(PICTURED, "a picture of a ceiling that nobody here drew", ceiling)]
 
 
-def _reflecting(sigma_m: float, radiance: float) -> RenderSpec:
+def reflecting(sigma_m: float, radiance: float) -> RenderSpec:
     """Lights all over the room, and one on the robot."""
     at = np.arange(0.5, _ROOM_M, _LIGHTS_EVERY_M)
     lights = [Gloss((float(x), float(y)), _LIGHTS_BELOW_M, sigma_m, radiance) for x in at for y in at]

@@ -13,7 +13,7 @@ from ceilvo.crossing_types import LAMP, LINE_CROSSINGS, commonest, quarter_turns
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.kernel.arguments import CORNER_SIGMA_M
 from ceilvo.daemon.odometry.lines.direction import DIRECTION_SIGMAS, direction_change
-from ceilvo.daemon.odometry.lines.through import lines_through, numbered
+from ceilvo.daemon.odometry.lines.through import LINE_M, lines_through
 from ceilvo.daemon.odometry.matching import Bools, consistent, mutual_nearest
 from ceilvo.daemon.odometry.points.constellation import Points, has_points
 from ceilvo.daemon.odometry.points.turning import TURNED, Turning
@@ -183,9 +183,11 @@ def register(
 
 def _are_spread(at: Array, axis_rad: float) -> bool:
     """Whether crossings (N, 2) determine a homography: two at least lie beside any one line. Where a corridor's joints
-    meet a single one RANSAC keeps any few of them."""
-    across = np.sort(at @ se2.rotation(axis_rad), axis=0).T
-    return all(len(at) - np.max(np.bincount(numbered(c)), initial=0) > 1 for c in across)
+    meet a single one RANSAC keeps any few of them. A single one beside them stands at either end."""
+    across = np.sort(at @ se2.rotation(axis_rad), axis=0)
+    begins = across[1:] - across[:-1] > LINE_M
+    beside = begins[1:-1].any(axis=0) | (begins[:1] & begins[-1:]).any(axis=0)
+    return len(at) > 2 and bool(beside.all())
 
 
 def matched(ref: Crossings, crossings: Crossings, guess: Array, radius_m: float) -> tuple[Ints, Ints, Ints]:

@@ -208,7 +208,7 @@ def test_a_seed_draws_every_condition_anew_and_is_told(monkeypatch: pytest.Monke
     assert {c.spec.seed for c in vision._chosen(None, 61)} == {61}
     ran = []
     monkeypatch.setattr(vision, "run", lambda condition, options, progress: ran.append(condition) or {})
-    vision._job("tilt", 61, Options())
+    vision._job(vision._chosen("tilt", 61)[0], Options())
     assert [(c.name, c.spec.seed) for c in ran] == [("tilt", 61)]
     usual, other = (vision._chosen("base", seed)[0].world() for seed in (1, 61))
     assert not np.array_equal(usual.frame_at(0.0), other.frame_at(0.0))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.crossing_types import CORNER, LAMP
 from ceilvo.daemon.vision.points.lamp_ends import SIGMA_PX as END_SIGMA_PX
@@ -19,6 +20,9 @@ _BRIGHTEST = 0.999
 """Quantile that is a lamp's brightness, if one is in view; chosen: a lamp of 20 x 20 px is 0.13 % of the picture."""
 _BRIGHTER = 50.0
 """Grey levels by which a lamp exceeds the ceiling at least; chosen: glow and stains stay below."""
+_NOT_NOISE = 0.8
+"""Share of that which is left in a picture that is smoothed, where it is a lamp and not the noise of what is bright
+anyhow; chosen: a disc of 20 px keeps .85."""
 _HALF = 0.5
 """Share of the way from the ceiling to the lamp at which a lamp ends; chosen: its glow on the ceiling lies below."""
 _LEAST_PX, _MOST_SHARE = 20, 0.12
@@ -34,7 +38,8 @@ rendered lamps show."""
 
 def find_lamps(gray: Gray, places: Places) -> tuple[Found, Gray]:
     """Lamps in a picture (H, W) that is looked at, and (H, W) 255 where anything is as bright."""
-    limit = _threshold(gray, places)
+    smooth = np.asarray(cv2.GaussianBlur(gray, (5, 5), 0), np.uint8)
+    limit = _threshold(gray, smooth, places)
     if limit is None:
         return NONE, np.zeros_like(gray)
     bright = np.asarray(cv2.threshold(gray, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
@@ -44,10 +49,11 @@ def find_lamps(gray: Gray, places: Places) -> tuple[Found, Gray]:
     whole &= (x + wide <= places.width - _BORDER_PX) & (y + high <= places.height - _BORDER_PX)
     lamp = (area >= _LEAST_PX) & (area <= _MOST_SHARE * gray.size)
     lamp[0] = False  # what is not bright
+    lamp[lamp] = [np.max(smooth[_box(stats[i])][labels[_box(stats[i])] == i]) >= limit for i in np.flatnonzero(lamp)]
     ids = np.flatnonzero(lamp)
     found, ends = [], []
     for i in ids[np.argsort(-area[ids], kind="stable")[:_MOST]].tolist():
-        rows, columns = slice(y[i], y[i] + high[i]), slice(x[i], x[i] + wide[i])
+        rows, columns = _box(stats[i])
         weight = np.where(labels[rows, columns] == i, gray[rows, columns] - limit, 0.0)
         one = _centre(weight, rows, columns, places) if whole[i] else None
         if one is not None:
@@ -58,13 +64,22 @@ def find_lamps(gray: Gray, places: Places) -> tuple[Found, Gray]:
     return joined(found) if found else NONE, bright
 
 
-def _threshold(gray: Gray, places: Places) -> float | None:
+def _box(stats: NDArray[np.int32]) -> tuple[slice, slice]:
+    """Rows and columns of a blob."""
+    x, y, wide, high, _ = stats.tolist()
+    return slice(y, y + high), slice(x, x + wide)
+
+
+def _threshold(gray: Gray, smooth: Gray, places: Places) -> float | None:
     """Grey level from which a pixel is of a lamp; None where nothing is much brighter than the ceiling."""
-    some = gray[::_STRIDE, ::_STRIDE][places.known[::_STRIDE, ::_STRIDE] > 0]
+    known = places.known[::_STRIDE, ::_STRIDE] > 0
+    some, without_noise = (picture[::_STRIDE, ::_STRIDE][known] for picture in (gray, smooth))
     if not len(some):
         return None
     ceiling, lamp = np.quantile(some, [0.5, _BRIGHTEST]).tolist()
-    return ceiling + _HALF * (lamp - ceiling) if lamp - ceiling >= _BRIGHTER else None
+    if lamp - ceiling < _BRIGHTER or np.quantile(without_noise, _BRIGHTEST) - ceiling < _NOT_NOISE * _BRIGHTER:
+        return None
+    return float(ceiling + _HALF * (lamp - ceiling))
 
 
 def _centre(weight: Array, rows: slice, columns: slice, places: Places) -> Found | None:

@@ -157,3 +157,18 @@ def test_where_the_glow_of_a_lamp_ends_the_search_is_no_corner() -> None:
         beside, corners = beside + int(np.count_nonzero(far_m < 0.18)), corners + len(corner)
     print(f"seed 152: {beside} of {corners} corners within 18 cm of a lamp")
     assert beside <= 2
+
+
+def test_noise_makes_no_point_and_hides_no_corner_that_stands_out() -> None:
+    """Boards brighter to one side, twelve grey levels of noise, seed 21, ten pictures; then with a dark square."""
+    rng, camera = np.random.default_rng(SEED), World(WorldSpec(seed=SEED)).calibration.camera
+    finder = PointFinder(World(WorldSpec(seed=SEED)).calibration, VIEW_DEG)
+    y, x = np.mgrid[: camera.height_px, : camera.width_px]
+    board = 90.0 + 60.0 * x / camera.width_px
+    square = board - 40.0 * ((np.abs(x - 300) < 25) & (np.abs(y - 250) < 25))
+    for ceiling, fewest, most in ((board, 0, 0), (square, 3, 10)):
+        for _ in range(10):
+            gray = np.clip(ceiling + rng.normal(0.0, 12.0, ceiling.shape), 0.0, 255.0).astype(np.uint8)
+            seen, _ = finder(gray, None, None)
+            kinds = np.zeros(0) if seen is None else seen.crossing_type
+            assert fewest <= np.count_nonzero(kinds == CORNER) and len(kinds) <= most, kinds
