@@ -10,6 +10,9 @@ from ceilvo.daemon.odometry.heights.levels import Levels
 from ceilvo.daemon.odometry.heights.tracks import Tracks
 from ceilvo.types import Array, Crossings, Ints
 
+_LATELY, _MAY_FAIL = 30.0, 0.2
+"""Frames, and the share of them without a motion beyond which no height is founded; chosen: a second, a fifth."""
+
 
 @dataclass(slots=True)
 class HeightsState:
@@ -26,6 +29,7 @@ class HeightsState:
         settled: a second height was found, and lines are measured against a camera that is known to move right.
         remembered: heights of an earlier run; no line was met at one of them yet, or they are in levels.
         asks: none of those was met yet, and the map did not say either that all here is at the calibrated height.
+        failing: share of the frames, over about the last second, that gave no motion.
     """
 
     tracks: Tracks = field(default_factory=Tracks)
@@ -39,3 +43,13 @@ class HeightsState:
     settled: bool = False
     remembered: Levels = field(default_factory=Levels)
     asks: bool = False
+    failing: float = 0.0
+
+    def told(self, ok: bool) -> None:
+        """A frame gave a motion, or none."""
+        self.failing += (float(not ok) - self.failing) / _LATELY
+
+    @property
+    def fails(self) -> bool:
+        """Whether too many frames give no motion for lines to tell their heights by it: false tilts move them, too."""
+        return self.failing > _MAY_FAIL

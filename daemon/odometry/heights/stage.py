@@ -167,6 +167,7 @@ class Heights:
         """What the motion says about the lines of the frame that was looked at last."""
         s = self.state
         self.misplaced, self.suspicion = np.zeros((0, 2)), SLOPES if s.slopes else ""
+        s.told(motion.ok or motion.restarted)
         s.camera_m = s.camera_m + self._way(motion.prev_from_curr)
         turned = (s.turned_rad or 0.0) + float(motion.prev_from_curr[2])
         s.reference = None
@@ -230,7 +231,7 @@ class Heights:
         s, t = self.state, self.state.tracks
         ratio, sigma = self._ratios()
         unlisted = s.levels.unlisted(ratio, sigma)
-        if s.slopes or not np.any(unlisted):
+        if s.slopes or not np.any(unlisted) or s.fails:
             return
         known = (crossed >= _CROSSED) & t.steady()
         new = unlisted & known & (s.levels.apart(ratio) * t.ways_m() > _PARALLAX_M)
