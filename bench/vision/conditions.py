@@ -28,6 +28,16 @@ _DARKER_A_LEVEL = 0.0118
 """By which part a groove must be darker than the tiles beside it to be a grey level darker in the picture: measured
 across joints 8 mm wide in a picture without noise, speckle and lamps."""
 FULL = ("features.full_every=1",)
+HANGING = {
+    "step": "the half of the room 0.4 m lower",
+    "beams": "beams 0.3 m deep, every 1.6 m",
+    "coffers": "coffers 0.25 m deep, 1.2 m apart",
+    "ducts": "ducts and cable trays that cross, below the ceiling",
+    "truss": "thin bars both ways, 0.5 m below the ceiling",
+    "hanging_lamps": "lamps 0.6 m below the ceiling",
+    "signs": "boards that hang on edge, 0.45 m below the ceiling",
+}
+"""What is lower than a ceiling, by the name of its scene."""
 KNOWN = "-known"
 """Ends the name of a condition whose heights are known from an earlier run."""
 MOUNT_XY_M = (0.05, -0.03)  # chosen: off the centre, so that turning moves the camera
@@ -60,8 +70,8 @@ def _light() -> list[Condition]:
     return [
         make("base", "lamps on, usual noise", bars={**crossings, **motion, **TIMES}),
         make("base-full", "the same, every frame looked at whole", overrides=FULL, bars={**crossings, **WHOLE_TIMES}),
-        make("noise-x3", "three times the noise", render=_noisy(3.0), bars=_found(98.0)),
-        make("noise-x6", "six times the noise", render=_noisy(6.0)),
+        make("noise-x3", "three times the noise", render=noisy(3.0), bars=_found(98.0)),
+        make("noise-x6", "six times the noise", render=noisy(6.0)),
         make("lamps-off", "30 % daylight only", render=replace(USUAL, lit=())),
         make("dark", "12 % daylight only", render=replace(USUAL, lit=(), daylight=0.12), bars=_found(97.0)),
         make(
@@ -98,16 +108,7 @@ def _heights() -> list[Condition]:
     high_m = simulated_calibration().ceiling_height_m
     steep = float(np.tan(np.radians(5.0)))
     slopes = {"slope": ((steep, 0.0), "along x"), "slope-across": ((0.0, steep), "along y")}
-    about = {
-        "step": "the half of the room 0.4 m lower",
-        "beams": "beams 0.3 m deep, every 1.6 m",
-        "coffers": "coffers 0.25 m deep, 1.2 m apart",
-        "ducts": "ducts and cable trays that cross, below the ceiling",
-        "truss": "thin bars both ways, 0.5 m below the ceiling",
-        "hanging_lamps": "lamps 0.6 m below the ceiling",
-        "signs": "boards that hang on edge, 0.45 m below the ceiling",
-    }
-    rooms = [(n.replace("_", "-"), a, getattr(scenes, n)(LAP.room_m, high_m)) for n, a in about.items()]
+    rooms = [(n.replace("_", "-"), a, getattr(scenes, n)(LAP.room_m, high_m)) for n, a in HANGING.items()]
     found_out = [
         *(make(name, a, surroundings=room, bars=bars) for name, a, room in rooms),
         *(
@@ -190,7 +191,7 @@ def _of_size(width_px: int, height_px: int) -> Calibration:
 
 
 def _stress() -> list[Condition]:
-    render = replace(_noisy(3.0), flicker_depth=0.3, switch_groups=3, switch_period_s=1.7)
+    render = replace(noisy(3.0), flicker_depth=0.3, switch_groups=3, switch_period_s=1.7)
     about = "noise x3, flicker, switching, tilt 2 deg, plates pass by"
     stress: dict[str, Any] = {"render": render, "tilt": TWO_DEG, "surroundings": OVERHANG}
     return [
@@ -248,8 +249,9 @@ def _found(recall_pct: float) -> dict[str, Bar]:
     return {"recall_pct": at_least(recall_pct), "precision_pct": at_least(98.0)}
 
 
-def _noisy(times: float) -> RenderSpec:
-    return replace(USUAL, read_noise=USUAL.read_noise * times, shot_noise=USUAL.shot_noise * times**2)
+def noisy(times: float, usual: RenderSpec = USUAL) -> RenderSpec:
+    """So many times the noise."""
+    return replace(usual, read_noise=usual.read_noise * times, shot_noise=usual.shot_noise * times**2)
 
 
 def _overhang() -> SurroundingsSpec:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from ceilvo.bench.vision.condition import LAP, Condition, make
+from ceilvo.bench.vision.conditions import HANGING, noisy
 from ceilvo.bench.vision.textures import GLINT, POOL, reflecting
+from ceilvo.calibration import Calibration
 from ceilvo.sim.ceiling.spec import CeilingSpec
 from ceilvo.sim.motion import LapSpec, TiltSpec
 from ceilvo.sim.renderer import RenderSpec
@@ -24,11 +26,10 @@ are."""
 _FPS = (10.0, 15.0, 20.0, 30.0, 30.0)
 _TURNS_RADPS = 1.5
 """Fastest turn of the issue's bars."""
-_USUAL_HIGH_M = 2.2
-"""The simulator's; a ceiling further off is drawn as much more coarsely, for it takes memory."""
+_USUAL_HIGH_M = simulated_calibration().ceiling_height_m
+"""A ceiling further off is drawn as much more coarsely, for it takes memory."""
 _SUB_POSES = 3
 """Of an exposure: fewer than elsewhere, because there are so many draws."""
-_HALF_ROOM_M = 0.5 * LAP.room_m - LAP.inset_m
 _WORLDS = 1000
 """Seeds of worlds are so many times the bench's seed and on."""
 
@@ -108,14 +109,13 @@ def _ceiling(rng: np.random.Generator) -> tuple[str, CeilingSpec]:
 
 
 def _surroundings(rng: np.random.Generator, high_m: float) -> tuple[str, SurroundingsSpec]:
-    names = ("step", "beams", "coffers", "ducts", "truss", "hanging_lamps", "signs")
     if rng.random() < 0.7 or high_m < 2.0:
         return "", SurroundingsSpec()
-    name = str(rng.choice(names))
+    name = str(rng.choice(list(HANGING)))
     return f", {name.replace('_', ' ')}", getattr(scenes, name)(LAP.room_m, high_m)
 
 
-def _camera(rng: np.random.Generator, high_m: float, ceiling: CeilingSpec) -> tuple[str, Any]:
+def _camera(rng: np.random.Generator, high_m: float, ceiling: CeilingSpec) -> tuple[str, Calibration]:
     kind: Any = str(rng.choice(["pinhole", "pinhole", "pinhole", "fisheye"]))
     width, height = _SIZES[int(rng.integers(len(_SIZES)))]
     if kind == "fisheye" and width < 640:
@@ -144,14 +144,12 @@ def _light(rng: np.random.Generator) -> tuple[str, RenderSpec]:
     noise = float(np.exp(rng.uniform(np.log(0.5), np.log(4.0))))
     exposure_s = float(rng.choice([0.0, 0.005, 0.015, 0.025]))
     spec = replace(
-        base,
+        noisy(noise, base),
         daylight=float(rng.uniform(0.12, 0.8)),
         lit=() if rng.random() < 0.15 else None,
         flicker_depth=float(rng.choice([0.0, 0.0, 0.3])),
         switch_groups=int(rng.choice([0, 0, 0, 0, 0, 3])),
         psf_px=float(rng.uniform(0.4, 1.2)),
-        read_noise=base.read_noise * noise,
-        shot_noise=base.shot_noise * noise**2,
         exposure_s=exposure_s,
         sub_poses=_SUB_POSES,
     )
@@ -164,12 +162,7 @@ def _light(rng: np.random.Generator) -> tuple[str, RenderSpec]:
 def _driving(rng: np.random.Generator) -> tuple[str, LapSpec, TiltSpec]:
     speed_mps = float(rng.uniform(0.2, 1.2))
     radius_m = max(speed_mps / _TURNS_RADPS, float(rng.uniform(0.3, 0.8)))
-    lap = replace(
-        LAP,
-        speed_mps=speed_mps,
-        corner_radius_m=min(radius_m, 0.5 * _HALF_ROOM_M),
-        rest_s=float(rng.choice([0.0, 0.5, 2.0])),
-    )
+    lap = replace(LAP, speed_mps=speed_mps, corner_radius_m=radius_m, rest_s=float(rng.choice([0.0, 0.5, 2.0])))
     deg = float(rng.choice([0.0, 0.0, 0.5, 2.0]))
     tilt = TiltSpec(float(np.radians(deg)), at_rest=bool(deg) and bool(rng.random() < 0.4))
     rocks = f", rocks by {deg:g} deg{' from the start' if tilt.at_rest else ''}" if deg else ""

@@ -48,3 +48,7 @@ def seen(lines: list[tuple[int, float, float]], pose: Array, rng: np.random.Gene
 
 def grid(high_m: float, first: float, count: int, spacing_m: float = 0.6) -> list[tuple[int, float, float]]:
     return [(axis, first + k * spacing_m, high_m) for axis in (0, 1) for k in range(count)]
+
+
+TWO_HEIGHTS = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
+"""Lines of a ceiling and, between them, of a lower one."""

@@ -105,9 +105,8 @@ def _extrema(octave: Floats, usable: Gray) -> tuple[Array, Array]:
     return at, np.abs(here[good][near])
 
 
-def find_corners(gray: Gray, places: Places, free: Gray) -> Found:
-    """Corners, such as where three joints meet."""
-    smooth = cv2.GaussianBlur(gray, (5, 5), 0)
+def find_corners(smooth: Gray, gray: Gray, places: Places, free: Gray) -> Found:
+    """Corners, such as where three joints meet, of a picture (H, W) and that denoised()."""
     darkest, brightest, *_ = cv2.minMaxLoc(smooth)
     if brightest - darkest < CORNER_LEVELS:
         return NONE

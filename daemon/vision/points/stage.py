@@ -7,13 +7,14 @@ Lamps come first: nothing is placed as well as the centre of their light, and no
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
 from ceilvo.daemon.vision.points.lamps import find_lamps
-from ceilvo.daemon.vision.points.places import Found, Gray, Places, joined
+from ceilvo.daemon.vision.points.places import Found, Gray, Places, denoised, joined
 from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.thinning import ALL_CELLS, ENOUGH, without_cells
@@ -78,11 +79,12 @@ class PointFinder:
         return self._with(crossings, found), left
 
     def _look(self, gray: Gray, places: Places, need: int) -> Found:
-        lamps, bright = find_lamps(gray, places)
+        smooth = denoised(gray)
+        lamps, bright = find_lamps(gray, smooth, places)
         found = [lamps]
         if len(lamps) < need:
             free = free_of_lamps(places, bright)
-            for more in (find_corners, find_spots):
+            for more in (partial(find_corners, smooth), find_spots):
                 found.append(more(gray, places, free))
                 if sum(map(len, found)) >= need:
                     break

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from height_drawings import CALIBRATION, HIGH_M, SEED, grid, seen
+from height_drawings import CALIBRATION, HIGH_M, SEED, TWO_HEIGHTS, grid, seen
 
 from ceilvo import se2
 from ceilvo.crossing_types import CORNER, LAMP
@@ -17,7 +17,6 @@ from ceilvo.types import NO_DIRECTION_RAD, Displacement, Motion
 
 POSES = [np.array([0.03 * k, 0.012 * k, 0.005 * k]) for k in range(40)]
 """Of a drive in a bend."""
-TWO_HEIGHTS = [*grid(HIGH_M, -1.2, 4), *((axis, at + 0.3, high) for axis, at, high in grid(HIGH_M - 0.4, -1.2, 4))]
 
 
 def drive(heights: Heights, lines: list[tuple[int, float, float]], too_long: float = 1.0) -> Iterator[float]:
