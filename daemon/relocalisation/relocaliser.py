@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.course import JUMPED
@@ -51,7 +52,7 @@ class Relocaliser:
         self.filter = filter_
         self._calibration = calibration
         self._settings = config.filter
-        self._rate = config.states.false_place_rate
+        self._rate, self._lost_sigma_m = config.states.false_place_rate, config.states.lost_sigma_m
         self._sharp = SharpView(calibration, config.features.max_view_deg)
         self._schedule = UpdateSchedule(config.filter)
         self.floor_tracker = FloorTracker()
@@ -152,7 +153,8 @@ class Relocaliser:
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        if s.survey.coverage.area_m2 > self._sharp.young_m2 and not doubts.negligible(doubt, self._rate):
+        lost = se2.greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2  # landmarks would pass for others
+        if (lost or s.survey.coverage.area_m2 > self._sharp.young_m2) and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
     def look(self, stamp_ns: int, crossings: Crossings) -> Observations | None:

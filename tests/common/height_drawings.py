@@ -15,11 +15,13 @@ NOISE_M = 0.0001
 SEED = 5
 
 
-def seen(lines: list[tuple[int, float, float]], pose: Array, rng: np.random.Generator) -> tuple[Crossings, Array]:
+def seen(
+    lines: list[tuple[int, float, float]], pose: Array, rng: np.random.Generator, noise_m: float = NOISE_M
+) -> tuple[Crossings, Array]:
     """Crossings of all lines (axis, place in map, height above the camera) that are alike in height, as a camera at a
     pose (3,) takes them for ones at the calibrated height; and where they are in base."""
     camera = se2.transform(pose, CALIBRATION.mount_xy_m[None])[0]
-    error = rng.normal(0.0, NOISE_M, len(lines))
+    error = rng.normal(0.0, noise_m, len(lines))
     apparent = [(at - camera[axis]) * HIGH_M / high for axis, at, high in lines] + error
     pairs = [
         (i, j)

@@ -73,7 +73,7 @@ class HeightsOdometry(VisualOdometry):
     def learn(self, motion: Motion, placed: Crossings | None) -> Crossings | None:
         """What the motion says about the ceiling; returns the crossings, where they are known to be now."""
         self.heights.learn(motion)
-        self.slope.learn(motion)
+        self.slope.learn(motion, self.heights.several)
         self._sliding.learn(self.state.sliding, motion, sway_m(self.state.lean))
         anew = None if self.heights.several else self.slope.reference()
         return placed if anew is None else anew

@@ -42,6 +42,8 @@ _LOOK_M, _LOOK_RAD = 0.1, math.radians(3.0)
 _OTHER_HIGH = 0.01
 """By so much tiles must say that a ceiling that leans is higher or lower than calibrated; chosen: where it is as high,
 taking its lean for the robot's does no harm until that turns."""
+_REACH_M = 15.0
+"""From where the height was calibrated, at most; chosen, a hall: tiles that are further off by a rise are others."""
 _KEY_M, _KEY_RAD, _FEWEST = 0.3, math.radians(20.0), 8
 """A view serves for so much way and turn, while so many crossings are in both; chosen: half of them stay in view."""
 _FEWEST_LINES = 6
@@ -51,14 +53,12 @@ _PLAUSIBLE = 3.0 * HIGH_SIGMA
 """Of the height over the calibrated one: a plane that is further off is none; 99.7 %."""
 _SCALE_SIGMA = 0.0005
 """Least, of the ratio of two views' sizes; chosen: 0.5 mm on a metre, as errors of lens and lines that move past."""
-_TILE_SIGMA = 0.002
-"""Of a height by tiles; chosen: errors of the lens are the same in all frames."""
+_TILE_SIGMA = 0.002  # of a height by tiles; chosen: errors of the lens are the same in all frames
 _NEAR_M, _NEARER_M = 0.06, 0.01
 """Within which crossings of two views are the same: before and after their ratio is known; chosen."""
 _HIGH_KNOWN = 0.004
 """Standard deviation of the height over the calibrated one with which a way is good to half a per cent; chosen."""
-_BLIND_M = 0.3
-"""Off the start by less, a height that is wrong by a twentieth makes 15 mm; chosen."""
+_BLIND_M = 0.3  # chosen: off the start by less, a height that is wrong by a twentieth makes 15 mm
 _OTHER_RAD, _OTHER_SIGMAS, _OTHER_FRAMES = math.radians(1.2), 3.0, 8
 """By how much, also in units of its scatter, and in how many frames in a row a view leans otherwise than the plane,
 when that has ended; chosen: a robot that rocks leans by twice the scatter at most."""
@@ -190,8 +190,8 @@ class Slope:
         s = self.state
         return None if s.raw is None or s.used is None or not self.moved else self._on(s.used, s.raw, s.pose)
 
-    def learn(self, motion: Motion) -> None:
-        """What the motion says about the plane."""
+    def learn(self, motion: Motion, several: bool = False) -> None:
+        """What the motion says about the plane; several: heights are known, which tell views' sizes from then on."""
         s, self.moved, self.misplaced = self.state, False, np.zeros((0, 2))
         s.pose = se2.compose(s.pose, motion.prev_from_curr)
         if motion.restarted:  # the plane stays, unless it turns out to lean otherwise: somebody turned the robot
@@ -213,7 +213,9 @@ class Slope:
         if expected is not None and self._is_other(lean - expected):
             s = self._begin_anew(s.used)
         way = se2.between(s.looked, s.pose)
-        if s.key is None or s.fit.frames == _AT_FIRST or np.hypot(*way[:2]) > _LOOK_M or abs(way[2]) > _LOOK_RAD:
+        if several and s.used is None:
+            s.key = None
+        elif s.key is None or s.fit.frames == _AT_FIRST or np.hypot(*way[:2]) > _LOOK_M or abs(way[2]) > _LOOK_RAD:
             self._put_together(raw)
 
     # -- what is known of the plane
@@ -293,7 +295,7 @@ class Slope:
         for axis in (0, 1):
             of = (lines.axis == axis) & (lines.kind == 0)
             seen = seen_high(lines.apparent_m[of], count[of], tile_m, self._above(plane, s.pose) / self._high_m)
-            if seen is not None:
+            if seen is not None and abs(seen[0] - 1.0) * self._high_m < math.sqrt(steep - 1.0) * _REACH_M:
                 along = float(lines.normals[axis] @ rise) ** 2 / max(steep - 1.0, _LEVEL)
                 # tiles along the slope seem smaller by its root or by all of it: whether it or the floor was laid out
                 factor = 1.0 + along * (steep**0.75 - 1.0)

@@ -13,7 +13,7 @@ from ceilvo.daemon.odometry.heights.by_map import AskMap, MapHere, levels_by_map
 from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
-from ceilvo.daemon.odometry.heights.tracks import UNKNOWN, Bools, Tracks
+from ceilvo.daemon.odometry.heights.tracks import UNKNOWN, Bools, Sharpness, Tracks
 from ceilvo.daemon.odometry.points.constellation import has_points
 from ceilvo.se2 import rotation
 from ceilvo.types import Array, Crossings, Ints, Motion
@@ -81,7 +81,7 @@ class Heights:
 
     def __init__(self, calibration: Calibration) -> None:
         self._mount, self._level_from_ceiling = calibration.mount_xy_m, calibration.level_from_ceiling
-        self._height_m = calibration.ceiling_height_m
+        self._height_m, self._sharp = calibration.ceiling_height_m, Sharpness.of(calibration)
         self.state = HeightsState()
         self._look: _Look | None = None
         self.misplaced = np.zeros((0, 2))
@@ -95,7 +95,7 @@ class Heights:
     @property
     def wants_whole_look(self) -> bool:
         """Whether edges are not where those of one plane would be: then predicted ones are not enough."""
-        ratio, sigma = self.state.tracks.ratios()
+        ratio, sigma = self.state.tracks.ratios(self._sharp)
         strange = (np.abs(ratio - 1.0) > _STRANGE) & (sigma < _TELLING) & (self.state.tracks.missing == 0)
         return self.several or bool(np.any(strange))
 
@@ -185,7 +185,7 @@ class Heights:
         s.next_name += new
         s.tracks.level[track] = np.where(s.tracks.level[track] == UNKNOWN, look.told, s.tracks.level[track])
         if motion.ok or motion.restarted:
-            s.tracks.measure(track)
+            s.tracks.measure(track, self._sharp)
             s.reference, s.names = look.crossings, s.tracks.name[track][look.lines.of_crossing]
         self._assign(look.lines, track)
         lost = s.tracks.lost()
@@ -229,13 +229,14 @@ class Heights:
             crossed: (T,) crossings of each line in this frame.
         """
         s, t = self.state, self.state.tracks
+        parallax_m = self._sharp.coarse * _PARALLAX_M
         ratio, sigma = self._ratios()
         unlisted = s.levels.unlisted(ratio, sigma)
         if s.slopes or not np.any(unlisted) or s.fails:
             return
-        known = (crossed >= _CROSSED) & t.steady()
-        new = unlisted & known & (s.levels.apart(ratio) * t.ways_m() > _PARALLAX_M)
-        s.slopes = bool(np.any(new)) and t.slopes(ratio, sigma)
+        known = (crossed >= _CROSSED) & t.steady(self._sharp)
+        new = unlisted & known & (s.levels.apart(ratio) * t.ways_m() > parallax_m)
+        s.slopes = bool(np.any(new)) and t.slopes(ratio, sigma, self._sharp)
         if s.slopes or not np.any(new):
             return
         if not self.several:
@@ -243,7 +244,7 @@ class Heights:
             if factor != 1.0:
                 t.rescaled(factor)
                 ratio, sigma = self._ratios()
-                new = s.levels.unlisted(ratio, sigma) & known & (s.levels.apart(ratio) * t.ways_m() > _PARALLAX_M)
+                new = s.levels.unlisted(ratio, sigma) & known & (s.levels.apart(ratio) * t.ways_m() > parallax_m)
         near = np.abs(ratio[:, None] - ratio) < np.maximum(SAME, 2.0 * np.hypot(sigma[:, None], sigma))
         near &= (sigma < 2.0 * _TELLING) & known & s.levels.unlisted(ratio, sigma)  # not: vague, and on a level
         near &= (np.abs(t.apparent_m[:, None] - t.apparent_m) > _APART_M) | (t.axis[:, None] != t.axis)
@@ -274,7 +275,7 @@ class Heights:
         """As Tracks.ratios(), by the calibrated level's lines of the same axis: what is wrong with the way along it is
         in theirs as well."""
         t = self.state.tracks
-        ratio, sigma = t.ratios()
+        ratio, sigma = t.ratios(self._sharp)
         if not self.several:
             return ratio, sigma
         main = t.own & (t.level == 0) & np.isfinite(sigma)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ceilvo.calibration import Calibration
 from ceilvo.daemon.odometry import kernel
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.kernel.arguments import Limits, RatioNoise
@@ -34,7 +35,9 @@ _SIGMA_M, _SIGMA_RATIO = 0.0004, 0.002
 however far it is followed, for what lens and tilt leave; chosen."""
 _INDEPENDENT = 8.0
 """Measurements of a line that err on their own, at most; chosen, for the same reason."""
-_NOISE = RatioNoise(_STEP_M, _SIGMA_M, _SIGMA_RATIO, _INDEPENDENT)
+_USUAL_PX_M = 0.0054
+"""Of the ceiling in a pixel of the level view, where these were measured: 2.2 m above a focal length of 410 px. Where a
+pixel is more, errors are so many times larger: lines scatter by 0.08 mm there, by 0.6 at 21 mm in a pixel."""
 _PATIENCE = 4
 """Frames in a row in which a line may be missing; chosen."""
 _OUTLIER_SIGMAS, _OUTLIER_M = 4.0, 0.003
@@ -48,7 +51,33 @@ _STEADY = 1.5
 _SLOPE_LINES, _SLOPE_SIGMA, _SLOPE_RISE, _SLOPE_FITS = 6, 0.02, 0.05, 0.35
 """Lines that show a slope, how well each must be known, by how much their ratios differ along it, and what a straight
 line may leave of their spread; chosen: 5 deg make 0.13 in a view, and a step of any height leaves more than half."""
-_LIMITS = Limits(_OUTLIER_SIGMAS, _OUTLIER_M, FEWEST, _STRANGE)
+
+
+@dataclass(frozen=True, slots=True)
+class Sharpness:
+    """How well a camera sees where lines are.
+
+    Attributes:
+        coarse: how many times larger its errors are than those that the constants are of; at least 1.
+    """
+
+    coarse: float = 1.0
+
+    @staticmethod
+    def of(calibration: Calibration) -> Sharpness:
+        return Sharpness(max(calibration.ceiling_height_m / calibration.level_view.focal_px / _USUAL_PX_M, 1.0))
+
+    @property
+    def noise(self) -> RatioNoise:
+        return RatioNoise(self.coarse * _STEP_M, self.coarse * _SIGMA_M, _SIGMA_RATIO, _INDEPENDENT)
+
+    @property
+    def limits(self) -> Limits:
+        return Limits(_OUTLIER_SIGMAS, self.coarse * _OUTLIER_M, FEWEST, _STRANGE)
+
+    @property
+    def steady_m(self) -> float:
+        return self.coarse * _STEADY * _SIGMA_M
 
 
 @dataclass(slots=True)
@@ -138,10 +167,10 @@ class Tracks:
         t.apparent_m[track], t.camera_m[track] = seen.apparent_m, camera_m[seen.axis]
         return t, track
 
-    def measure(self, row: Ints) -> None:
+    def measure(self, row: Ints, sharp: Sharpness) -> None:
         """Take in where the tracks `row` were seen last, as far as that is news."""
         others = kernel.lines_measured(
-            row, self.camera_m, self.apparent_m, self.measured_m, self.sums, self.strange, _NOISE, _LIMITS
+            row, self.camera_m, self.apparent_m, self.measured_m, self.sums, self.strange, sharp.noise, sharp.limits
         )
         if len(others):
             self._begin_anew(others)
@@ -180,19 +209,19 @@ class Tracks:
             self, **{f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}
         )
 
-    def ratios(self) -> tuple[Array, Array]:
+    def ratios(self, sharp: Sharpness) -> tuple[Array, Array]:
         """(T,) how fast each moves past, over the camera; (T,) its standard deviation, infinite where not measured."""
-        return self._fitted()[:2]
+        return self._fitted(sharp)[:2]
 
-    def steady(self) -> Bools:
+    def steady(self, sharp: Sharpness) -> Bools:
         """(T,) lines that were measured often and moved evenly: others are two that lie over each other."""
-        bent = self._fitted()[2]
-        return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= (_STEADY * _SIGMA_M) ** 2))
+        bent = self._fitted(sharp)[2]
+        return np.asarray((self.sums[:, 0] >= FEWEST) & (bent <= sharp.steady_m**2))
 
-    def slopes(self, ratio: Array, sigma: Array) -> bool:
+    def slopes(self, ratio: Array, sigma: Array, sharp: Sharpness) -> bool:
         """Whether ratios (T,) follow a slope better than levels."""
         for axis in (0, 1):
-            of = (self.axis == axis) & (sigma < _SLOPE_SIGMA) & self.steady()
+            of = (self.axis == axis) & (sigma < _SLOPE_SIGMA) & self.steady(sharp)
             if np.count_nonzero(of) < _SLOPE_LINES:
                 continue
             at, r = self.apparent_m[of], ratio[of]
@@ -208,9 +237,9 @@ class Tracks:
         n = np.maximum(n, 1.0)
         return np.asarray(np.sqrt(12.0 * np.maximum(ss / n - (s / n) ** 2, 0.0)))
 
-    def _fitted(self) -> tuple[Array, Array, Array]:
+    def _fitted(self, sharp: Sharpness) -> tuple[Array, Array, Array]:
         """As kernel.line_ratios()."""
-        ratio, sigma, bent = kernel.line_ratios(self.sums, _NOISE)
+        ratio, sigma, bent = kernel.line_ratios(self.sums, sharp.noise)
         return ratio, sigma, bent
 
     def rescaled(self, factor: float) -> None:

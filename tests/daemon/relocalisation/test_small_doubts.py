@@ -17,9 +17,9 @@ from ceilvo.daemon.relocalisation.survey import better_of
 from ceilvo.types import Array, Frame, State
 
 SEED, RATE_HZ = 166, 30.0
-DOUBT_S, DOUBT = 13.5, 5.5e-4
-"""When a view of that lap once left a doubt, and which. As if no view had bridged the gap: else no place that is alike
-is within a hand's reach, and the doubt is over at once."""
+DOUBT_S, DOUBT = 13.6, 5.5e-4
+"""About when a view of that lap once left a doubt, and which. As if no view had bridged the gap: else no place that is
+alike is within a hand's reach, and the doubt is over at once."""
 
 
 def test_a_place_beside_the_tracked_one_does_not_take_it_along_on_new_ground(monkeypatch: pytest.MonkeyPatch) -> None:
