@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from long_tests import long
 from beliefs import spot
 from known_room import in_known_room
+from long_tests import long
 
 from ceilvo.bench.place.ceiling.truth import features_of, joined
 from ceilvo.bench.place.ceiling.worlds import WorldSpec, make_world

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from long_tests import long
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from known_room import in_known_room
+from long_tests import long
 
 from ceilvo.bench.place.robot.tally import Tally
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, Track
