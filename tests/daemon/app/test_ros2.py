@@ -31,6 +31,14 @@ POSES = 60
 """To compare; two of them a wire are enough to see a mistake, so many a loss."""
 SOON = "camera.rate_hz=20"
 """For tests that wait for many."""
+IMPATIENT = """
+import runpy, sys
+from ceilvo.drivers.bus import namesake
+namesake.refuse_namesake.__defaults__ = (1.5,)
+del sys.argv[:3]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+"""A daemon that waits less for the last sign of one of its name; tests/drivers/bus/test_routers.py waits for it."""
 
 
 class Told:
@@ -240,7 +248,8 @@ def test_a_second_daemon_behind_the_same_router_ends_with_78(tmp_path: Path, rou
     (tmp_path / "second").mkdir()
     with SimulatedDaemon(tmp_path / "state", tmp_path, f"zenoh.connect=[{router.end}]") as first:
         first.until_poses(1)
-        with SimulatedDaemon(tmp_path / "other", tmp_path / "second", f"zenoh.connect=[{router.end}]") as second:
+        folder, enter = tmp_path / "second", (sys.executable, "-c", IMPATIENT)
+        with SimulatedDaemon(tmp_path / "other", folder, f"zenoh.connect=[{router.end}]", enter=enter) as second:
             until(lambda: second.process.poll() is not None, "it gives up")
             assert second.process.returncode == 78
             assert "expected no other daemon of this name on the network" in second.said()
