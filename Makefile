@@ -52,10 +52,12 @@ run: $(VENV)/.installed
 	@$(BIN)/ceilvod run --simulate $(if $(SECONDS),--seconds $(SECONDS)) $(if $(TILT),--tilt-deg $(TILT))
 
 # Processes that tests start compile every source again where bytecode is not kept.
-test test-long: export PYTHONDONTWRITEBYTECODE =
-test-long: export LONG = all
-test test-long: check
+test: export PYTHONDONTWRITEBYTECODE =
+test: check
 	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal
+
+test-long: export LONG = all
+test-long: test
 
 check: export MYPY_NUM_WORKERS = 2
 check: $(VENV)/.installed-dev
