@@ -59,7 +59,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of several processes; the others have it as idle as it is."""
+    """For all but the first of these tests, which has it as idle as it is."""
     path = tmp_path / "python"
     path.write_text(DRAWS.format(python=sys.executable))
     path.chmod(0o755)
@@ -169,6 +169,7 @@ def test_behind_a_socket_it_is_the_same(manager: list[int], seen: tuple[View, La
         assert len(manager) == 2 and made.pid is None, "no child"
 
 
+@pytest.mark.usefixtures("at_once")
 def test_where_nothing_listens_it_is_a_child(
     made: Pictures, seen: tuple[View, Landmarks, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
