@@ -24,14 +24,14 @@ WITHIN_PX = 0.3
 NEAR_MM = 50.0
 """Corners that are further from a lamp's end are others."""
 STRIPS = next(c for c in conditions() if c.name == "strips-only")
-Y, X = np.indices((SHAPE[0] * FINER, SHAPE[1] * FINER)).astype(np.float32) / FINER - 0.5 + 0.5 / FINER
 
 
 def drawn(middle: Array, angle_rad: float, length: float, width: float) -> tuple[Array, Array]:
     """Light (240, 320) of a lamp, each pixel the mean of 64, blurred as a lens does; and its two ends (2, 2), px."""
     along = np.array([np.cos(angle_rad), np.sin(angle_rad)])
     across = np.array([-along[1], along[0]])
-    off_x, off_y = X - middle[0], Y - middle[1]
+    y, x = np.indices((SHAPE[0] * FINER, SHAPE[1] * FINER)).astype(np.float32) / FINER - 0.5 + 0.5 / FINER
+    off_x, off_y = x - middle[0], y - middle[1]
     on = np.abs(off_x * along[0] + off_y * along[1]) <= 0.5 * length
     on &= np.abs(off_x * across[0] + off_y * across[1]) <= 0.5 * width
     whole = cv2.resize(on.astype(np.float32), SHAPE[::-1], interpolation=cv2.INTER_AREA)
