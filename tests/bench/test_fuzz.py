@@ -1,4 +1,4 @@
-"""Mutated input into every reader for 25 s of processor time: our own errors, soon, and in little memory.
+"""Mutated input into every reader for 10 s of processor time: our own errors, soon, and in little memory.
 
 FUZZ_SECONDS=600 takes longer, FUZZ_SEED=7 tries others. `make fuzz` is the same by coverage, ten minutes each.
 """
@@ -17,7 +17,7 @@ from ceilvo.bench.fuzz.engine.bounds import CPU_S, MEMORY_BYTES, Read, problem_o
 from ceilvo.bench.fuzz.registry import TARGETS
 from ceilvo.errors import CeilvoError
 
-SECONDS = float(os.environ.get("FUZZ_SECONDS", "25"))
+SECONDS = float(os.environ.get("FUZZ_SECONDS", "10"))
 SEED = int(os.environ.get("FUZZ_SEED", "1"))
 WEIGHTS = {
     "recording": 6.0,

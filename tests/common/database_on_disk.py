@@ -11,6 +11,7 @@ import kept_maps
 import map_writer
 from map_contents import landmarks, same_landmarks
 
+from ceilvo.daemon.map.database import schema
 from ceilvo.daemon.map.database.copies import copy_of, keep_copy, open_map
 from ceilvo.daemon.map.kept.store import MAP_NAME, Store
 from ceilvo.drivers.host.ownership import owner_of_folder
@@ -83,6 +84,7 @@ def places(folder: Path) -> None:
 def start_when_full(folder: Path) -> None:
     """A robot that starts on a disk without a byte to spare, and saves once there is room."""
     logging.basicConfig(format="%(levelname)s %(message)s", stream=sys.stdout)
+    schema.BUSY_S = 0.2  # SQLite waits so long for each lock that it has no room for
     before = Store(folder)
     assert before.save(map_writer.landmarks(300), 0.25, map_writer.estimate(1))
     before.close()

@@ -28,7 +28,7 @@ from ceilvo.errors import FileFormatError
 from ceilvo.files import MOST_REJECTED, REJECTED, write_atomic
 from ceilvo.types import Pose, State
 
-KILLS = int(os.environ.get("KILLS", "20"))
+KILLS = int(os.environ.get("KILLS", "12"))
 """`make kill-test` sets 200."""
 SEED = 6
 

@@ -21,7 +21,7 @@ from ceilvo.daemon.map.kept.store import MAP_NAME, STATE_NAME
 from ceilvo.daemon.map.map_file import load_state
 from ceilvo.files import REJECTED
 
-KILLS = int(os.environ.get("KILLS", "10"))
+KILLS = int(os.environ.get("KILLS", "5"))
 SEED = 41
 WORLD_SEED = 1
 """Of `ceilvod run --simulate`."""

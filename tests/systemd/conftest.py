@@ -12,10 +12,17 @@ from installer import REPO
 
 PYTHON = """#!/bin/bash
 # A Python whose `-I -m venv ... FOLDER` is made once and then copied: pip is unpacked and compiled only once.
+# The copies only point to pip, else compiling it anew would be most of an installation.
 made={template}
 for folder; do :; done
 if [ "$2 $3" != "-m venv" ]; then exec {python} "$@"; fi
-if [ ! -e "$made" ]; then {python} "$@" && cp -a "$folder" "$made" && echo "$folder" >"$made.path"; exit; fi
+if [ ! -e "$made" ]; then
+  {python} "$@" && mv "$folder" "$made" && echo "$folder" >"$made.path" || exit
+  site=$(echo "$made"/lib/python*/site-packages)
+  mv "$site/pip" "$made.pip"
+  mkdir "$site/pip"
+  printf '__path__ = ["%s"]\\nexec(open("%s").read())\\n' "$made.pip" "$made.pip/__init__.py" >"$site/pip/__init__.py"
+fi
 cp -a "$made" "$folder"
 grep -rlIZ --fixed-strings "$(cat "$made.path")" "$folder/bin" "$folder/pyvenv.cfg" |
   xargs -0r sed -i "s|$(cat "$made.path")|$folder|g"

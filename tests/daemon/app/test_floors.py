@@ -29,7 +29,7 @@ from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import State
 
 SEED, SPEED_MPS = 5, 0.1
-LEARNT_M = 1.2
+LEARNT_M = 0.7
 CELLAR_FROM_GROUND = np.array([40.0, -7.0, 1.1])
 
 

@@ -29,6 +29,16 @@ pytest.importorskip("zenoh_ros2_sdk")
 
 POSES = 60
 """To compare; two of them a wire are enough to see a mistake, so many a loss."""
+SOON = "camera.rate_hz=20"
+"""For tests that wait for many."""
+IMPATIENT = """
+import runpy, sys
+from ceilvo.drivers.bus import namesake
+namesake.refuse_namesake.__defaults__ = (1.5,)
+del sys.argv[:3]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+"""A daemon that waits less for the last sign of one of its name; tests/drivers/bus/test_routers.py waits for it."""
 
 
 class Told:
@@ -83,7 +93,7 @@ def json_poses(router: Router) -> tuple[zenoh.Session, dict[int, dict[str, Any]]
 
 
 def test_a_program_of_ros_sees_the_node_and_every_pose_as_json_has_it(tmp_path: Path, router: Router) -> None:
-    wires = (f"zenoh.connect=[{router.end}]", "zenoh.wire=[json,rmw_zenoh,ros2dds]", "ros2.odom_to_base=true")
+    wires = (f"zenoh.connect=[{router.end}]", "zenoh.wire=[json,rmw_zenoh,ros2dds]", "ros2.odom_to_base=true", SOON)
     session, told = json_poses(router)
     with SimulatedDaemon(tmp_path / "state", tmp_path, *wires) as daemon:
         daemon.until_poses(10)
@@ -134,7 +144,7 @@ def chains(transforms: list[list[Any]], told: dict[int, dict[str, Any]]) -> None
 def test_a_pose_and_a_saving_that_a_program_of_ros_asks_for(tmp_path: Path, router: Router) -> None:
     state = tmp_path / "state"
     state.mkdir()
-    wires = (f"zenoh.connect=[{router.end}]", "zenoh.wire=[json,rmw_zenoh]", "service.state_period_s=3600")
+    wires = (f"zenoh.connect=[{router.end}]", "zenoh.wire=[json,rmw_zenoh]", "service.state_period_s=3600", SOON)
     with SimulatedDaemon(state, tmp_path, *wires) as daemon:
         daemon.until_poses(30)
         with Told(["ceilvo.bench.wires.reader", str(router.port)]) as reader:
@@ -238,7 +248,8 @@ def test_a_second_daemon_behind_the_same_router_ends_with_78(tmp_path: Path, rou
     (tmp_path / "second").mkdir()
     with SimulatedDaemon(tmp_path / "state", tmp_path, f"zenoh.connect=[{router.end}]") as first:
         first.until_poses(1)
-        with SimulatedDaemon(tmp_path / "other", tmp_path / "second", f"zenoh.connect=[{router.end}]") as second:
+        folder, enter = tmp_path / "second", (sys.executable, "-c", IMPATIENT)
+        with SimulatedDaemon(tmp_path / "other", folder, f"zenoh.connect=[{router.end}]", enter=enter) as second:
             until(lambda: second.process.poll() is not None, "it gives up")
             assert second.process.returncode == 78
             assert "expected no other daemon of this name on the network" in second.said()
@@ -249,7 +260,7 @@ def test_a_second_daemon_behind_the_same_router_ends_with_78(tmp_path: Path, rou
 def test_a_participant_of_dds_in_another_process(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds", reason="no wheel for this computer")
     domain = 90 + os.getpid() % 100
-    with SimulatedDaemon(tmp_path / "state", tmp_path, "ros2.dds=true", f"ros2.domain_id={domain}") as daemon:
+    with SimulatedDaemon(tmp_path / "state", tmp_path, "ros2.dds=true", f"ros2.domain_id={domain}", SOON) as daemon:
         daemon.until_poses(5)
         with Told(["ceilvo.bench.wires.dds_reader", str(domain)]) as reader:
             daemon.until_poses(POSES)

@@ -14,7 +14,7 @@ from writers import killed
 from ceilvo.bench.fleet.robots import key_of
 from ceilvo.daemon.fleet.service.curator import Curator
 
-KILLS = int(os.environ.get("KILLS", "10"))
+KILLS = int(os.environ.get("KILLS", "6"))
 """`make kill-test` sets 200."""
 SEED = 17
 LONGEST_S = 0.15

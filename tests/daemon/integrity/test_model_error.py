@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -44,27 +46,33 @@ def driven(pipeline: Pipeline, height: float = 1.0, bent: float = 0.0) -> list[E
     return out
 
 
+@cache
+def driven_well(curves: float) -> tuple[Estimate, ...]:
+    """With the right height and lens."""
+    return tuple(driven(fresh(curves)))
+
+
 def believed(seen: Crossings, height: float, bent: float) -> Crossings:
     arm = seen.xy_base_m - MOUNT
     r = np.hypot(*arm.T)[:, None] / LAP.calibration.ceiling_height_m
     return replace(seen, xy_base_m=MOUNT + height * (1.0 + bent * r**2) * arm)
 
 
-def tracking(estimates: list[Estimate]) -> float:
+def tracking(estimates: Sequence[Estimate]) -> float:
     return float(np.mean([e.state is State.TRACKING for e in estimates[10:]]))
 
 
-def worst_m(estimates: list[Estimate]) -> float:
+def worst_m(estimates: Sequence[Estimate]) -> float:
     return max(float(np.hypot(*(e.pose - WORLD.truth_at(i / drives.RATE_HZ))[:2])) for i, e in enumerate(estimates))
 
 
-def nis(estimates: list[Estimate]) -> Array:
+def nis(estimates: Sequence[Estimate]) -> Array:
     return np.array([e.health.nis for e in estimates if e.health.nis_dof > 0])
 
 
 @pytest.mark.parametrize("curves", [1.0, 1.0 / 3.0, 1.0 / 6.0, 1.0 / 10.0])
 def test_a_good_pose_is_tracking_whatever_the_curves_leave_out(curves: float) -> None:
-    estimates = driven(fresh(curves))
+    estimates = driven_well(curves)
     share, mean = tracking(estimates), float(np.mean(nis(estimates)))
     print(f"curves x{curves:.2f}: TRACKING {share:.2f}, NIS {mean:.2f}, worst {1e3 * worst_m(estimates):.1f} mm")
     assert worst_m(estimates) < 0.009
@@ -85,7 +93,7 @@ def test_without_floor_and_with_all_features_the_same_drive_is_degraded(monkeypa
 @pytest.mark.parametrize("curves", [1.0, 1.0 / 6.0])
 def test_a_lens_that_changed_is_beyond_what_is_learnt(curves: float) -> None:
     """NIS is above the bound of the staleness monitor, whose expected NIS is the good drive's."""
-    good, bad = nis(driven(fresh(curves))), nis(driven(fresh(curves), bent=0.04))
+    good, bad = nis(driven_well(curves)), nis(driven(fresh(curves), bent=0.04))
     monitor = StalenessMonitor(float(np.mean(good)), window_s=20.0, hold_s=5.0)
     for i, value in enumerate(np.concatenate([good, bad, bad])):
         monitor.add(round(2e8 * i), float(value), 20)

@@ -31,8 +31,10 @@ from ceilvo.sim.world import World, WorldSpec
 from ceilvo.types import Array, Frame, Landmarks
 
 WORLD = World(WorldSpec(seed=11))
+PYTHON = sys.executable
 DAEMON = """
 import pickle, sys, time
+sys.executable = sys.argv[2]
 from ceilvo.daemon.replay.pictures import Pictures
 calibration, seen = pickle.load(open(sys.argv[1], "rb"))
 made = Pictures(calibration)
@@ -40,12 +42,28 @@ made.jpeg(*seen)
 print(made.pid, flush=True)
 time.sleep(1000)
 """
+DRAWS = """#!{python}
+import os, runpy, sys
+os.sched_setscheduler = lambda *_: None
+del sys.argv[:2]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+"""A Python for `-m` whose process is not idle: beside other busy tests it would wait 10 s for each start."""
 
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """The process gets what others leave, and tests leave nothing for long."""
     monkeypatch.setattr(pictures, "_ANSWER_S", 120.0)
+
+
+@pytest.fixture
+def at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For all but the first of these tests, which has it as idle as it is."""
+    path = tmp_path / "python"
+    path.write_text(DRAWS.format(python=sys.executable))
+    path.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(path))
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +110,7 @@ def test_what_is_out_of_reach_draws_no_innovation(seen: tuple[View, Landmarks, A
     assert np.isfinite(whole).all()
 
 
+@pytest.mark.usefixtures("at_once")
 def test_a_process_that_was_killed_comes_back(made: Pictures, seen: tuple[View, Landmarks, Array]) -> None:
     first = made.jpeg(*seen)
     assert made.pid is not None
@@ -99,6 +118,7 @@ def test_a_process_that_was_killed_comes_back(made: Pictures, seen: tuple[View, 
     assert made.jpeg(*seen) == first
 
 
+@pytest.mark.usefixtures("at_once")
 def test_it_ends_when_nobody_asks_and_comes_back(seen: tuple[View, Landmarks, Array]) -> None:
     made = Pictures(WORLD.calibration, idle_s=0.2)
     with closing(made):
@@ -137,6 +157,7 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[in
         process.wait()
 
 
+@pytest.mark.usefixtures("at_once")
 def test_behind_a_socket_it_is_the_same(manager: list[int], seen: tuple[View, Landmarks, Array]) -> None:
     view, landmarks, pose = seen
     made = Pictures(WORLD.calibration)
@@ -148,6 +169,7 @@ def test_behind_a_socket_it_is_the_same(manager: list[int], seen: tuple[View, La
         assert len(manager) == 2 and made.pid is None, "no child"
 
 
+@pytest.mark.usefixtures("at_once")
 def test_where_nothing_listens_it_is_a_child(
     made: Pictures, seen: tuple[View, Landmarks, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,10 +177,12 @@ def test_where_nothing_listens_it_is_a_child(
     assert made.jpeg(*seen)[:2] == b"\xff\xd8" and made.pid is not None
 
 
+@pytest.mark.usefixtures("at_once")
 def test_it_ends_with_its_daemon_however_that_ends(seen: tuple[View, Landmarks, Array], tmp_path: Path) -> None:
     given = tmp_path / "given"
     given.write_bytes(pickle.dumps((WORLD.calibration, seen)))
-    with subprocess.Popen([sys.executable, "-c", DAEMON, str(given)], stdout=subprocess.PIPE, text=True) as daemon:
+    words = [PYTHON, "-c", DAEMON, str(given), sys.executable]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as daemon:
         assert daemon.stdout is not None
         pid = int(daemon.stdout.readline())
         os.kill(pid, 0)

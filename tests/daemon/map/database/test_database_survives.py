@@ -19,7 +19,7 @@ from writers import killed
 from ceilvo.daemon.map.database.copies import floors_in, open_map
 from ceilvo.daemon.map.database.database import MapDatabase
 
-KILLS = int(os.environ.get("KILLS", "20"))
+KILLS = int(os.environ.get("KILLS", "12"))
 """`make kill-test` sets 200."""
 SEED = 31
 LONGEST_S = 0.15

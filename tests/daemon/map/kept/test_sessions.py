@@ -22,7 +22,7 @@ from ceilvo.types import Landmarks
 
 SEED = 8
 ROOM = WorldSpec("5", 0.6, "raster", SEED)
-SAVES, BETWEEN_S = 4, 14.0
+SAVES, BETWEEN_S = 3, 14.0
 NEAR_M = 0.05
 SHARE = 0.25
 """Of the room that is renovated."""
