@@ -153,7 +153,7 @@ class Relocaliser:
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        lost = se2.greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2  # landmarks would pass for others
+        lost = se2.greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2 and self.filter.size() > 0
         if (lost or s.survey.coverage.area_m2 > self._sharp.young_m2) and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 
