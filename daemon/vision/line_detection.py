@@ -20,7 +20,7 @@ from ceilvo.daemon.vision.edges import Edges
 from ceilvo.daemon.vision.line_fit import LAST_GATE_PX, JointFit
 from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.daemon.vision.tilt_prior import TiltPrior, rocks
 from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
@@ -31,8 +31,6 @@ _FINE_BIN_PX = 1.0
 """Hough bin once direction and tilt are known; chosen: half the first one, peaks are sharper then."""
 _FINE_GATE_PX = 2.0
 """Gate of the round that follows; chosen: between the coarse gates and the last one, 0.8 to 2."""
-_STEADY_RAD = np.radians(0.1)
-"""A robot whose prior is narrower than this does not rock; chosen: frames with many lines know the tilt better."""
 _DIRECTION_REACH_DEG = 4.0
 """Gradients this near to the peak of the 1 deg bins are averaged; chosen: wider takes in clutter."""
 _MIN_VOTES = 8.0
@@ -184,7 +182,7 @@ def detect(
     if sum(len(s) for s in starts) < 2:
         return None
     problem = _Problem(points, psi, starts, config, focal_px, edges.fraction, readout, carried_rad, last.several)
-    if prior is None or not config.estimate_tilt or float(np.max(prior.sigma_rad)) < _STEADY_RAD:
+    if not (rocks(prior) and config.estimate_tilt):
         fit, free = _solve_steady(problem, prior, last)
     else:
         fit, free = _solve_rocking(problem, last)

@@ -289,7 +289,7 @@ class JointFit:
             self._x, self._y, self.line, self.ends[2], self.psi, self.tilt, self.focal_px, self.offset
         )
 
-    def finish(self, pieces: bool = True) -> TiltPrior:
+    def finish(self, pieces: bool = True, rocking: bool = False) -> TiltPrior:
         """The last round; returns the tilt by this frame's whole lines; pieces: where vague, use those without gaps."""
         if self._readout is not None:
             self._unbend()
@@ -297,7 +297,7 @@ class JointFit:
         self.solve()
         if self._several and len(self.line):
             self._leave_out_double()
-        self.covariance = widened(self.covariance)
+        self.covariance = widened(self.covariance, rocking)
         free = TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
         vague = np.max(free.sigma_rad) > _VAGUE_RAD
         if vague and pieces and not self._several and self._config.estimate_tilt and len(self.line):

@@ -14,7 +14,7 @@ from ceilvo.daemon.vision.edge_points import Points
 from ceilvo.daemon.vision.faint.level_picture import Aligned, LevelPicture, rays_from_aligned
 from ceilvo.daemon.vision.faint.voting import RADIUS_PX, STRETCH_PX, Answers, Peaks, answers, peaks
 from ceilvo.daemon.vision.line_fit import JointFit
-from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.daemon.vision.tilt_prior import TiltPrior, rocks
 from ceilvo.types import Array, Ints, LineKind, Lines
 
 Array32 = NDArray[np.float32]
@@ -81,7 +81,7 @@ def find_faint(
         if len(seen.line_axis) < 2:
             return None
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
-        free = fit.finish(pieces=False)
+        free = fit.finish(pieces=False, rocking=rocks(prior))
         if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
             fit.finish_held(pieces=False)

@@ -54,3 +54,36 @@ def test_a_robot_that_rocks_gets_a_prior_as_wide_as_it_rocks(amplitude: float) -
     assert prior is not None
     assert (prior.sigma_rad > 0.7 * amplitude).all()
     assert (prior.sigma_rad < 2.0 * amplitude).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_faint_joints_that_each_leave_the_tilt_open_tell_together_that_a_robot_rocks(seed: int) -> None:
+    rng, k = np.random.default_rng(seed), np.arange(40)
+    rates, starts = rng.uniform(0.5, 2.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+    tilts = np.radians(2.0 / np.sqrt(2.0)) * np.sin(starts + 2.0 * np.pi * rates * k[:, None] / 30.0)
+    prior = faint(tilts, seed).prior()
+    print(f"seed {seed}: {np.degrees(np.std(tilts, axis=0))} deg, {prior}")
+    assert prior is not None
+    assert np.all(np.abs(tilts) < 3.0 * prior.sigma_rad)
+    assert np.max(prior.sigma_rad) < np.radians(4.0)
+
+
+@pytest.mark.parametrize("mistaken_deg", [0.0, 0.3, 1.0])
+def test_a_tilt_that_few_lines_mistake_is_no_rocking(mistaken_deg: float) -> None:
+    """It stays; below two lamps it was .28 deg in the median of the frames."""
+    assert faint(np.full((40, 2), np.radians(mistaken_deg)), SEED).prior() is None
+
+
+def test_edges_are_not_asked_so() -> None:
+    """Those of two lamps mistake it by another angle every second."""
+    tilts = np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2)
+    assert faint(tilts, SEED, faint=False).prior() is None
+
+
+def faint(tilts: np.ndarray, seed: int, faint: bool = True) -> TiltTracker:
+    """Frames that are right to .05 deg and are not believed to more than .7, as widened() has it."""
+    rng, tracker = np.random.default_rng(seed), TiltTracker()
+    for t in tilts:
+        seen: object = Seen(t + rng.normal(0.0, np.radians(0.05), 2), np.full(2, np.radians(0.7)))
+        tracker.update(seen, faint)  # type: ignore[arg-type]
+    return tracker
