@@ -52,7 +52,8 @@ class Evidence:
             states.false_place_rate.
         elsewhere: how likely it is, where it may be and a small doubt began it.
         suspected: what picture, wheels and stamps say against each other, "" for nothing.
-        rocking: by how much the robot rocks where nothing tells its tilt, for people; "" where that is little.
+        rocking: by how much the pose may be off because nothing tells the robot's tilt, for people; "" where that is
+            little.
     """
 
     stamp_ns: int
@@ -233,7 +234,8 @@ class StateMachine:
         enough = s.good_frames >= cfg.tracking_frames
         if state in (State.INIT, State.RELOCALISING):
             sure = state is State.INIT or s.confirmed
-            if sure and not enough and s.steady_frames >= _FEW_TIMES * cfg.tracking_frames and s.conditions:
+            times = 1 if set(s.conditions) == {"rocking"} else _FEW_TIMES  # which says how far off, not whether right
+            if sure and not enough and s.steady_frames >= times * cfg.tracking_frames and s.conditions:
                 slight = self._first_cause(*_SLIGHT)
                 return State.DEGRADED, slight, s.conditions[slight]
             far = self._first_cause(*_OPEN)

@@ -67,12 +67,13 @@ def cost_px2(fitting: int, noise_px: float, points: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class LastFit:
-    """What the frames before leave for the next: (2,) tilt of the last, how well lines have fitted lately, px, and
-    whether the ceiling has several heights."""
+    """What the frames before leave for the next: (2,) tilt of the last, how well lines have fitted lately, px, whether
+    the ceiling has several heights, and the scatter of tilts, see TiltTracker."""
 
     tilt_rad: Array
     noise_px: float
     several: bool = False
+    scatter_rad: float = 0.0
 
     @property
     def leans(self) -> bool:
@@ -202,7 +203,7 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
         return fit, free
     level = problem.start(_LEVEL_RAD if vague else expected, tilt=False)
     if vague:  # so few lines that any tilt fits: then none is read from them, nor kept from one frame before
-        level.finish_held()
+        level.finish_held(scatter_rad=last.scatter_rad)
         return level, free
     return _best(problem, [(fit, free), (level, level.finish())], last.tilt_rad)
 

@@ -225,15 +225,15 @@ class JointFit:
         self._y = (self._y + by_y @ wrong).astype(np.float32)
         self._settle()
 
-    def finish_held(self, pieces: bool = True) -> None:
-        """The last round with the tilt where it is; pieces: lines that turn out to be several are cut."""
+    def finish_held(self, pieces: bool = True, scatter_rad: float = 0.0) -> None:
+        """The last round with the tilt where it is, known to scatter_rad; pieces: lines that are several are cut."""
         if self._readout is not None:
             self._unbend(tilt=False)
         self.assign(self.last_gate_px())
         self.solve(tilt=False)
         if pieces and len(self.line):
             self._straighten()
-        self.covariance = self.covariance + np.diag([0.0, _HELD_RAD**2, _HELD_RAD**2])
+        self.covariance = self.covariance + np.diag([0.0, *[max(_HELD_RAD, scatter_rad) ** 2] * 2])
 
     def _straighten(self) -> None:
         """Lines that are no single ones cut in pieces: the outer edge of one lamp and the inner one of the next, taken

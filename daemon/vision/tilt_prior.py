@@ -64,7 +64,8 @@ class TiltState:
         weight: sum of the frames' weights, each at most 1.
         mean_rad, var_rad2: (2,) of the single-frame estimates.
         noise_var_rad2: (2,) the part of var_rad2 that is the estimates' own error.
-        lately: (N, 2) rad, single-frame estimates while there is no prior, the last ones.
+        lately: (N, 2) rad, single-frame estimates while there is no prior, the last ones in a row of one kind: by faint
+            joints or not.
     """
 
     weight: float = 0.0
@@ -72,6 +73,7 @@ class TiltState:
     var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     noise_var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     lately: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    faint: bool = False
 
 
 class TiltTracker:
@@ -88,7 +90,9 @@ class TiltTracker:
         """
         s, noise = self.state, lines.free_tilt_sigma_rad**2
         weight = 1.0 / (1.0 + float(np.max(noise)) / _FAIR_SIGMA_RAD**2)
-        if faint and s.weight < _MIN_WEIGHT and float(np.max(lines.free_tilt_sigma_rad)) < _TELLS_RAD:
+        if faint != s.faint:
+            s.lately, s.faint = np.zeros((0, 2)), faint
+        if s.weight < _MIN_WEIGHT and float(np.max(lines.free_tilt_sigma_rad)) < _TELLS_RAD:
             s.lately = np.vstack([s.lately[1 - _LATELY :], lines.free_tilt_rad])
         s.weight += weight
         rate = weight * max(1.0 / _MEMORY_FRAMES, 1.0 / max(s.weight, 1.0))
@@ -106,16 +110,21 @@ class TiltTracker:
         mean_var_rad2 = s.noise_var_rad2 / min(s.weight, _MEMORY_FRAMES)
         return TiltPrior(s.mean_rad, np.sqrt(_SPREAD_FACTOR * own_var_rad2 + mean_var_rad2 + _FLOOR_RAD**2))
 
+    def scatter_rad(self) -> float:
+        """Of the tilt in the last frames while none of them tells it: what it may be where it is held; 0 before."""
+        lately = self.state.lately
+        if self.state.weight >= _MIN_WEIGHT or len(lately) < _LATELY:
+            return 0.0
+        off = np.abs(lately - np.median(lately, axis=0))
+        return MAD_TO_SIGMA * float(np.max(np.median(off, axis=0)))
+
     def _of_rocking(self) -> TiltPrior | None:
         """By frames that each leave the tilt open; None where they may be of a level robot."""
-        lately = self.state.lately
-        if len(lately) < _LATELY:
+        scatter_rad, s = self.scatter_rad(), self.state
+        if not s.faint or scatter_rad < _ROCKS_RAD:
             return None
-        middle = np.median(lately, axis=0)
-        scatter = MAD_TO_SIGMA * float(np.max(np.median(np.abs(lately - middle), axis=0)))
-        if scatter < _ROCKS_RAD:
-            return None
-        return TiltPrior(np.zeros(2), np.sqrt(_SPREAD_FACTOR * scatter**2 + middle**2))
+        middle = np.median(s.lately, axis=0)
+        return TiltPrior(np.zeros(2), np.sqrt(_SPREAD_FACTOR * scatter_rad**2 + middle**2))
 
 
 def rocks(prior: TiltPrior | None) -> bool:

@@ -18,6 +18,7 @@ from ceilvo.daemon.odometry.points.lean import learn, step_cov, sway_m, view_cov
 from ceilvo.daemon.odometry.points.sliding import Sliding
 from ceilvo.daemon.odometry.registration import points_of
 from ceilvo.daemon.odometry.visual_odometry import VisualOdometry
+from ceilvo.se2 import greatest_variance
 from ceilvo.types import Array, Crossings, Motion
 
 ROCKS_M = 0.015
@@ -56,10 +57,14 @@ class HeightsOdometry(VisualOdometry):
 
     @property
     def rocking(self) -> str:
-        """By how much the robot rocks where nothing tells its tilt, for people; "" where that is little."""
-        lean = self.state.lean
+        """How far off a view may be because the robot rocks and little tells its tilt, for people; "" where that is
+        little."""
+        lean, view = self.state.lean, self.state.reference
         sigma_m = 0.0 if lean.told else math.sqrt(float(np.max(view_cov(lean))))
-        return f"the robot rocks by {sigma_m:.3f} m under points alone" if sigma_m > ROCKS_M else ""
+        if sigma_m > ROCKS_M:
+            return f"the robot rocks by {sigma_m:.3f} m under points alone"
+        open_m = 0.0 if view is None else math.sqrt(greatest_variance(view.common_cov_m2))
+        return f"too few lines to tell the robot's tilt to better than {open_m:.3f} m" if open_m > ROCKS_M else ""
 
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
         """The crossings of a frame where they are, and so those of the last one; expected: (3,) motion since then."""

@@ -170,7 +170,7 @@ class LineFinder:
         edges = self._detector(gray, readout)
         on_stage_done("edges")
         focal_px = self._calibration.level_view.focal_px
-        last = LastFit(s.tilt_rad, s.best_noise_px, s.several)
+        last = LastFit(s.tilt_rad, s.best_noise_px, s.several, TiltTracker(s.tilt).scatter_rad())
 
         def along(psi_rad: float | None, last: LastFit = last) -> Lines | None:
             found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad, carried_rad)

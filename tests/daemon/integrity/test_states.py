@@ -28,6 +28,7 @@ GOOD = Evidence(
 )
 BLIND = replace(GOOD, motion_ok=False, failure="2 crossings", inliers=0, crossings=2, nis_dof=0, landmarks_matched=0)
 FEW = replace(GOOD, inliers=3)
+OPEN_TILT = replace(GOOD, rocking="too few lines to tell the robot's tilt to better than 0.020 m")
 WIDE = replace(GOOD, position_sigma_m=0.08)
 TURNED = replace(GOOD, heading_sigma_rad=0.025)
 FAR = replace(GOOD, position_sigma_m=0.2)
@@ -82,6 +83,8 @@ STORIES: dict[str, tuple[list[Evidence], list[str], str]] = {
         "position only within 0.60 m, not 0.3 m; say where it is (cmd/initial_pose)",
     ),
     "as far off, and blind": ([replace(FAR, motion_ok=False)] * 50, ["INIT"], "starting"),
+    "tilt open from the start": ([OPEN_TILT] * 5, ["INIT", "DEGRADED"], OPEN_TILT.rocking),
+    "tilt open": ([GOOD] * 5 + [OPEN_TILT], ["INIT", "TRACKING", "DEGRADED"], OPEN_TILT.rocking),
     "few inliers": ([GOOD] * 5 + [FEW], ["INIT", "TRACKING", "DEGRADED"], "3 inliers of 30 crossings, fewer than 4"),
     "position unsure": ([GOOD] * 5 + [WIDE], ["INIT", "TRACKING", "DEGRADED"], "position sigma 0.080 m, above 0.05"),
     "heading unsure": ([GOOD] * 5 + [TURNED], ["INIT", "TRACKING", "DEGRADED"], "heading sigma 1.43 deg, above 1 deg"),

@@ -77,7 +77,18 @@ def test_a_tilt_that_few_lines_mistake_is_no_rocking(mistaken_deg: float) -> Non
 def test_edges_are_not_asked_so() -> None:
     """Those of two lamps mistake it by another angle every second."""
     tilts = np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2)
-    assert faint(tilts, SEED, faint=False).prior() is None
+    tracker = faint(tilts, SEED, faint=False)
+    assert tracker.prior() is None
+    assert abs(tracker.scatter_rad() - np.radians(0.45)) < np.radians(0.15), "but a held tilt is known no better"
+
+
+def test_frames_of_the_other_kind_begin_anew() -> None:
+    tracker = faint(np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2), SEED)
+    assert tracker.prior() is not None
+    seen: object = Seen(np.zeros(2), np.full(2, np.radians(0.7)))
+    tracker.update(seen)  # type: ignore[arg-type]
+    assert tracker.prior() is None
+    assert tracker.scatter_rad() == 0.0
 
 
 def faint(tilts: np.ndarray, seed: int, faint: bool = True) -> TiltTracker:
