@@ -30,11 +30,13 @@ from ceilvo.daemon.vision.thinning import for_places
 from ceilvo.se2 import compose, inverse, transform, wrap
 from ceilvo.types import Array, Crossings, Landmarks, Motion, Observations, Pose
 
-VIEW_PERIOD_S = 0.1
-"""A standing robot in doubt looks so often."""
+VIEW_PERIOD_S = 0.1  # a standing robot in doubt looks so often
 CONTRADICTION = "what is seen contradicts the map"
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
+STOOD_M, SHORT_S = 0.1, 1.5
+"""A robot stood that would not have come further in the dark, and on a young map is where it was, unless views that fit
+nothing took less than that time; chosen."""
 FEWEST_VIEWS = 3
 """Views since a doubt before a place is believed again: one may be a picture that is damaged; chosen."""
 SURPRISE = -3.0
@@ -137,7 +139,8 @@ class Relocaliser:
         self.filter.predict(final)
         if self.sure and not gapped and self._rate <= final.doubt < doubts.UNLIKELY:
             s.doubted_m = 0.0
-        self.raise_doubt(doubts.of_track(track, final, jumped, expected, self.filter.estimate()[0]))
+        lost = float(np.hypot(*track.blind[:2])) > STOOD_M or (not track.bridged and track.blind_s < SHORT_S)
+        self.raise_doubt(doubts.of_track(track, final, jumped, expected, self.filter.estimate()[0]), lost)
 
     def _begin_here(self, final: Motion) -> None:
         """One that was told nothing sees the ceiling for the first time: how it got here is no question of the map."""
@@ -148,12 +151,12 @@ class Relocaliser:
         """Something says that the robot may have got elsewhere, at most so far since that began."""
         self.raise_doubt(doubts.of_suspicion(reason, reach_m, self.state.pending))
 
-    def raise_doubt(self, doubt: Doubt) -> None:
-        """What may have happened since the last view."""
+    def raise_doubt(self, doubt: Doubt, lost: bool = False) -> None:
+        """What may have happened since the last view; lost: a young map is doubted, too, where it left little known."""
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        lost = se2.greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2 and self.filter.size() > 0
+        lost = lost and se2.greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2 and self.filter.size() > 0
         if (lost or s.survey.coverage.area_m2 > self._sharp.young_m2) and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 

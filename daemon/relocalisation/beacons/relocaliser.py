@@ -108,8 +108,8 @@ class BeaconRelocaliser(Relocaliser):
         b.lamps.forget()
         self.bridge.end()
 
-    def raise_doubt(self, doubt: Doubt) -> None:
-        super().raise_doubt(doubt)
+    def raise_doubt(self, doubt: Doubt, lost: bool = False) -> None:
+        super().raise_doubt(doubt, lost)
         b = self._beacons
         if self.state.pending is not None and doubt.elsewhere >= UNLIKELY:
             b.window.clear()
