@@ -117,6 +117,11 @@ class Calibration:
         return LevelView(self.camera, self.camera_from_base.T, self.camera.focal_px / k, k)
 
     @property
+    def metres_per_px(self) -> float:
+        """Of the ceiling in a pixel of the level view."""
+        return self.ceiling_height_m / self.level_view.focal_px
+
+    @property
     def _reduction(self) -> int:
         """A large picture is looked at as a smaller camera would take it: see LevelView.reduction."""
         pixels = self.camera.width_px * self.camera.height_px

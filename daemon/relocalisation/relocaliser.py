@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ceilvo import se2
 from ceilvo.calibration import Calibration
 from ceilvo.config import Config
 from ceilvo.daemon.odometry.course import JUMPED
@@ -27,10 +26,11 @@ from ceilvo.daemon.slam.association import associate
 from ceilvo.daemon.slam.pose_filter import PoseFilter
 from ceilvo.daemon.slam.schedule import UpdateSchedule
 from ceilvo.daemon.vision.thinning import for_places
-from ceilvo.se2 import compose, inverse, transform, wrap
+from ceilvo.se2 import compose, greatest_variance, inverse, transform, wrap
 from ceilvo.types import Array, Crossings, Landmarks, Motion, Observations, Pose
 
-VIEW_PERIOD_S = 0.1  # a standing robot in doubt looks so often
+VIEW_PERIOD_S = 0.1
+"""A standing robot in doubt looks so often."""
 CONTRADICTION = "what is seen contradicts the map"
 SPOT_VIEWS = 5
 """Views of a spot that are weighed; their mean is what counts, and more cost time; chosen."""
@@ -156,7 +156,7 @@ class Relocaliser:
         s = self.state
         if s.pending is not None:
             doubt = doubts.both(s.pending, doubt)
-        lost = lost and se2.greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2 and self.filter.size() > 0
+        lost = lost and greatest_variance(doubt.cov[:2, :2]) > self._lost_sigma_m**2 and self.filter.size() > 0
         if (lost or s.survey.coverage.area_m2 > self._sharp.young_m2) and not doubts.negligible(doubt, self._rate):
             s.pending, s.grave = doubt, s.grave or doubt.elsewhere >= doubts.UNLIKELY
 

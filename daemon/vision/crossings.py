@@ -57,8 +57,7 @@ def cross(lines: Lines, calibration: Calibration, config: Features) -> Crossings
     a, b = first[i], second[j]
     uv = np.column_stack([lines.offset_px[a], lines.offset_px[b]]) @ normals
     uv += (view.camera.cx_px, view.camera.cy_px)
-    metres_per_px = calibration.ceiling_height_m / view.focal_px
-    sigma_m = metres_per_px * np.column_stack([lines.sigma_px[a], lines.sigma_px[b]])
+    sigma_m = calibration.metres_per_px * np.column_stack([lines.sigma_px[a], lines.sigma_px[b]])
     roll, pitch = (calibration.ceiling_height_m * lines.tilt_sigma_rad).tolist()
     common = np.array([[pitch**2, 0.0], [0.0, roll**2]])
     outer = (normals[:, :, None] * normals[:, None, :]).reshape(2, 4)
@@ -82,7 +81,7 @@ def _on_ceiling(lines: Lines, normals: Array, calibration: Calibration) -> Ceili
     view, normal = calibration.level_view, normals[lines.axis]
     foot = lines.offset_px[:, None] * normal + (view.camera.cx_px, view.camera.cy_px)
     at_m = to_ceiling(calibration.ceiling_from_level, foot)
-    sigma_m = calibration.ceiling_height_m / view.focal_px * lines.sigma_px
+    sigma_m = calibration.metres_per_px * lines.sigma_px
     return CeilingLines(lines.axis, np.sum(normal * at_m, axis=1), sigma_m, lines.kind)
 
 

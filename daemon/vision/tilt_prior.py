@@ -66,6 +66,7 @@ class TiltState:
         noise_var_rad2: (2,) the part of var_rad2 that is the estimates' own error.
         lately: (N, 2) rad, single-frame estimates while there is no prior, the last ones in a row of one kind: by faint
             joints or not.
+        faint: of which kind these are.
     """
 
     weight: float = 0.0
@@ -120,8 +121,8 @@ class TiltTracker:
 
     def _of_rocking(self) -> TiltPrior | None:
         """By frames that each leave the tilt open; None where they may be of a level robot."""
-        scatter_rad, s = self.scatter_rad(), self.state
-        if not s.faint or scatter_rad < _ROCKS_RAD:
+        s = self.state
+        if not s.faint or (scatter_rad := self.scatter_rad()) < _ROCKS_RAD:
             return None
         middle = np.median(s.lately, axis=0)
         return TiltPrior(np.zeros(2), np.sqrt(_SPREAD_FACTOR * scatter_rad**2 + middle**2))

@@ -84,7 +84,7 @@ def test_grooves_appear_where_the_lens_puts_them(case: str) -> None:
                 u, v = pixels(cal, arm[None], pose, tilt)[0]
                 if np.hypot(*(arm - pose[:2])) < 2.0 and 25 < u < w - 25 and 25 < v < h - 25:
                     errors.append(groove_error_m(image, cal, crossing, axis, pose, tilt))
-    px_m = cal.ceiling_height_m / cal.level_view.focal_px
+    px_m = cal.metres_per_px
     error_px = np.abs(errors) / px_m
     assert len(errors) > 60
     assert abs(np.mean(errors)) / px_m < 0.003, "the picture is shifted"

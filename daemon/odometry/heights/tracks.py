@@ -65,7 +65,7 @@ class Sharpness:
 
     @staticmethod
     def of(calibration: Calibration) -> Sharpness:
-        return Sharpness(max(calibration.ceiling_height_m / calibration.level_view.focal_px / _USUAL_PX_M, 1.0))
+        return Sharpness(max(calibration.metres_per_px / _USUAL_PX_M, 1.0))
 
     @property
     def noise(self) -> RatioNoise:

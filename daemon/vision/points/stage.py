@@ -111,8 +111,9 @@ class PointFinder:
         view = self._calibration.level_view
         principal = np.array([view.camera.cx_px, view.camera.cy_px])
         uv = _levelled(found.uv, crossings.tilt_rad, view.focal_px) + principal
-        metres_per_px = self._calibration.ceiling_height_m / view.focal_px
-        own = metres_per_px**2 * (found.cov + _stretched((uv - principal) / view.focal_px, view.focal_px))
+        own = self._calibration.metres_per_px**2 * (
+            found.cov + _stretched((uv - principal) / view.focal_px, view.focal_px)
+        )
         sure = crossings.psi_sigma_rad < VAGUE_RAD  # else a lamp's or a stain's outline was taken for lines
         return replace(
             crossings,

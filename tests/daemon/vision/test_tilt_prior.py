@@ -19,13 +19,21 @@ class Seen:
     free_tilt_sigma_rad: np.ndarray
 
 
-def track(tilts: np.ndarray, noise: float) -> TiltTracker:
-    rng, tracker = np.random.default_rng(SEED), TiltTracker()
+def track(
+    tilts: np.ndarray, noise: float, claimed: float | None = None, faint: bool = False, seed: int = SEED
+) -> TiltTracker:
+    """claimed: standard deviation that frames say, else that of their noise."""
+    rng, tracker = np.random.default_rng(seed), TiltTracker()
     for t in tilts:
-        seen: object = Seen(t + rng.normal(0, noise, 2), np.full(2, noise))
+        seen: object = Seen(t + rng.normal(0, noise, 2), np.full(2, claimed or noise))
         assert not isinstance(seen, Lines)
-        tracker.update(seen)  # type: ignore[arg-type]
+        tracker.update(seen, faint)  # type: ignore[arg-type]
     return tracker
+
+
+def weak(tilts: np.ndarray, seed: int = SEED, faint: bool = True) -> TiltTracker:
+    """Frames that are right to .05 deg and are not believed to more than .7, as widened() has it."""
+    return track(tilts, float(np.radians(0.05)), float(np.radians(0.7)), faint, seed)
 
 
 def test_no_prior_before_enough_was_seen() -> None:
@@ -61,7 +69,7 @@ def test_faint_joints_that_each_leave_the_tilt_open_tell_together_that_a_robot_r
     rng, k = np.random.default_rng(seed), np.arange(40)
     rates, starts = rng.uniform(0.5, 2.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
     tilts = np.radians(2.0 / np.sqrt(2.0)) * np.sin(starts + 2.0 * np.pi * rates * k[:, None] / 30.0)
-    prior = faint(tilts, seed).prior()
+    prior = weak(tilts, seed).prior()
     print(f"seed {seed}: {np.degrees(np.std(tilts, axis=0))} deg, {prior}")
     assert prior is not None
     assert np.all(np.abs(tilts) < 3.0 * prior.sigma_rad)
@@ -71,30 +79,21 @@ def test_faint_joints_that_each_leave_the_tilt_open_tell_together_that_a_robot_r
 @pytest.mark.parametrize("mistaken_deg", [0.0, 0.3, 1.0])
 def test_a_tilt_that_few_lines_mistake_is_no_rocking(mistaken_deg: float) -> None:
     """It stays; below two lamps it was .28 deg in the median of the frames."""
-    assert faint(np.full((40, 2), np.radians(mistaken_deg)), SEED).prior() is None
+    assert weak(np.full((40, 2), np.radians(mistaken_deg))).prior() is None
 
 
 def test_edges_are_not_asked_so() -> None:
     """Those of two lamps mistake it by another angle every second."""
     tilts = np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2)
-    tracker = faint(tilts, SEED, faint=False)
+    tracker = weak(tilts, faint=False)
     assert tracker.prior() is None
     assert abs(tracker.scatter_rad() - np.radians(0.45)) < np.radians(0.15), "but a held tilt is known no better"
 
 
 def test_frames_of_the_other_kind_begin_anew() -> None:
-    tracker = faint(np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2), SEED)
+    tracker = weak(np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2))
     assert tracker.prior() is not None
     seen: object = Seen(np.zeros(2), np.full(2, np.radians(0.7)))
     tracker.update(seen)  # type: ignore[arg-type]
     assert tracker.prior() is None
     assert tracker.scatter_rad() == 0.0
-
-
-def faint(tilts: np.ndarray, seed: int, faint: bool = True) -> TiltTracker:
-    """Frames that are right to .05 deg and are not believed to more than .7, as widened() has it."""
-    rng, tracker = np.random.default_rng(seed), TiltTracker()
-    for t in tilts:
-        seen: object = Seen(t + rng.normal(0.0, np.radians(0.05), 2), np.full(2, np.radians(0.7)))
-        tracker.update(seen, faint)  # type: ignore[arg-type]
-    return tracker

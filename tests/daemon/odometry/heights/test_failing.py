@@ -35,7 +35,7 @@ def test_lines_tell_a_height_where_most_frames_give_a_motion(fails_every: int, f
 
 def test_a_robot_that_rocks_under_faint_joints_is_not_put_elsewhere() -> None:
     """Joints 3 grey levels deep, rocking by 2 deg as soon as it drives, seed 217: TRACKING was 0.7 m off, because tilts
-    that no line told passed for heights; and two of three frames were all that gave a motion, for robots were level."""
+    that no line told passed for heights; then a third gave no motion, for it was held level."""
     faint = next(c for c in conditions() if c.name == "faint-3").with_seed(217)
     rocking = replace(faint, spec=replace(faint.spec, tilt=TiltSpec(float(np.radians(2.0)))))
     figures = run(rocking, Options(seconds=8.0, baselines=False))

@@ -116,7 +116,8 @@ def test_tiles_tell_the_height_where_the_robot_began(high_m: float) -> None:
 
 def test_tiles_of_another_size_are_no_height() -> None:
     """Below a step with tiles of .6 m, in a room that was calibrated by tiles of .5 m, a rise of .7 deg that was a
-    mistake was believed at once, for it was to explain a ceiling a fifth lower: 0.6 m off, in TRACKING."""
+    mistake was believed at once, for it was to explain a ceiling a fifth lower: 0.6 m off, in TRACKING. Here by tiles
+    of .53 m, which are read so at once."""
     slope = Slope(simulated_calibration(tile_m=0.53))
     drive(slope, Room(np.array([0.012, 0.0])), lap())
     print(f"seed {SEED}: {slope.state.used}")
