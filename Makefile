@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 FOLDERS := daemon drivers calib sim bench
 
-.PHONY: help run test test-long check config dist deb wheels test-robot test-deb clean
+.PHONY: help run test check config dist deb wheels test-robot test-deb clean
 .PHONY: bench-fusion soak bench-wires bench-pages bench-faults bench-cross-checks bench-refine bench-fleet bench-place bench-latency bench-starved kill-test damage-matrix fuzz
 .PHONY: bench-wizard bench-vision bench-frame-cost bench-real bench-paper bench-mrclam bench-filter bench-find-place bench-gaps bench-calib bench-arm
 .DEFAULT_GOAL := help
@@ -13,7 +13,6 @@ FOLDERS := daemon drivers calib sim bench
 help:
 	@echo "make run [SECONDS=n]   a simulated robot localises itself; ends by itself after n seconds; TILT=1: rocks by 1 deg"
 	@echo "make test              every check and every test that needs no special rights"
-	@echo "make test-long         every test, and repeats of slow ones with more seeds and sizes that make test leaves out"
 	@echo "make check             format, lint and types only"
 	@echo "make test-robot        the installed service on a virtual robot (needs root, apt and a compiler)"
 	@echo "make bench-vision      the front end against exact truth, a lap each condition (QUICK=1: seconds each; DRAWN=24: random ones): SEED=1"
@@ -55,9 +54,6 @@ run: $(VENV)/.installed
 test: export PYTHONDONTWRITEBYTECODE =
 test: check
 	$(BIN)/python -m pytest --numprocesses 3 --dist worksteal
-
-test-long: export LONG = all
-test-long: test
 
 check: export MYPY_NUM_WORKERS = 2
 check: $(VENV)/.installed-dev

@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from long_tests import long
 from numpy.typing import NDArray
 
 from ceilvo.calib.evaluate.coverage import coverage
@@ -53,7 +52,7 @@ def test_the_model_is_chosen_by_what_it_predicts() -> None:
     assert chosen == "fisheye" and scores["fisheye"] < 0.1 < scores["pinhole"]
 
 
-@pytest.mark.parametrize("count", [6, long(7)])
+@pytest.mark.parametrize("count", [6, 7])
 def test_few_pictures_of_a_pinhole_are_a_pinhole(count: int) -> None:
     chosen = [choose_model(shots(simulated_camera(), seed, count), SIZE)[0] for seed in (1, 2)]
     assert chosen == ["pinhole"] * 2

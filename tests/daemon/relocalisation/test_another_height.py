@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from long_tests import long
 
 from ceilvo.bench.place.faults.changes import HEIGHTS
 from ceilvo.bench.place.studies import Run, run_study
@@ -60,7 +59,7 @@ def test_other_numbers_of_tiles_and_views_without_rows_say_nothing() -> None:
     assert other_scale([steps(0.9, 8), steps(1.0, 9)]) == 0.0
 
 
-@pytest.mark.parametrize("number", [0, long(1), 2, 3, 4, long(5)])
+@pytest.mark.parametrize("number", range(len(HEIGHTS)))
 def test_a_map_of_another_height_is_refused_within_10_s_and_kept(number: int) -> None:
     """Restarted after a night, room of 5 m, through the Estimator: each of six heights.
 

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from known_room import in_known_room
-from long_tests import long
 
 from ceilvo.bench.place.robot.tally import Tally
 from ceilvo.daemon.odometry.dead_reckoning import DeadReckoning, Track
@@ -79,7 +78,7 @@ def test_a_robot_that_was_turned_by_hand_drives_on_as_before() -> None:
     assert (turned.turned_rad, flipped.turned_rad != 0.0) == (0.0, True)
 
 
-@pytest.mark.parametrize("seed", [0, long(1)])
+@pytest.mark.parametrize("seed", range(2))
 def test_a_robot_without_wheels_is_never_called_turned(seed: int) -> None:
     """Before, it was TRACKING half a turn off after 2 to 4 s, where the map bore it out: from there it looks so."""
     drive, camera, _ = in_known_room(73000, seed, wheels=False)

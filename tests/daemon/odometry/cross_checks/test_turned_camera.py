@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from long_tests import long
 from told_drives import DRIVING, paths_of, told
 
 from ceilvo import se2
@@ -53,7 +52,7 @@ def said_of(
 
 
 @pytest.mark.parametrize(("deg", "most_m"), [(5.0, 20.0), (-5.0, 20.0), (10.0, 8.0), (30.0, 8.0)])
-@pytest.mark.parametrize("seed", [90, long(91)])
+@pytest.mark.parametrize("seed", [90, 91])
 def test_a_camera_that_was_bumped_in_the_dark_is_said_with_its_angle(deg: float, most_m: float, seed: int) -> None:
     first_m, said, yaw_deg = said_of(deg, 240.0, seed, begin_s=60.0)
     assert first_m[Kind.CAMERA_TURNED] < most_m
@@ -64,7 +63,7 @@ def test_a_camera_that_was_bumped_in_the_dark_is_said_with_its_angle(deg: float,
 
 
 @pytest.mark.parametrize("deg", [4.0, -5.0, 12.0])
-@pytest.mark.parametrize("seed", [94, long(95)])
+@pytest.mark.parametrize("seed", [94, 95])
 def test_a_bump_in_the_light_is_said_at_once_and_explained_soon(deg: float, seed: int) -> None:
     first_m, said, yaw_deg = said_of(deg, 200.0, seed, begin_s=60.0, jump=True)
     assert first_m[Kind.KNOCKED] < 0.1
@@ -73,7 +72,7 @@ def test_a_bump_in_the_light_is_said_at_once_and_explained_soon(deg: float, seed
     assert yaw_deg == pytest.approx(-deg, abs=1.5)
 
 
-@pytest.mark.parametrize("seed", [94, long(95)])
+@pytest.mark.parametrize("seed", [94, 95])
 def test_a_bump_in_a_bend_is_said_at_once_too(seed: int) -> None:
     assert said_of(8.0, 200.0, seed, begin_s=60.0, jump=True, bend=True)[0][Kind.KNOCKED] < 0.1
 
@@ -105,7 +104,7 @@ def test_wheels_that_slip_in_yaw_are_no_knock(spec: DriveSpec) -> None:
     assert [s for _, paths in paths_of(told(spec, 600.0, 97)) for s in check.step(paths, 0.0, 0.2, False)] == []
 
 
-@pytest.mark.parametrize("deg", [long(0.0), 1.0, -1.0])
+@pytest.mark.parametrize("deg", [0.0, 1.0, -1.0])
 def test_what_commissioning_may_leave_is_not_said(deg: float) -> None:
     assert said_of(deg, 900.0, 92) == ({}, [], 0.0)
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from long_tests import long
 
 from ceilvo.config import Features
 from ceilvo.daemon.vision.finder.line_finder import LineFinder
@@ -14,7 +13,7 @@ FPS, FIRST, LAST = 15.0, 20, 72
 LAP = LapSpec(speed_mps=0.5, rest_s=0.3, ramp_s=1.0)
 
 
-@pytest.mark.parametrize("seed", [113, 114, long(115)])
+@pytest.mark.parametrize("seed", [113, 114, 115])
 def test_lines_are_not_fitted_with_a_false_tilt(seed: int) -> None:
     """Seed 113 was tuned on: the tilt changes by 0.6 deg from frame to frame, and lines of two heights hide that."""
     tilt = TiltSpec(float(np.radians(2.0)))
