@@ -52,7 +52,11 @@ _REFERENCES = 3
 """Features other than lamps that tell how the ceiling itself moves; chosen."""
 
 
-_PER_TRACK = [f.name for f in fields(SlidingState) if f.name not in ("pose", "glossy")]
+_TRIAL, _TRIAL_LINES = 10, 6
+"""Frames for which lamps that come in where lines sufficed do not count until they are known to stay, twice what that
+takes at 0.1 m/s and more; and crossings of lines in a frame that does without them; chosen."""
+
+_PER_TRACK = [f.name for f in fields(SlidingState) if f.name not in ("pose", "glossy", "by_lines", "trial")]
 
 
 class Sliding:
@@ -73,12 +77,15 @@ class Sliding:
         if crossings is None or not (len(s) or has_points(crossings)):
             return crossings
         pose = s.pose if expected is None else se2.compose(s.pose, expected)
+        by_lines = int(np.count_nonzero(crossings.crossing_type < LINE_CROSSINGS))
+        if not len(s) and s.by_lines:
+            s.trial = _TRIAL
         track = self._followed(s, crossings, pose)
         self._look = crossings, track
         if not has_points(crossings):
             return crossings
         left_out = _of(s.slides, track)
-        if s.glossy:
+        if s.glossy or (s.trial and by_lines >= _TRIAL_LINES):
             left_out |= (crossings.crossing_type == LAMP) & ~_of(s.stays, track)
         return crossings.of(~left_out) if np.any(left_out) else crossings
 
@@ -89,6 +96,8 @@ class Sliding:
             sway_m: standard deviation by which leans move the view where no lines tell them: its rim moves further.
         """
         self.misplaced = np.zeros((0, 2))
+        s.by_lines = motion.ok and self._look is None or s.by_lines and not (motion.ok or motion.restarted)
+        s.trial = max(s.trial - 1, 0)
         if self._look is None and not len(s):
             return
         s.pose = se2.compose(s.pose, motion.prev_from_curr)

@@ -25,6 +25,8 @@ class SlidingState:
         missing: frames since each was seen.
         slides, stays: what it was found to do; neither while that is not known.
         glossy: a lamp slid, so that a lamp counts only once it is known to stay.
+        by_lines: the last motion was by crossings of lines alone.
+        trial: frames more in which a lamp must be known to stay because lamps have come in after such a motion.
     """
 
     pose: Array = field(default_factory=lambda: np.zeros(3))
@@ -39,6 +41,8 @@ class SlidingState:
     slides: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     stays: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     glossy: bool = False
+    by_lines: bool = False
+    trial: int = 0
 
     def __len__(self) -> int:
         return len(self.kind)

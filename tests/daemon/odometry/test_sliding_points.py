@@ -187,6 +187,41 @@ def test_a_lamp_under_a_glossy_ceiling_counts_once_it_is_known_not_to_slide() ->
     assert not taken[0] and taken[-1], taken
 
 
+@pytest.mark.parametrize("seed", [15, 16, 17])
+def test_images_that_come_in_where_lines_sufficed_do_not_carry_the_motion(seed: int) -> None:
+    """Blur of a bend leaves few crossings, so lamps are looked for, and more images are found than crossings."""
+    calibration = simulated_calibration()
+    tiles = _corners(seed, 1.2)
+    odometry, pose, path = HeightsOdometry(Odometry(), calibration), np.zeros(3), np.zeros(3)
+    room = Room(calibration, tiles, np.full(len(tiles), JOINTS), LIGHTS, 1.4, seed)
+    for k in range(STANDS + 90):
+        crossings, image = room.seen(pose)
+        seen = crossings.of(~image) if k < STANDS + 30 else crossings
+        motion, placed = _step(odometry, seen)
+        path = se2.compose(path, motion.prev_from_curr)
+        off = float(np.hypot(*(path - pose)[:2]))
+        if k == STANDS + 30:
+            assert np.count_nonzero(image) > np.count_nonzero(~image)
+        pose = se2.compose(pose, 2.0 * BEND) if k >= STANDS else pose
+    print(f"{1e3 * off:.1f} mm off after 3 m")
+    assert odometry.state.sliding.glossy
+    assert off < 0.01
+
+
+def test_true_lamps_that_come_in_where_lines_sufficed_count_within_half_a_second() -> None:
+    calibration = simulated_calibration()
+    at = np.concatenate([_corners(18, 1.2), _corners(19, 0.9)])
+    kind = np.repeat([JOINTS, LAMP], [len(_corners(18, 1.2)), len(_corners(19, 0.9))])
+    odometry, pose = HeightsOdometry(Odometry(), calibration), np.zeros(3)
+    room = Room(calibration, at, kind, np.zeros((0, 2)), 1.0, 18)
+    for k in range(STANDS + 45):
+        crossings, _ = room.seen(pose)
+        seen = crossings.of(crossings.crossing_type == JOINTS) if k < STANDS + 30 else crossings
+        _, placed = _step(odometry, seen)
+        pose = se2.compose(pose, BEND) if k >= STANDS else pose
+    assert len(placed) == len(crossings)
+
+
 def test_crossings_of_lines_alone_are_not_followed() -> None:
     calibration = simulated_calibration()
     tiles = _corners(10, 0.6)
