@@ -96,7 +96,8 @@ class Sliding:
             sway_m: standard deviation by which leans move the view where no lines tell them: its rim moves further.
         """
         self.misplaced = np.zeros((0, 2))
-        s.by_lines = motion.ok and self._look is None or s.by_lines and not (motion.ok or motion.restarted)
+        if motion.ok or motion.restarted:
+            s.by_lines = motion.ok and self._look is None
         s.trial = max(s.trial - 1, 0)
         if self._look is None and not len(s):
             return

@@ -197,7 +197,7 @@ def test_images_that_come_in_where_lines_sufficed_do_not_carry_the_motion(seed: 
     for k in range(STANDS + 90):
         crossings, image = room.seen(pose)
         seen = crossings.of(~image) if k < STANDS + 30 else crossings
-        motion, placed = _step(odometry, seen)
+        motion, _ = _step(odometry, seen)
         path = se2.compose(path, motion.prev_from_curr)
         off = float(np.hypot(*(path - pose)[:2]))
         if k == STANDS + 30:
