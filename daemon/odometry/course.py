@@ -29,7 +29,7 @@ from ceilvo.types import Array, Crossings
 _REACH_SIGMAS = 4.0
 """How many standard deviations off its prediction the robot may be; a normal error is beyond once in 3000 gaps."""
 _COURSE_SIGMAS = 5.0
-"""Of the fit's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
+"""Of a view's own error, allowed on top of the acceleration limits; noise alone exceeds 5 in 4 of a million."""
 _WHEELS_CHI2 = 21.1
 """Squared distance within which view and wheels agree: chi squared with 3 degrees of freedom exceeds it once in 1e4."""
 JUMPED = 0.5
@@ -63,8 +63,8 @@ class Course:
         twist: (3,) [m/s, m/s, rad/s] at the last good view, the mean over span_s; None where it is not known.
         by_wheels: the prediction is the wheels' all the way.
         refused: (3,) ref_from_prev, when the view before this one was refused as a motion that no robot makes.
-        carried_rad: standard deviation of the last good view's direction where that was carried on without lines, else
-            0.
+        carried_rad: standard deviation of the last good view's direction where that was carried on without lines, or 0.
+        tilt_m: the same by which errors of the tilt may put the view off its course.
     """
 
     guess: Array
@@ -76,6 +76,7 @@ class Course:
     by_wheels: bool
     refused: Array | None
     carried_rad: float = 0.0
+    tilt_m: float = 0.0
 
     @property
     def reach_m(self) -> float:
@@ -316,13 +317,13 @@ def _jumped(fit: RigidFit, course: Course, config: Odometry) -> str:
         off = moved - twist * t
         slack_s2 = 0.5 * t * (t + course.span_s)  # the twist is the mean over span_s
         off_m, off_rad = float(np.hypot(off[0], off[1])), abs(se2.wrap(float(off[2])))
-        if off_m > config.max_accel_mps2 * slack_s2 + _noise_m(fit):
+        if off_m > config.max_accel_mps2 * slack_s2 + _noise_m(fit, course):
             return f"jumped {off_m:.3f} m off its course within {t:.3f} s"
         if off_rad > config.max_turn_accel_radps2 * slack_s2 + _noise_rad(fit):
             return f"turned {off_rad:.3f} rad off its course within {t:.3f} s"
     # a robot that is that fast already was believed to be
     travel, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
-    if float(np.hypot(twist[0], twist[1])) <= config.max_speed_mps < (travel - _noise_m(fit)) / t:
+    if float(np.hypot(twist[0], twist[1])) <= config.max_speed_mps < (travel - _noise_m(fit, course)) / t:
         return f"moved {travel:.3f} m in {t:.3f} s"
     if abs(float(twist[2])) <= config.max_turn_radps < (turn - _noise_rad(fit)) / t:
         return f"turned {turn:.3f} rad in {t:.3f} s"
@@ -336,12 +337,12 @@ def _repeated(fit: RigidFit, course: Course, config: Odometry) -> bool:
     step, t = se2.between(course.refused, fit.b_from_a), course.step_s
     on = step - course.refused * (t / max(course.elapsed_s - t, t))
     slow = np.hypot(step[0], step[1]) <= config.max_speed_mps * t and abs(step[2]) <= config.max_turn_radps * t
-    steady_m = np.hypot(on[0], on[1]) <= config.max_accel_mps2 * t**2 + _noise_m(fit)
+    steady_m = np.hypot(on[0], on[1]) <= config.max_accel_mps2 * t**2 + _noise_m(fit, course)
     return bool(slow or (steady_m and abs(on[2]) <= config.max_turn_accel_radps2 * t**2 + _noise_rad(fit)))
 
 
-def _noise_m(fit: RigidFit) -> float:
-    return _COURSE_SIGMAS * math.sqrt(max(se2.greatest_variance(fit.cov[:2, :2]), 0.0))
+def _noise_m(fit: RigidFit, course: Course) -> float:
+    return _COURSE_SIGMAS * math.sqrt(max(se2.greatest_variance(fit.cov[:2, :2]), 0.0) + course.tilt_m**2)
 
 
 def _noise_rad(fit: RigidFit) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from ceilvo.daemon.odometry.coasting import RecentTwists
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
 from ceilvo.daemon.odometry.lines.across import AcrossState
+from ceilvo.daemon.odometry.points.flicker import FlickerState
 from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
 from ceilvo.daemon.odometry.points.turning import TWIST, Turning
@@ -93,6 +94,7 @@ class VisualOdometryState:
         twist_change: (3,) [m/s, m/s, rad/s] of the twist from the step before to the last.
         lean: how far a robot that rocks may be off, where only points tell its motion.
         sliding: features that are followed to see whether they are the ceiling's.
+        flicker: how many features are seen again.
         earlier: a good view before the reference, for what that misses.
         recent: twists of the last good views, of which the median goes on in a gap.
         turning: of the reference, where a single point laid it.
@@ -119,6 +121,7 @@ class VisualOdometryState:
     twist_change: Array = field(default_factory=lambda: np.zeros(3))
     lean: LeanState = field(default_factory=LeanState)
     sliding: SlidingState = field(default_factory=SlidingState)
+    flicker: FlickerState = field(default_factory=FlickerState)
     earlier: EarlierView = field(default_factory=EarlierView)
     recent: RecentTwists = field(default_factory=RecentTwists)
     turning: Turning | None = None

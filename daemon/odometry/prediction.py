@@ -17,7 +17,7 @@ from ceilvo.daemon.odometry.odometry_state import VisualOdometryState
 from ceilvo.daemon.odometry.points.turning import Turning
 from ceilvo.daemon.odometry.registration import Registration
 from ceilvo.daemon.odometry.rigid import RigidFit, cov_of_turn, with_known_rotation
-from ceilvo.types import Array, Motion, WheelMotion
+from ceilvo.types import Array, Crossings, Motion, WheelMotion
 
 _BESIDE_M = 0.05
 """Edges of one thing lie no further apart: of a lamp and its frame, of a groove; chosen."""
@@ -31,6 +31,11 @@ _WITHIN = 3.0
 _FEWEST_WORTH = 4.0 / 3.0
 """Of those that are, as Registration.apart() counts: two points, or two lines' crossings; chosen, for one lies there by
 chance."""
+_TILT_RAD = np.radians(0.03)
+"""Error of the tilt by which a view may seem to jump; chosen: twice what lines of tiles tell it to. Where it is known
+worse, few lines tell it, and edges of one lamp are taken for each other."""
+_THREE_VIEWS = 1.0 + 4.0 + 1.0
+"""Variances of one view in how far it is off its course, which two before it tell."""
 
 
 def predicted_motion(
@@ -93,7 +98,18 @@ def course_of(s: VisualOdometryState, predicted: Motion, dt_s: float) -> Course:
         by_wheels=s.by_wheels and predicted.by_wheels,
         refused=s.refused,
         carried_rad=s.reference.psi_sigma_rad if carried and s.reference is not None else 0.0,
+        tilt_m=_by_tilt_m(s.reference) if s.reference is not None and s.lean.told else 0.0,
     )
+
+
+def _by_tilt_m(view: Crossings) -> float:
+    """Standard deviation by which errors of the tilt put a view off where the two before it do: each no more than one of
+    _TILT_RAD does."""
+    sigma_rad = float(np.max(view.tilt_sigma_rad))
+    if not sigma_rad > 0.0:
+        return 0.0
+    each_m = math.sqrt(se2.greatest_variance(view.common_cov_m2)) * min(1.0, _TILT_RAD / sigma_rad)
+    return float(math.sqrt(_THREE_VIEWS) * each_m)
 
 
 def turning_of(s: VisualOdometryState, config: Odometry, course: Course, told: bool) -> Turning:

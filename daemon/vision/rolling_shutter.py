@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +44,7 @@ class Readout:
         delay_s: (rows, columns) of level rays, every cell apart from `low` on, after the middle row; 0 out of view.
         low, cell: (2,) and one number, as rays.
         mount: (2,) the camera's position in base, over the ceiling's height above it.
+        twist: (3,) that was predicted, with metres over that height.
         twist_info: (3,) inverse variance of a twist's error, with metres over that height.
     """
 
@@ -51,6 +53,7 @@ class Readout:
     low: Array
     cell: float
     mount: Array
+    twist: Array
     twist_info: Array
 
     def skew_px(self, reach_px: float) -> float:
@@ -78,6 +81,19 @@ class Readout:
         here = self.rows[above] + (row - above)[:, None] * (self.rows[above + 1] - self.rows[above])
         c, s, x, y = here.T
         return np.column_stack([c * uv_px[:, 0] - s * uv_px[:, 1] + x, s * uv_px[:, 0] + c * uv_px[:, 1] + y])
+
+    def read_at(self, x: Array, y: Array, focal_px: float) -> tuple[Array32, Array32]:
+        """(H, W) each, x and y: where level pixels were read that the middle's instant has at x (W,), y (H,)."""
+        cell_px = self.cell * focal_px
+        first = (np.array([x[0], y[0]]) - focal_px * self.low) / cell_px
+        into = np.column_stack([np.eye(2) / cell_px, first])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        delay_s = cv2.warpAffine(self.delay_s, into, (len(x), len(y)), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        vx, vy, turn = self.twist.tolist()
+        along = focal_px * vx - turn * (y[:, None] + focal_px * self.mount[1])
+        across = focal_px * vy + turn * (x + focal_px * self.mount[0])
+        moved_x, moved_y = delay_s * along.astype(np.float32), delay_s * across.astype(np.float32)
+        return (x - moved_x).astype(np.float32), (y[:, None] - moved_y).astype(np.float32)
 
     def cov_of_twist(self, rays: Array) -> Array:
         """(N, 2, 2) by which the twist's error may have moved rays (N, 2)."""
@@ -119,5 +135,6 @@ class RollingShutter:
         across = moved[:, 1] / self._height_m + s * x + c * y - y
         rows = np.column_stack([c, s, self._focal_px * along, self._focal_px * across]).astype(np.float32)
         per_height = np.array([1.0 / self._height_m, 1.0 / self._height_m, 1.0])
-        info = (twist.sigma * per_height) ** -2
-        return Readout(rows, self._delay_s, self._low_px / self._focal_px, _CELL_PX / self._focal_px, self._mount, info)
+        low, cell = self._low_px / self._focal_px, _CELL_PX / self._focal_px
+        mean, info = twist.mean * per_height, (twist.sigma * per_height) ** -2
+        return Readout(rows, self._delay_s, low, cell, self._mount, mean, info)

@@ -13,6 +13,7 @@ from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
+from ceilvo.daemon.odometry.points import flicker
 from ceilvo.daemon.odometry.points.constellation import has_lines
 from ceilvo.daemon.odometry.points.lean import learn, step_cov, sway_m, view_cov
 from ceilvo.daemon.odometry.points.sliding import Sliding
@@ -23,6 +24,9 @@ from ceilvo.types import Array, Crossings, Motion
 
 ROCKS_M = 0.015
 """Standard deviation by which a view is off, from which no place is called good: within 5 cm, by three of them; chosen.
+"""
+LEVEL_RAD = np.radians(0.02)
+"""A view that is tilted less may have been taken to be level, for want of lines that tell; chosen: floors in buildings.
 """
 
 
@@ -40,6 +44,7 @@ class HeightsOdometry(VisualOdometry):
         self._sliding = Sliding(calibration.mount_xy_m, calibration.ceiling_height_m)
         self._height_m = calibration.ceiling_height_m
         self.ask_map: AskMap = no_map
+        self._lines: Crossings | None = None
 
     def know(self, ceiling: CeilingShape, pose: Array) -> None:
         """Begin with what an earlier run found of the ceiling, at a pose (3,) on its map."""
@@ -66,12 +71,20 @@ class HeightsOdometry(VisualOdometry):
         open_m = 0.0 if view is None else math.sqrt(greatest_variance(view.common_cov_m2))
         return f"too few lines to tell the robot's tilt to better than {open_m:.3f} m" if open_m > ROCKS_M else ""
 
+    @property
+    def one_plane(self) -> bool:
+        """Whether all is taken to be at the calibrated height."""
+        return not self.heights.several and self.slope.state.used is None
+
     def placed(self, crossings: Crossings | None, expected: Array | None) -> Crossings | None:
         """The crossings of a frame where they are, and so those of the last one; expected: (3,) motion since then."""
+        self._lines = crossings
+        if self.one_plane:
+            crossings = flicker.steady(self.state.flicker, crossings)
         flat = self.slope.placed(crossings, expected)
         found = self.heights.look(flat, expected, self.ask_map)
         self.look_again(self.heights.reference() if self.heights.several else self.slope.reference())
-        if found is not None and (self.heights.several or self.slope.state.used is not None):
+        if found is not None and not self.one_plane:
             found = replace(found, lines=None)
         return self._sliding.look(self.state.sliding, found, expected)
 
@@ -80,6 +93,7 @@ class HeightsOdometry(VisualOdometry):
         self.heights.learn(motion)
         self.slope.learn(motion, self.heights.several)
         self._sliding.learn(self.state.sliding, motion, sway_m(self.state.lean))
+        flicker.learn(self.state.flicker, self._lines, placed, motion, self.state.reference)
         anew = None if self.heights.several else self.slope.reference()
         return placed if anew is None else anew
 
@@ -88,9 +102,16 @@ class HeightsOdometry(VisualOdometry):
         """(N, 2) in base, where crossings of the last frame were taken to be until it told otherwise."""
         return np.vstack([self.heights.misplaced, self.slope.misplaced, self._sliding.misplaced])
 
+    @property
+    def _lines_tell_tilt(self) -> bool:
+        """Whether a view of points alone is so because crossings flicker, and their lines show a tilt."""
+        if not self.state.flicker.by_points or self._lines is None:
+            return False
+        return has_lines(self._lines) and float(np.max(np.abs(self._lines.tilt_rad))) > LEVEL_RAD
+
     def directed(self, crossings: Crossings) -> Crossings:
         seen = super().directed(crossings)
-        self.state.lean.told = has_lines(seen)
+        self.state.lean.told = has_lines(seen) or self._lines_tell_tilt
         if self.state.lean.told:
             return seen
         shared = view_cov(self.state.lean)
@@ -98,7 +119,7 @@ class HeightsOdometry(VisualOdometry):
 
     def _accept(self, ref: Crossings, crossings: Crossings, course: Course, found: Found, predicted: Motion) -> Motion:
         motion, lean = super()._accept(ref, crossings, course, found, predicted), self.state.lean
-        if has_lines(ref) or has_lines(crossings) or found.place is None:
+        if has_lines(ref) or has_lines(crossings) or found.place is None or self._lines_tell_tilt:
             return motion
         moved = found.place.fit.b_from_a
         learn(lean, points_of(ref), points_of(crossings), moved, course.elapsed_s, self._height_m)

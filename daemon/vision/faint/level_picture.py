@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ceilvo.calibration import Calibration
 from ceilvo.camera import LevelView
 from ceilvo.daemon.vision.kernel.arguments import LOOKUP_STEP_PX
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.types import Array
 
 Bools = NDArray[np.bool_]
@@ -59,7 +60,7 @@ class LevelPicture:
         seen = view.lookup(min(max_view_deg, STEEPEST_DEG), LOOKUP_STEP_PX)
         low, high = (np.rint(f(seen, axis=(0, 1))).astype(np.int64) for f in (np.nanmin, np.nanmax))
         self._low, self._high = low.astype(np.float64), high.astype(np.float64)
-        x, y = (np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True))
+        self._x, self._y = x, y = [np.arange(a, b + 1, dtype=np.float64) for a, b in zip(low, high, strict=True)]
         height, width = view.camera.height_px // view.reduction, view.camera.width_px // view.reduction
         (across, down), near = _reduced_px(view, x, y), _invertible(view, x, y)
         reach_px = self.focal_px * np.tan(np.radians(min(max_view_deg, STEEPEST_DEG)))
@@ -80,11 +81,20 @@ class LevelPicture:
         side = 2 * round(np.radians(_GLARE_DEG) * self.focal_px) + 1
         self._glare = np.ones((side, side), np.uint8)
 
-    def __call__(self, gray: Gray) -> tuple[Gray, Gray]:
-        """The level view of a frame (H, W) of the calibrated size, and where it shows the ceiling and no lamp."""
+    def __call__(self, gray: Gray, readout: Readout | None = None) -> tuple[Gray, Gray]:
+        """The level view of a frame (H, W) of the calibrated size, and where it shows the ceiling and no lamp.
+
+        Args:
+            readout: of a rolling shutter, whose rows are moved to one instant.
+        """
         level = cv2.remap(self._view.reduced(gray), self._maps[0], self._maps[1], cv2.INTER_LINEAR)
+        known = self._known
+        if readout is not None:
+            x, y = readout.read_at(self._x, self._y, self.focal_px)
+            x, y = x - np.float32(self._x[0]), y - np.float32(self._y[0])
+            level, known = cv2.remap(level, x, y, cv2.INTER_LINEAR), cv2.remap(known, x, y, cv2.INTER_NEAREST)
         lamps = cv2.dilate(np.uint8(255) * (np.asarray(level) >= _BRIGHT), self._glare)
-        return np.asarray(level, np.uint8), np.asarray(cv2.subtract(self._known, lamps), np.uint8)
+        return np.asarray(level, np.uint8), np.asarray(cv2.subtract(known, lamps), np.uint8)
 
     def aligned(self, level: Gray, usable: Gray, psi_rad: float, tilt_rad: Array) -> Aligned:
         """Both turned back by a direction, and by a tilt (2,)."""

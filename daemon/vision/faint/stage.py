@@ -19,6 +19,7 @@ from ceilvo.daemon.vision.faint.direction import common_direction
 from ceilvo.daemon.vision.faint.level_picture import LevelPicture
 from ceilvo.daemon.vision.faint.line_search import find_faint
 from ceilvo.daemon.vision.faint.merging import folded, merged
+from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
 from ceilvo.types import Array, Lines
 
@@ -75,6 +76,7 @@ class FaintLines:
         state: FaintState,
         tilt_rad: Array,
         prior: TiltPrior | None,
+        readout: Readout | None = None,
     ) -> Lines | None:
         """Lines of a frame that was searched whole, with faint ones where they help; state says whether they did.
 
@@ -84,6 +86,7 @@ class FaintLines:
             again: gives those along a direction, rad.
             tilt_rad: (2,) of the last frame.
             prior: of the tilt.
+            readout: of a rolling shutter.
         """
         edge_places = self._places(found)
         few = edge_places < max(_FEW, _FEWER * state.places)
@@ -91,7 +94,7 @@ class FaintLines:
         if state.since_look < wait:
             return found
         state.since_look, state.places = 0, edge_places
-        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior)
+        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior, readout)
         factor = _STILL_MORE if state.helps else _MORE
         need = max(factor * edge_places, edge_places + _MORE_AT_LEAST)
         state.helps = self._places(both) >= need
@@ -110,10 +113,11 @@ class FaintLines:
         again: Callable[[float | None], Lines | None],
         tilt_rad: Array,
         prior: TiltPrior | None,
+        readout: Readout | None,
     ) -> Lines | None:
         if self._picture is None:
             self._picture = LevelPicture(self._calibration, self._config.max_view_deg)
-        level, usable = self._picture(gray)
+        level, usable = self._picture(gray, readout)
         psi = None if found is None else found.psi_rad
         if weak:
             common = common_direction(level, usable)

@@ -65,6 +65,7 @@ class CrossingFinder:
         on_stage_done: OnStageDone = ignore,
         twist: TwistPrior | None = None,
         several: bool = False,
+        flickers: bool = False,
     ) -> Crossings | None:
         """Crossings of a frame, and points where these are few; None without either.
 
@@ -72,6 +73,7 @@ class CrossingFinder:
             expected: (3,) predicted motion since the last frame.
             twist: predicted while the frame is read, for a rolling shutter.
             several: the ceiling has several heights.
+            flickers: crossings come and go, so points are looked for in any case.
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
         crossings = None if lines is None else self._lines.crossed(lines)
@@ -80,7 +82,7 @@ class CrossingFinder:
         if self._points is not None:
             state, prior = self.state, self._lines.tilt_prior()
             crossings, state.points = self._points(
-                frame.gray, crossings, prior, state.since_detection == 0, state.points, self._lines.readout
+                frame.gray, crossings, prior, state.since_detection == 0, state.points, self._lines.readout, flickers
             )
         if crossings is not None:
             crossings = replace(crossings, sample_gray=frame.gray.take(self._raster))

@@ -33,9 +33,9 @@ _LEANS_RAD = np.radians([[0.0, 5.0], [5.0, 0.0], [0.0, -5.0], [-5.0, 0.0]])
 """Tilts that are tried then; chosen: lines are found from 2 deg off."""
 _VAGUE_TILT_RAD = np.radians(0.1)
 """A tilt known worse is none; chosen, as in line_fit.py."""
-_SKEWED_PX = 1.0
-"""Rows that are read one after the other move faint lines, which nothing moves back, by so much at most: half the width
-of a joint; chosen. A robot of 0.5 m/s moves 5 mm in half of a readout of 20 ms."""
+_SKEWED_PX = 0.2
+"""Rows that are read one after the other are not moved to one instant for faint lines where that is less; chosen: a
+tenth of a joint's width, and the picture is smoothed by it."""
 _CLEARLY = 0.5
 """Ratio of the errors of two directions, from which it is plain which one is right; chosen: noise alone, from frame to
 frame, makes that of two optima of the same lines 0.7 to 1.4."""
@@ -159,7 +159,7 @@ class LineFinder:
         on_stage_done: Callable[[str], None],
         carried_rad: float | None,
     ) -> Lines | None:
-        """Lines of the whole frame; faint ones are not looked for while rows that are read one after the other skew it.
+        """Lines of the whole frame.
 
         Args:
             carried_rad: direction of the last frame's lines as this one should show it; None where it is not known.
@@ -193,9 +193,10 @@ class LineFinder:
             lines = along(carried_rad)
             if lines is None or (free is not None and _stays(free, lines)):
                 lines, s.edges = free, edges_of_it
-        if self._faint is None or (readout is not None and readout.skew_px(self._reach_px) > _SKEWED_PX):
+        if self._faint is None:
             return lines
-        return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior)
+        skewed = readout if readout is not None and readout.skew_px(self._reach_px) > _SKEWED_PX else None
+        return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior, skewed)
 
     def _track(
         self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None, readout: Readout | None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ceilvo.crossing_types import CORNER, SPOT
 from ceilvo.daemon.vision.points.places import NONE, Found, Gray, Places
 from ceilvo.robust import MAD_TO_SIGMA
-from ceilvo.types import Array
+from ceilvo.types import Array, Ints
 
 Floats = NDArray[np.float32]
 
@@ -41,9 +41,13 @@ _CORNER_SIGMA_PX, _CORNER_VAGUE_PX = 0.1, 0.006
 """Error of a corner, and what a weak one errs by besides, times the root of its eigenvalue; chosen above what rendered
 joints and stains show."""
 _CORNER_STANDS_OUT, _CORNER_BESIDE_PX = 8.0, 61
-"""Times the mean eigenvalue in a square of that side; noise reached 7.3 in 180 pictures."""
+"""Times the usual eigenvalue in a square of that side; noise reached 7.3 in 180 pictures."""
+_CORNER_CLIPPED = 4.0
+"""Times the mean that an eigenvalue counts at most in what is usual; chosen."""
 _MOST_SPOTS, _MOST_CORNERS = 30, 40
-"""Chosen for time; the strongest."""
+"""Chosen for time."""
+_ALIKE = 2.0
+"""Corners are alike that are no stronger than so many times the median; chosen."""
 
 
 def free_of_lamps(places: Places, bright: Gray) -> Gray:
@@ -105,19 +109,36 @@ def _extrema(octave: Floats, usable: Gray) -> tuple[Array, Array]:
     return at, np.abs(here[good][near])
 
 
+def _usual(strong: Floats) -> Floats:
+    """(H, W) eigenvalues that are usual around each pixel, corners left out: of hexagons there are six in a square."""
+    side = (_CORNER_BESIDE_PX, _CORNER_BESIDE_PX)
+    mean = cv2.boxFilter(strong, -1, side)
+    return np.asarray(cv2.boxFilter(np.minimum(strong, _CORNER_CLIPPED * mean), -1, side))
+
+
+def _first(strength: Floats, pixels: Array, shape: tuple[int, ...]) -> Ints:
+    """Which of corners (N,) at pixels (N, 2) of a picture are taken: what is stronger than most; of those that are
+    alike the ones nearest to its middle, for the next picture shows these again, and noise alone ranks them."""
+    usual = _ALIKE * float(np.median(strength))
+    middle = 0.5 * np.array([shape[1], shape[0]])
+    off = np.hypot(*(pixels - middle).T)
+    order = np.lexsort((off, np.where(strength > usual, -strength, 0.0)))
+    return np.asarray(order[:_MOST_CORNERS])
+
+
 def find_corners(smooth: Gray, gray: Gray, places: Places, free: Gray) -> Found:
     """Corners, such as where three joints meet, of a picture (H, W) and that denoised()."""
     darkest, brightest, *_ = cv2.minMaxLoc(smooth)
     if brightest - darkest < CORNER_LEVELS:
         return NONE
     strong = np.asarray(cv2.cornerMinEigenVal(smooth, CORNER_BLOCK), np.float32)
-    around = _CORNER_STANDS_OUT * cv2.boxFilter(strong, -1, (_CORNER_BESIDE_PX, _CORNER_BESIDE_PX))
+    around = _CORNER_STANDS_OUT * _usual(strong)
     least = np.maximum(max(_CORNER_QUALITY * float(np.max(strong * (free > 0))), CORNER_LEAST), around)
     # beside a lamp it rises up to the lamp's edge: that is no corner, wherever the search ends
     row, column = np.nonzero((strong >= least) & (strong >= cv2.dilate(strong, _CORNER_AROUND)) & (free > 0))
-    first = np.argsort(-strong[row, column], kind="stable")[:_MOST_CORNERS]
-    if not len(first):
+    if not len(row):
         return NONE
+    first = _first(strong[row, column], np.column_stack([column, row]), strong.shape)
     pixels = np.column_stack([column, row])[first].astype(np.float32)[:, None]
     exact = np.asarray(cv2.cornerSubPix(gray, pixels.copy(), _SUBPIX, (-1, -1), _SUBPIX_UNTIL)).reshape(-1, 2)
     stayed = np.max(np.abs(exact - pixels[:, 0]), axis=1) < _SUBPIX[0]

@@ -47,6 +47,7 @@ class PointFinder:
         now_and_then: bool = True,
         left: int = 0,
         readout: Readout | None = None,
+        flickers: bool = False,
     ) -> tuple[Crossings | None, int]:
         """The crossings of a frame (H, W) with the points that it needs besides, None where there is neither; and in
         how many frames more they are looked for even if lines suffice.
@@ -56,12 +57,14 @@ class PointFinder:
             now_and_then: this is one of the frames in which lamps are looked for on a ceiling that is all cells.
             left: what the last call said.
             readout: of a rolling shutter.
+            flickers: crossings come and go: points are looked for as if there were none.
         """
-        if crossings is not None and len(crossings) >= ALL_CELLS and not now_and_then:
+        if crossings is not None and len(crossings) >= ALL_CELLS and not (now_and_then or flickers):
             return crossings, left
         view = self._calibration.level_view
-        apart = None if crossings is None else without_cells(crossings)
-        have, enough = 0 if apart is None else squares_with(apart, view.focal_px), PLENTY if left else ENOUGH
+        apart = crossings if crossings is None or flickers else without_cells(crossings)
+        have = 0 if apart is None or flickers else squares_with(apart, view.focal_px)
+        enough = PLENTY if left or flickers else ENOUGH
         if have >= enough and left <= 1:
             return crossings, 0
         left = AFTER if have < enough else left - 1
