@@ -103,7 +103,7 @@ def course_of(s: VisualOdometryState, predicted: Motion, dt_s: float) -> Course:
 
 
 def _by_tilt_m(view: Crossings) -> float:
-    """Standard deviation by which errors of the tilt put a view off where the two before it do: each no more than one of
+    """Standard deviation by which errors of the tilt put a view off where two before it do, each no more than one of
     _TILT_RAD does."""
     sigma_rad = float(np.max(view.tilt_sigma_rad))
     if not sigma_rad > 0.0:
