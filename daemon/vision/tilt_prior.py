@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Lines
@@ -38,8 +39,9 @@ _ANY_TILT_RAD = 1.0
 """No tilt's standard deviation grows beyond that: it is not known at all, and of squares that are larger a prior leaves
 rounding errors, which may be negative."""
 
-_LATELY = 20
-"""Frames whose tilts' scatter tells a robot that rocks while none of them tells its tilt: 0.7 s at 30 Hz; chosen."""
+_LATELY, _FEWEST_LATELY = 20, 5
+"""Frames whose tilts' scatter tells a robot that rocks while none of them tells its tilt: 0.7 s at 30 Hz; and from how
+many on it says to what a tilt is known that is held; chosen."""
 _TELLS_RAD = np.radians(17.0)
 """Frames that know the tilt worse do not count there: to 0.15 deg before it is widened; chosen."""
 _ROCKS_RAD = np.radians(0.2)
@@ -64,9 +66,8 @@ class TiltState:
         weight: sum of the frames' weights, each at most 1.
         mean_rad, var_rad2: (2,) of the single-frame estimates.
         noise_var_rad2: (2,) the part of var_rad2 that is the estimates' own error.
-        lately: (N, 2) rad, single-frame estimates while there is no prior, the last ones in a row of one kind: by faint
-            joints or not.
-        faint: of which kind these are.
+        lately: (N, 2) rad, the last single-frame estimates while there is no prior; of_faint: (N,) which of them faint
+            joints bear.
     """
 
     weight: float = 0.0
@@ -74,7 +75,7 @@ class TiltState:
     var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     noise_var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     lately: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    faint: bool = False
+    of_faint: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
 
 class TiltTracker:
@@ -91,10 +92,9 @@ class TiltTracker:
         """
         s, noise = self.state, lines.free_tilt_sigma_rad**2
         weight = 1.0 / (1.0 + float(np.max(noise)) / _FAIR_SIGMA_RAD**2)
-        if faint != s.faint:
-            s.lately, s.faint = np.zeros((0, 2)), faint
         if s.weight < _MIN_WEIGHT and float(np.max(lines.free_tilt_sigma_rad)) < _TELLS_RAD:
             s.lately = np.vstack([s.lately[1 - _LATELY :], lines.free_tilt_rad])
+            s.of_faint = np.append(s.of_faint[1 - _LATELY :], faint)
         s.weight += weight
         rate = weight * max(1.0 / _MEMORY_FRAMES, 1.0 / max(s.weight, 1.0))
         off = lines.free_tilt_rad - s.mean_rad
@@ -114,7 +114,7 @@ class TiltTracker:
     def scatter_rad(self) -> float:
         """Of the tilt in the last frames while none of them tells it: what it may be where it is held; 0 before."""
         lately = self.state.lately
-        if self.state.weight >= _MIN_WEIGHT or len(lately) < _LATELY:
+        if self.state.weight >= _MIN_WEIGHT or len(lately) < _FEWEST_LATELY:
             return 0.0
         off = np.abs(lately - np.median(lately, axis=0))
         return MAD_TO_SIGMA * float(np.max(np.median(off, axis=0)))
@@ -122,7 +122,7 @@ class TiltTracker:
     def _of_rocking(self) -> TiltPrior | None:
         """By frames that each leave the tilt open; None where they may be of a level robot."""
         s = self.state
-        if not s.faint or (scatter_rad := self.scatter_rad()) < _ROCKS_RAD:
+        if len(s.lately) < _LATELY or not np.all(s.of_faint) or (scatter_rad := self.scatter_rad()) < _ROCKS_RAD:
             return None
         middle = np.median(s.lately, axis=0)
         return TiltPrior(np.zeros(2), np.sqrt(_SPREAD_FACTOR * scatter_rad**2 + middle**2))

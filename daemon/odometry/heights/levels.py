@@ -33,6 +33,15 @@ _MOST = 12
 """Levels kept; chosen."""
 _REMEMBERED = 0.004
 """Standard deviation of a ratio that an earlier run found: 9 mm of height at 2.2 m; chosen."""
+_LINES, _LINES_ABOVE = 2, 3
+"""Lines that found a level where none of them was followed for long, and above the calibrated one; chosen: things hang
+from a ceiling, and one line that false tilts moved, joints of 3 levels over a robot that rocks, was a height of 2.5 m
+where the ceiling is at 2.2."""
+
+
+def believed(ratio: float, alike: int, long: bool) -> bool:
+    """Whether so many lines that move past alike found a level; long: one of them was followed for long."""
+    return alike >= _LINES_ABOVE if ratio < 1.0 else alike >= _LINES or long
 
 
 @dataclass(slots=True)

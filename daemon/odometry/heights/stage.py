@@ -11,7 +11,7 @@ from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.odometry.heights.by_map import AskMap, MapHere, levels_by_map, no_map
 from ceilvo.daemon.odometry.heights.heights_state import HeightsState
-from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels
+from ceilvo.daemon.odometry.heights.levels import SAME, SIGMAS, Levels, believed
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
 from ceilvo.daemon.odometry.heights.tracks import UNKNOWN, Bools, Sharpness, Tracks
 from ceilvo.daemon.odometry.points.constellation import has_points
@@ -251,7 +251,7 @@ class Heights:
         alike = np.count_nonzero(near, axis=1) + 1
         long = (t.sums[:, 0] >= _LONG) & (sigma < _SURE)
         for k in np.argsort(-alike, kind="stable"):
-            if not new[k] or not (alike[k] > 1 or long[k]):
+            if not new[k] or not believed(float(ratio[k]), int(alike[k]), bool(long[k])):
                 continue
             of = near[k] | (np.arange(len(t)) == k)
             mean, own = float(np.average(ratio[of], weights=sigma[of] ** -2.0)), float(np.min(sigma[of]))

@@ -92,7 +92,8 @@ class LevelPicture:
         if readout is not None:
             x, y = readout.read_at(self._x, self._y, self.focal_px)
             x, y = x - np.float32(self._x[0]), y - np.float32(self._y[0])
-            level, known = cv2.remap(level, x, y, cv2.INTER_LINEAR), cv2.remap(known, x, y, cv2.INTER_NEAREST)
+            level = cv2.remap(level, x, y, cv2.INTER_LINEAR)
+            known = np.asarray(cv2.remap(known, x, y, cv2.INTER_NEAREST), np.uint8)
         lamps = cv2.dilate(np.uint8(255) * (np.asarray(level) >= _BRIGHT), self._glare)
         return np.asarray(level, np.uint8), np.asarray(cv2.subtract(known, lamps), np.uint8)
 

@@ -65,6 +65,7 @@ def find_faint(
     config: Features,
     prior: TiltPrior | None,
     sure: bool = False,
+    scatter_rad: float = 0.0,
 ) -> Lines | None:
     """Lines along a direction and across it, None when fewer than two are seen.
 
@@ -73,6 +74,7 @@ def find_faint(
         psi_rad, tilt_rad: where to begin; the Lines have what was found, psi unfolded.
         prior: of the tilt.
         sure: direction and tilt are known to a fraction of a pixel at the rim.
+        scatter_rad: of tilts lately, to which one that is held is known.
     """
     fit = None
     for k in range(1 if sure else 0, _ROUNDS):
@@ -84,7 +86,7 @@ def find_faint(
         free = fit.finish(pieces=False, rocking=rocks(prior))
         if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
-            fit.finish_held(pieces=False)
+            fit.finish_held(pieces=False, scatter_rad=scatter_rad)
         if prior is not None and config.estimate_tilt:
             fit.apply_prior(prior)
         off = abs(fit.psi - psi_rad) + float(np.max(np.abs(fit.tilt - tilt_rad)))

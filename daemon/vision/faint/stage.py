@@ -77,6 +77,7 @@ class FaintLines:
         tilt_rad: Array,
         prior: TiltPrior | None,
         readout: Readout | None = None,
+        scatter_rad: float = 0.0,
     ) -> Lines | None:
         """Lines of a frame that was searched whole, with faint ones where they help; state says whether they did.
 
@@ -87,6 +88,7 @@ class FaintLines:
             tilt_rad: (2,) of the last frame.
             prior: of the tilt.
             readout: of a rolling shutter.
+            scatter_rad: of tilts lately, see TiltTracker.
         """
         edge_places = self._places(found)
         few = edge_places < max(_FEW, _FEWER * state.places)
@@ -94,7 +96,7 @@ class FaintLines:
         if state.since_look < wait:
             return found
         state.since_look, state.places = 0, edge_places
-        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior, readout)
+        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior, readout, scatter_rad)
         factor = _STILL_MORE if state.helps else _MORE
         need = max(factor * edge_places, edge_places + _MORE_AT_LEAST)
         state.helps = self._places(both) >= need
@@ -114,6 +116,7 @@ class FaintLines:
         tilt_rad: Array,
         prior: TiltPrior | None,
         readout: Readout | None,
+        scatter_rad: float,
     ) -> Lines | None:
         if self._picture is None:
             self._picture = LevelPicture(self._calibration, self._config.max_view_deg)
@@ -125,7 +128,7 @@ class FaintLines:
         if psi is None:
             return found
         start_rad = tilt_rad if weak or found is None else found.tilt_rad
-        faint = find_faint(self._picture, level, usable, psi, start_rad, self._config, prior, not weak)
+        faint = find_faint(self._picture, level, usable, psi, start_rad, self._config, prior, not weak, scatter_rad)
         if faint is None:
             return found
         if weak:

@@ -90,10 +90,17 @@ def test_edges_are_not_asked_so() -> None:
     assert abs(tracker.scatter_rad() - np.radians(0.45)) < np.radians(0.15), "but a held tilt is known no better"
 
 
-def test_frames_of_the_other_kind_begin_anew() -> None:
+def test_one_frame_of_the_other_kind_ends_the_prior_but_a_held_tilt_is_known_no_better() -> None:
     tracker = weak(np.radians(0.5) * np.sin(np.arange(40) / 3.0)[:, None] * np.ones(2))
     assert tracker.prior() is not None
     seen: object = Seen(np.zeros(2), np.full(2, np.radians(0.7)))
     tracker.update(seen)  # type: ignore[arg-type]
     assert tracker.prior() is None
-    assert tracker.scatter_rad() == 0.0
+    assert abs(tracker.scatter_rad() - np.radians(0.5)) < np.radians(0.15)
+
+
+def test_the_scatter_is_told_from_five_frames_on_and_one_mistake_does_not_make_it() -> None:
+    tilts = np.zeros((6, 2))
+    tilts[3] = np.radians(1.0)
+    assert weak(tilts[:4]).scatter_rad() == 0.0
+    assert 0.0 < weak(tilts).scatter_rad() < np.radians(0.15)
