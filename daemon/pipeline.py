@@ -103,8 +103,8 @@ class Pipeline:
         twist = self.odometry.expected_twist(elapsed_s, told.wheels, told.turn) if rolls else None
         heights = self.odometry.heights
         hint = None if heights.wants_whole_look else expected
-        flickers = self.odometry.state.flicker.flickers and self.odometry.one_plane
-        crossings = self.vision(frame, hint, on_stage_done, twist, heights.several, flickers)
+        flickers, fixtures = self.odometry.wants_points, self.odometry.wants_fixtures
+        crossings = self.vision(frame, hint, on_stage_done, twist, heights.several, flickers, fixtures)
         return self.step_crossings(frame.stamp_ns, crossings, wheels, on_stage_done, heard=heard)
 
     def step_crossings(

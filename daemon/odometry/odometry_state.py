@@ -10,6 +10,7 @@ import numpy as np
 from ceilvo.daemon.odometry.coasting import RecentTwists
 from ceilvo.daemon.odometry.heading_fusion import HeadingState
 from ceilvo.daemon.odometry.lines.across import AcrossState
+from ceilvo.daemon.odometry.points.fixtures import FixturesState
 from ceilvo.daemon.odometry.points.flicker import FlickerState
 from ceilvo.daemon.odometry.points.lean import LeanState
 from ceilvo.daemon.odometry.points.sliding_state import SlidingState
@@ -95,6 +96,7 @@ class VisualOdometryState:
         lean: how far a robot that rocks may be off, where only points tell its motion.
         sliding: features that are followed to see whether they are the ceiling's.
         flicker: how many features are seen again.
+        fixtures: what moves past slower than all lines.
         earlier: a good view before the reference, for what that misses.
         recent: twists of the last good views, of which the median goes on in a gap.
         turning: of the reference, where a single point laid it.
@@ -122,6 +124,7 @@ class VisualOdometryState:
     lean: LeanState = field(default_factory=LeanState)
     sliding: SlidingState = field(default_factory=SlidingState)
     flicker: FlickerState = field(default_factory=FlickerState)
+    fixtures: FixturesState = field(default_factory=FixturesState)
     earlier: EarlierView = field(default_factory=EarlierView)
     recent: RecentTwists = field(default_factory=RecentTwists)
     turning: Turning | None = None

@@ -13,7 +13,7 @@ from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
-from ceilvo.daemon.odometry.points import flicker
+from ceilvo.daemon.odometry.points import fixtures, flicker
 from ceilvo.daemon.odometry.points.constellation import has_lines
 from ceilvo.daemon.odometry.points.lean import learn, step_cov, sway_m, view_cov
 from ceilvo.daemon.odometry.points.sliding import Sliding
@@ -44,7 +44,9 @@ class HeightsOdometry(VisualOdometry):
         self._sliding = Sliding(calibration.mount_xy_m, calibration.ceiling_height_m)
         self._height_m = calibration.ceiling_height_m
         self.ask_map: AskMap = no_map
+        self._mount = calibration.mount_xy_m
         self._lines: Crossings | None = None
+        self._hung = np.zeros((0, 2))
 
     def know(self, ceiling: CeilingShape, pose: Array) -> None:
         """Begin with what an earlier run found of the ceiling, at a pose (3,) on its map."""
@@ -56,8 +58,20 @@ class HeightsOdometry(VisualOdometry):
         return CeilingShape(self.heights.drops_m, self.slope.on_map(pose))
 
     @property
+    def wants_points(self) -> bool:
+        """Whether points are to be looked for though lines cross often."""
+        return self.state.flicker.flickers and self.one_plane
+
+    @property
+    def wants_fixtures(self) -> bool:
+        """Whether the next frame is to say whether all lines are lower than the calibrated height."""
+        return self.state.fixtures.due and self.one_plane
+
+    @property
     def suspicion(self) -> str:
         """What is wrong with the ceiling, for people; "" for nothing."""
+        if said := fixtures.said(self.state.fixtures, self._height_m):
+            return said
         return self.slope.suspicion if self.slope.state.used is not None else self.heights.suspicion
 
     @property
@@ -94,13 +108,24 @@ class HeightsOdometry(VisualOdometry):
         self.slope.learn(motion, self.heights.several)
         self._sliding.learn(self.state.sliding, motion, sway_m(self.state.lean))
         flicker.learn(self.state.flicker, self._lines, placed, motion, self.state.reference)
+        self._hung = self._hang(motion)
         anew = None if self.heights.several else self.slope.reference()
         return placed if anew is None else anew
+
+    def _hang(self, motion: Motion) -> Array:
+        """(N, 2) where crossings of this frame were taken to be until fixtures told that all of them hang lower."""
+        s = self.state.fixtures
+        ratio = fixtures.learn(s, self._lines if self.one_plane else None, motion, self._mount)
+        fixtures.confirm(s, self.heights.state)
+        if ratio == 1.0 or self._lines is None:
+            return np.zeros((0, 2))
+        fixtures.hang(s, self.heights.state, ratio)
+        return self._lines.xy_base_m
 
     @property
     def misplaced(self) -> Array:
         """(N, 2) in base, where crossings of the last frame were taken to be until it told otherwise."""
-        return np.vstack([self.heights.misplaced, self.slope.misplaced, self._sliding.misplaced])
+        return np.vstack([self.heights.misplaced, self.slope.misplaced, self._sliding.misplaced, self._hung])
 
     @property
     def _lines_tell_tilt(self) -> bool:

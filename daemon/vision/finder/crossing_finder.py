@@ -66,6 +66,7 @@ class CrossingFinder:
         twist: TwistPrior | None = None,
         several: bool = False,
         flickers: bool = False,
+        fixtures: bool = False,
     ) -> Crossings | None:
         """Crossings of a frame, and points where these are few; None without either.
 
@@ -74,6 +75,7 @@ class CrossingFinder:
             twist: predicted while the frame is read, for a rolling shutter.
             several: the ceiling has several heights.
             flickers: crossings come and go, so points are looked for in any case.
+            fixtures: corners and spots are to be looked for besides.
         """
         lines = self._lines(frame.gray, expected, on_stage_done, twist, several)
         crossings = None if lines is None else self._lines.crossed(lines)
@@ -84,6 +86,9 @@ class CrossingFinder:
             crossings, state.points = self._points(
                 frame.gray, crossings, prior, state.since_detection == 0, state.points, self._lines.readout, flickers
             )
+            if fixtures and crossings is not None:
+                seen = self._points.fixtures(frame.gray, crossings, self._lines.readout)
+                crossings = replace(crossings, fixtures_m=seen)
         if crossings is not None:
             crossings = replace(crossings, sample_gray=frame.gray.take(self._raster))
         on_stage_done("crossings")

@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 
 from ceilvo.calibration import Calibration, to_ceiling
+from ceilvo.crossing_types import CeilingLines
 from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
 from ceilvo.daemon.vision.points.lamps import find_lamps
 from ceilvo.daemon.vision.points.places import Found, Gray, Places, denoised, joined
@@ -27,6 +29,9 @@ second. Else motion is lost where a ceiling of slats or hexagons shows crossings
 _STEADY_RAD = np.radians(0.02)
 """Tilt of a robot that showed no lines to tell it by; chosen: floors in buildings, and a millimetre at 2.2 m."""
 
+_REACH, _PIECES, _FAR_PX, _BESIDE_LINES_PX = 3.0, 97, 10000.0, 9
+"""How far lines are followed to leave out what lies on them, over the ceiling's height; in how many pieces; pixels
+beyond which nothing is in a picture; and how wide they are left out: a corner's block and two more; chosen."""
 
 _UNSTEADY_RAD = 1e-3
 """What tilt and lens are off by in a view: it shifts all of it alike, and stretches its sides; chosen, 0.03 deg."""
@@ -81,6 +86,38 @@ class PointFinder:
             crossings = self._without_crossings(crossings, prior)
         return self._with(crossings, found), left
 
+    def fixtures(self, gray: Gray, crossings: Crossings, readout: Readout | None) -> Array:
+        """(F, 2) corners and spots of a frame (H, W) in base, no light and nothing on its lines among them."""
+        view = self._calibration.level_view
+        if self._places is None:
+            self._places = Places(self._calibration, self._max_view_deg)
+        reduced = view.reduced(gray)
+        smooth = denoised(reduced)
+        free = free_of_lamps(self._places, find_lamps(reduced, smooth, self._places)[1])
+        if crossings.lines is not None:
+            free = np.asarray(cv2.subtract(free, self._on_lines(crossings, crossings.lines)), np.uint8)
+        found = joined([find_corners(smooth, reduced, self._places, free), find_spots(reduced, self._places, free)])
+        if readout is not None:
+            found = _at_one_instant(found, readout, view.focal_px)
+        return to_ceiling(self._calibration.ceiling_from_level, self._uv(found, crossings.tilt_rad))
+
+    def _on_lines(self, crossings: Crossings, lines: CeilingLines) -> Gray:
+        """(H, W) 255 where lines lie, seen or not: what is there is no fixture."""
+        view, places = self._calibration.level_view, self._places
+        assert places is not None
+        angle = crossings.psi_rad + 0.5 * np.pi * lines.axis
+        c, s = np.cos(angle), np.sin(angle)
+        reach = _REACH * self._calibration.ceiling_height_m * np.linspace(-1.0, 1.0, _PIECES)
+        at = (lines.offset_m * np.stack([c, s]))[..., None] + reach * np.stack([-s, c])[..., None]
+        principal = np.array([view.camera.cx_px, view.camera.cy_px])
+        level = to_ceiling(self._calibration.level_from_ceiling, at.reshape(2, -1).T) - principal
+        raw = view.to_raw(_levelled(level, -crossings.tilt_rad, view.focal_px) + principal)
+        on = np.zeros((places.height, places.width), np.uint8)
+        for line in view.reduced_px(raw).reshape(len(lines.axis), _PIECES, 2):
+            seen = np.all(np.isfinite(line) & (np.abs(line) < _FAR_PX), axis=1)
+            cv2.polylines(on, [np.rint(line[seen]).astype(np.int32)], False, 255, _BESIDE_LINES_PX)
+        return on
+
     def _look(self, gray: Gray, places: Places, need: int) -> Found:
         smooth = denoised(gray)
         lamps, bright = find_lamps(gray, smooth, places)
@@ -113,7 +150,7 @@ class PointFinder:
         """Crossings and points, the robot's tilt taken off the latter."""
         view = self._calibration.level_view
         principal = np.array([view.camera.cx_px, view.camera.cy_px])
-        uv = _levelled(found.uv, crossings.tilt_rad, view.focal_px) + principal
+        uv = self._uv(found, crossings.tilt_rad)
         own = self._calibration.metres_per_px**2 * (
             found.cov + _stretched((uv - principal) / view.focal_px, view.focal_px)
         )
@@ -126,6 +163,12 @@ class PointFinder:
             cov_base_m2=np.concatenate([crossings.cov_base_m2, own + crossings.common_cov_m2]),
             crossing_type=np.concatenate([crossings.crossing_type, found.kind]),
         )
+
+    def _uv(self, found: Found, tilt_rad: Array) -> Array:
+        """(N, 2) px in the level view, the robot's tilt (2,) taken off."""
+        view = self._calibration.level_view
+        principal = np.array([view.camera.cx_px, view.camera.cy_px])
+        return np.asarray(_levelled(found.uv, tilt_rad, view.focal_px) + principal)
 
 
 def _at_one_instant(found: Found, readout: Readout, focal_px: float) -> Found:
