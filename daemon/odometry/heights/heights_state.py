@@ -53,3 +53,14 @@ class HeightsState:
     def fails(self) -> bool:
         """Whether too many frames give no motion for lines to tell their heights by it: false tilts move them, too."""
         return self.failing > _MAY_FAIL
+
+    def hang(self, ratio: float, sigma: float) -> None:
+        """All lines in view are of that ratio, known to sigma: the way until now was so many times too long."""
+        self.tracks.rescaled(ratio)
+        self.levels.found(ratio, sigma)
+        self.tracks.level[:], self.tracks.own[:], self.settled = len(self.levels) - 1, True, True
+
+    @property
+    def sees_calibrated(self) -> bool:
+        """Whether a line that says itself that it is at the calibrated height is followed."""
+        return bool(np.any(self.tracks.own & (self.tracks.level == 0)))

@@ -116,11 +116,12 @@ class HeightsOdometry(VisualOdometry):
         """(N, 2) where crossings of this frame were taken to be until fixtures told that all of them hang lower."""
         s = self.state.fixtures
         ratio = fixtures.learn(s, self._lines if self.one_plane else None, motion, self._mount)
-        fixtures.confirm(s, self.heights.state)
-        if ratio == 1.0 or self._lines is None:
-            return np.zeros((0, 2))
-        fixtures.hang(s, self.heights.state, ratio)
-        return self._lines.xy_base_m
+        if ratio != 1.0 and self._lines is not None:
+            self.heights.state.hang(ratio, fixtures.SIGMA)
+            return self._lines.xy_base_m
+        if self.heights.state.sees_calibrated:
+            s.hang_m = 0.0
+        return np.zeros((0, 2))
 
     @property
     def misplaced(self) -> Array:

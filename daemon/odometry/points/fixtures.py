@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ceilvo import se2
-from ceilvo.daemon.odometry.heights.heights_state import HeightsState
 from ceilvo.types import Array, Crossings, Motion
 
 _LOOKS, _EVERY_M, _REST_M = 10, 0.05, 3.0
@@ -33,7 +32,7 @@ _FEWEST, _MAJORITY = 4, 0.6
 """How many do at least, and of all that may; chosen."""
 _TWICE = 0.02
 """Two looks in a row that differ by less say it; chosen."""
-_SIGMA = 0.01
+SIGMA = 0.01
 """Standard deviation of the ratio that is told so; chosen: the level is measured anew once lines of both are seen."""
 
 
@@ -83,25 +82,12 @@ def learn(s: FixturesState, seen: Crossings | None, motion: Motion, mount_xy_m: 
     s.at, s.look = np.vstack([s.at, now]), np.append(s.look, np.full(len(now), float(len(s.cameras))))
     s.cameras, s.looks, s.since_m = np.vstack([s.cameras, camera]), s.looks - 1, 0.0
     again = slower > 0.0 and s.slower > 0.0 and abs(slower - s.slower) < _TWICE
-    ratio = 2.0 / (2.0 - slower - s.slower) if again else 1.0
-    s.slower = slower
-    return ratio
-
-
-def hang(s: FixturesState, heights: HeightsState, ratio: float) -> None:
-    """Take all lines in view for ones of that ratio: the way until now was so many times too long."""
-    tracks = heights.tracks
-    tracks.rescaled(ratio)
-    heights.levels.found(ratio, _SIGMA)
-    tracks.level[:], tracks.own[:], heights.settled = len(heights.levels) - 1, True, True
-    s.hang_m = 1.0 - 1.0 / ratio
+    if not again:
+        s.slower = slower
+        return 1.0
+    s.hang_m = 0.5 * (slower + s.slower)
     _begin(s)
-
-
-def confirm(s: FixturesState, heights: HeightsState) -> None:
-    """Lines at the calibrated height are seen: that is where it was taken to be."""
-    if s.hang_m and np.any(heights.tracks.own & (heights.tracks.level == 0)):
-        s.hang_m = 0.0
+    return 1.0 / (1.0 - s.hang_m)
 
 
 def said(s: FixturesState, height_m: float) -> str:
