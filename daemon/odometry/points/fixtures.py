@@ -15,9 +15,11 @@ import numpy as np
 from ceilvo import se2
 from ceilvo.types import Array, Crossings, Motion
 
-_LOOKS, _EVERY_M, _REST_M = 10, 0.05, 3.0
+_LOOKS, _EVERY_M, _REST_M = 10, 0.05, 6.0
 """Looks at the start and after each rest, how far apart they are, and how far a rest takes the robot; chosen: a look
 costs as much as two frames."""
+_FEW_COUNT = 4
+"""Looks that one counts for which shows too few fixtures; chosen: three of them end a burst."""
 _LEAST_M, _MOST_M = 0.12, 0.6
 """Way between two looks that are compared; chosen: at 2.2 m a height .2 m lower moves a fixture by 1.3 cm."""
 _ACROSS_M = 0.02
@@ -80,7 +82,8 @@ def learn(s: FixturesState, seen: Crossings | None, motion: Motion, mount_xy_m: 
     now = se2.transform(s.pose, seen.fixtures_m)
     slower = _told(s, now, camera)
     s.at, s.look = np.vstack([s.at, now]), np.append(s.look, np.full(len(now), float(len(s.cameras))))
-    s.cameras, s.looks, s.since_m = np.vstack([s.cameras, camera]), s.looks - 1, 0.0
+    s.cameras, s.since_m = np.vstack([s.cameras, camera]), 0.0
+    s.looks = s.looks - 1 if len(now) >= _FEWEST else max(s.looks - _FEW_COUNT, 0)
     again = slower > 0.0 and s.slower > 0.0 and abs(slower - s.slower) < _TWICE
     if not again:
         s.slower = slower
