@@ -44,6 +44,9 @@ _LATELY, _FEWEST_LATELY = 20, 5
 many on it says to what a tilt is known that is held; chosen."""
 _TELLS_RAD = np.radians(17.0)
 """Frames that know the tilt worse do not count there: to 0.15 deg before it is widened; chosen."""
+_BEYOND = 0.5
+"""Of what frames are known to, in the median, from which on their scatter is not noise. Measured: .03 to .25 below
+ceiling_still, 1.0 to 25 of robots that rock by 2 deg (faint-3 217, 221 and 225, faint-2 222)."""
 _ROCKS_RAD = np.radians(0.2)
 """Scatter from which on a robot rocks. Measured (seeds 217 to 224, median of all frames): .35 to .52 deg of robots that
 rock by 2 deg; .05 to .07 of level ones below two lamps, plaster, hexagons and strip lamps, .19 in one frame of ten at
@@ -66,8 +69,8 @@ class TiltState:
         weight: sum of the frames' weights, each at most 1.
         mean_rad, var_rad2: (2,) of the single-frame estimates.
         noise_var_rad2: (2,) the part of var_rad2 that is the estimates' own error.
-        lately: (N, 2) rad, the last single-frame estimates while there is no prior; of_faint: (N,) which of them faint
-            joints bear.
+        lately, claimed: (N, 2) rad, the last single-frame estimates while there is no prior, and to what each is known;
+            of_faint: (N,) which of them faint joints bear.
     """
 
     weight: float = 0.0
@@ -75,6 +78,7 @@ class TiltState:
     var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     noise_var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     lately: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    claimed: Array = field(default_factory=lambda: np.zeros((0, 2)))
     of_faint: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
 
@@ -94,6 +98,7 @@ class TiltTracker:
         weight = 1.0 / (1.0 + float(np.max(noise)) / _FAIR_SIGMA_RAD**2)
         if s.weight < _MIN_WEIGHT and float(np.max(lines.free_tilt_sigma_rad)) < _TELLS_RAD:
             s.lately = np.vstack([s.lately[1 - _LATELY :], lines.free_tilt_rad])
+            s.claimed = np.vstack([s.claimed[1 - _LATELY :], lines.free_tilt_sigma_rad])
             s.of_faint = np.append(s.of_faint[1 - _LATELY :], faint)
         s.weight += weight
         rate = weight * max(1.0 / _MEMORY_FRAMES, 1.0 / max(s.weight, 1.0))
@@ -116,16 +121,35 @@ class TiltTracker:
         lately = self.state.lately
         if self.state.weight >= _MIN_WEIGHT or len(lately) < _FEWEST_LATELY:
             return 0.0
-        off = np.abs(lately - np.median(lately, axis=0))
-        return MAD_TO_SIGMA * float(np.max(np.median(off, axis=0)))
+        return float(np.max(_scatter(lately)))
+
+    def scatter_beyond_noise_rad(self) -> float:
+        """The same, 0 where what each frame is known to explains it: seams that are not parallel tell a tilt so badly
+        that noise of a grey level turns it by .3 deg, below a robot that stands (ceiling_still)."""
+        s = self.state
+        scatter_rad = self.scatter_rad()
+        if not scatter_rad or len(s.claimed) != len(s.lately):
+            return 0.0
+        told = _scatter(s.lately) >= _BEYOND * np.median(s.claimed, axis=0)
+        return scatter_rad if np.any(told) else 0.0
 
     def _of_rocking(self) -> TiltPrior | None:
         """By frames that each leave the tilt open; None where they may be of a level robot."""
         s = self.state
-        if len(s.lately) < _LATELY or not np.all(s.of_faint) or (scatter_rad := self.scatter_rad()) < _ROCKS_RAD:
+        if (
+            len(s.lately) < _LATELY
+            or not np.all(s.of_faint)
+            or (scatter_rad := self.scatter_beyond_noise_rad()) < _ROCKS_RAD
+        ):
             return None
         middle = np.median(s.lately, axis=0)
         return TiltPrior(np.zeros(2), np.sqrt(_SPREAD_FACTOR * scatter_rad**2 + middle**2))
+
+
+def _scatter(tilts_rad: Array) -> Array:
+    """(2,) of tilts (N, 2) about their median."""
+    off = np.abs(tilts_rad - np.median(tilts_rad, axis=0))
+    return np.asarray(MAD_TO_SIGMA * np.median(off, axis=0))
 
 
 def rocks(prior: TiltPrior | None) -> bool:

@@ -196,7 +196,9 @@ class LineFinder:
         if self._faint is None:
             return lines
         skewed = readout if readout is not None and readout.skew_px(self._reach_px) > _SKEWED_PX else None
-        return self._faint(gray, lines, along, s.faint, s.tilt_rad, prior, skewed, last.scatter_rad)
+        return self._faint(
+            gray, lines, along, s.faint, s.tilt_rad, prior, skewed, TiltTracker(s.tilt).scatter_beyond_noise_rad()
+        )
 
     def _track(
         self, gray: NDArray[np.uint8], prev_from_curr: Array | None, prior: TiltPrior | None, readout: Readout | None

@@ -104,3 +104,12 @@ def test_the_scatter_is_told_from_five_frames_on_and_one_mistake_does_not_make_i
     tilts[3] = np.radians(1.0)
     assert weak(tilts[:4]).scatter_rad() == 0.0
     assert 0.0 < weak(tilts).scatter_rad() < np.radians(0.15)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_scatter_that_is_the_frames_own_noise_is_no_rocking(seed: int) -> None:
+    """Seams of a photograph that are not parallel: .3 deg from frame to frame, claimed to 1.2, under a level robot."""
+    tracker = track(np.zeros((40, 2)), float(np.radians(0.3)), float(np.radians(1.3)), True, seed)
+    assert tracker.scatter_rad() > np.radians(0.2)
+    assert tracker.scatter_beyond_noise_rad() == 0.0
+    assert tracker.prior() is None
