@@ -118,7 +118,7 @@ class Crossings:
         complete: whatever is seen of the ceiling is here; otherwise what is missing says nothing.
         several: they are at several heights, so what was taken to be at another height lies beside them.
         lines: that they are crossings of, and others; None where these may not lie where they seem to.
-        fixtures_m: (F, 2) corners and spots in base, where they were looked for though lines suffice.
+        fixtures_m: (F, 2) corners and spots in base beside the lines; None where they were not looked for.
     """
 
     uv_px: Array
@@ -134,7 +134,7 @@ class Crossings:
     complete: bool = True
     several: bool = False
     lines: CeilingLines | None = None
-    fixtures_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    fixtures_m: Array | None = None
 
     def __len__(self) -> int:
         return len(self.crossing_type)

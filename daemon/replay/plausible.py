@@ -77,8 +77,8 @@ def crossings_problem(c: Crossings) -> str:
             "tilt_rad": (c.tilt_rad, (2,), np.pi),
             "tilt_sigma_rad": (c.tilt_sigma_rad, (2,), np.pi),
             "common_cov_m2": (c.common_cov_m2, (2, 2), MAX_COORDINATE_M**2),
-            "fixtures_m": (c.fixtures_m, (len(c.fixtures_m), 2), MAX_COORDINATE_M),
         }
+        | ({} if c.fixtures_m is None else {"fixtures_m": (c.fixtures_m, (len(c.fixtures_m), 2), MAX_COORDINATE_M)})
     )
     problem = next(numbers, "") or _types_problem(c.crossing_type) or _lines_problem(c.lines)
     problem = problem or _named("cov_base_m2", covariance_problem(c.cov_base_m2))

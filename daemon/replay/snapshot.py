@@ -27,7 +27,11 @@ from ceilvo.errors import FileFormatError, one_line
 VERSION = 3
 """Version 1 (ceilvo 0.1) named classes and private attributes; snapshot_v1 turns it into version 2, which had one
 hypothesis about the place, and a filter that searched by itself."""
-_GONE: Mapping[str, frozenset[str]] = {"BridgeState": frozenset({"lean_var"}), "Doubt": frozenset({"aligned"})}
+_GONE: Mapping[str, frozenset[str]] = {
+    "BridgeState": frozenset({"lean_var"}),
+    "Doubt": frozenset({"aligned"}),
+    "TiltState": frozenset({"faint"}),
+}
 """Fields that programs of version 3 wrote and nothing reads any more, by class."""
 _LONGEST_NAME = 8
 """Of a type of numbers, as "<f8"; NumPy evaluates a longer one as a program would be read."""

@@ -15,6 +15,7 @@ from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
 from ceilvo.daemon.odometry.points import fixtures, flicker
 from ceilvo.daemon.odometry.points.constellation import has_lines
+from ceilvo.daemon.odometry.points.fixtures import FixturesState
 from ceilvo.daemon.odometry.points.lean import learn, step_cov, sway_m, view_cov
 from ceilvo.daemon.odometry.points.sliding import Sliding
 from ceilvo.daemon.odometry.registration import points_of
@@ -25,7 +26,7 @@ from ceilvo.types import Array, Crossings, Motion
 ROCKS_M = 0.015
 """Standard deviation by which a view is off, from which no place is called good: within 5 cm, by three of them; chosen.
 """
-LEVEL_RAD = np.radians(0.02)
+_LEVEL_RAD = np.radians(0.02)
 """A view that is tilted less may have been taken to be level, for want of lines that tell; chosen: floors in buildings.
 """
 
@@ -52,6 +53,7 @@ class HeightsOdometry(VisualOdometry):
         """Begin with what an earlier run found of the ceiling, at a pose (3,) on its map."""
         self.heights.know(ceiling.drops_m)
         self.slope.know(ceiling.slope, pose)
+        self.state.fixtures = FixturesState()
 
     def ceiling(self, pose: Array) -> CeilingShape:
         """What was found, on a map where the robot is at a pose (3,)."""
@@ -115,6 +117,8 @@ class HeightsOdometry(VisualOdometry):
     def _hang(self, motion: Motion) -> Array:
         """(N, 2) where crossings of this frame were taken to be until fixtures told that all of them hang lower."""
         s = self.state.fixtures
+        if not self.one_plane:
+            s.slower = 0.0  # lines tell their heights themselves
         ratio = fixtures.learn(s, self._lines if self.one_plane else None, motion, self._mount)
         if ratio != 1.0 and self._lines is not None:
             self.heights.state.hang(ratio, fixtures.SIGMA)
@@ -133,7 +137,7 @@ class HeightsOdometry(VisualOdometry):
         """Whether a view of points alone is so because crossings flicker, and their lines show a tilt."""
         if not self.state.flicker.by_points or self._lines is None:
             return False
-        return has_lines(self._lines) and float(np.max(np.abs(self._lines.tilt_rad))) > LEVEL_RAD
+        return has_lines(self._lines) and float(np.max(np.abs(self._lines.tilt_rad))) > _LEVEL_RAD
 
     def directed(self, crossings: Crossings) -> Crossings:
         seen = super().directed(crossings)

@@ -58,7 +58,7 @@ class FixturesState:
     look: Array = field(default_factory=lambda: np.zeros(0))
     cameras: Array = field(default_factory=lambda: np.zeros((0, 2)))
     looks: int = _LOOKS
-    since_m: float = _EVERY_M
+    since_m: float = 0.0
     slower: float = 0.0
     hang_m: float = 0.0
 
@@ -69,12 +69,15 @@ class FixturesState:
 
 
 def learn(s: FixturesState, seen: Crossings | None, motion: Motion, mount_xy_m: Array) -> float:
-    """What a frame says: the ratio of calibrated over true height of all lines, 1 where that is not told."""
+    """What a frame says: the ratio of calibrated over true height of all lines, 1 where that is not told.
+
+    A look that finds nothing is one, too: else every frame below a bare ceiling would be.
+    """
     s.pose = se2.compose(s.pose, motion.prev_from_curr)
     s.since_m += float(np.hypot(*motion.prev_from_curr[:2]))
     if not motion.ok:
         _begin(s)
-    if seen is None or not len(seen.fixtures_m) or not motion.ok:
+    if seen is None or seen.fixtures_m is None or not motion.ok:
         return 1.0
     if not s.looks:
         _begin(s)

@@ -50,8 +50,6 @@ _LEAST_TOLD = 0.2
 """Part of its own way that odometry tells at least; chosen, not to divide by 0."""
 _REFERENCES = 3
 """Features other than lamps that tell how the ceiling itself moves; chosen."""
-
-
 _TRIAL, _TRIAL_LINES = 10, 6
 """Frames for which lamps that come in where lines sufficed do not count until they are known to stay, twice what that
 takes at 0.1 m/s and more; and crossings of lines in a frame that does without them; chosen."""

@@ -21,6 +21,7 @@ from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.thinning import ALL_CELLS, ENOUGH, without_cells
 from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.se2 import rotation
 from ceilvo.types import NO_DIRECTION_RAD, Array, Crossings
 
 PLENTY, AFTER = 25, 15
@@ -42,6 +43,8 @@ class PointFinder:
 
     def __init__(self, calibration: Calibration, max_view_deg: float) -> None:
         self._calibration, self._max_view_deg = calibration, max_view_deg
+        camera = calibration.level_view.camera
+        self._principal_px = np.array([camera.cx_px, camera.cy_px])
         self._places: Places | None = None
 
     def __call__(
@@ -73,11 +76,9 @@ class PointFinder:
         if have >= enough and left <= 1:
             return crossings, 0
         left = AFTER if have < enough else left - 1
-        if self._places is None:
-            self._places = Places(self._calibration, self._max_view_deg)
         only_lamps = apart is not crossings  # corners and spots of cells are as many as cells
         need = 0 if only_lamps else max(enough - have, ENOUGH)
-        found = self._look(view.reduced(gray), self._places, need)
+        found = self._look(view.reduced(gray), need)
         if not len(found):
             return crossings, left
         if readout is not None:
@@ -88,38 +89,38 @@ class PointFinder:
 
     def fixtures(self, gray: Gray, crossings: Crossings, readout: Readout | None) -> Array:
         """(F, 2) corners and spots of a frame (H, W) in base, no light and nothing on its lines among them."""
-        view = self._calibration.level_view
-        if self._places is None:
-            self._places = Places(self._calibration, self._max_view_deg)
+        view, places = self._calibration.level_view, self._look_up()
         reduced = view.reduced(gray)
         smooth = denoised(reduced)
-        free = free_of_lamps(self._places, find_lamps(reduced, smooth, self._places)[1])
+        free = free_of_lamps(places, find_lamps(reduced, smooth, places)[1])
         if crossings.lines is not None:
             free = np.asarray(cv2.subtract(free, self._on_lines(crossings, crossings.lines)), np.uint8)
-        found = joined([find_corners(smooth, reduced, self._places, free), find_spots(reduced, self._places, free)])
+        found = joined([find_corners(smooth, reduced, places, free), find_spots(reduced, places, free)])
         if readout is not None:
             found = _at_one_instant(found, readout, view.focal_px)
         return to_ceiling(self._calibration.ceiling_from_level, self._uv(found, crossings.tilt_rad))
 
     def _on_lines(self, crossings: Crossings, lines: CeilingLines) -> Gray:
         """(H, W) 255 where lines lie, seen or not: what is there is no fixture."""
-        view, places = self._calibration.level_view, self._places
-        assert places is not None
-        angle = crossings.psi_rad + 0.5 * np.pi * lines.axis
-        c, s = np.cos(angle), np.sin(angle)
+        view, places, axes = self._calibration.level_view, self._look_up(), rotation(crossings.psi_rad).T
         reach = _REACH * self._calibration.ceiling_height_m * np.linspace(-1.0, 1.0, _PIECES)
-        at = (lines.offset_m * np.stack([c, s]))[..., None] + reach * np.stack([-s, c])[..., None]
-        principal = np.array([view.camera.cx_px, view.camera.cy_px])
-        level = to_ceiling(self._calibration.level_from_ceiling, at.reshape(2, -1).T) - principal
-        raw = view.to_raw(_levelled(level, -crossings.tilt_rad, view.focal_px) + principal)
+        middle, along = lines.offset_m[:, None] * axes[lines.axis], axes[1 - lines.axis]
+        at = (middle[:, None] + reach[:, None] * along[:, None]).reshape(-1, 2)
+        level = to_ceiling(self._calibration.level_from_ceiling, at) - self._principal_px
+        raw = view.to_raw(_levelled(level, -crossings.tilt_rad, view.focal_px) + self._principal_px)
         on = np.zeros((places.height, places.width), np.uint8)
         for line in view.reduced_px(raw).reshape(len(lines.axis), _PIECES, 2):
             seen = np.all(np.isfinite(line) & (np.abs(line) < _FAR_PX), axis=1)
             cv2.polylines(on, [np.rint(line[seen]).astype(np.int32)], False, 255, _BESIDE_LINES_PX)
         return on
 
-    def _look(self, gray: Gray, places: Places, need: int) -> Found:
-        smooth = denoised(gray)
+    def _look_up(self) -> Places:
+        if self._places is None:
+            self._places = Places(self._calibration, self._max_view_deg)
+        return self._places
+
+    def _look(self, gray: Gray, need: int) -> Found:
+        places, smooth = self._look_up(), denoised(gray)
         lamps, bright = find_lamps(gray, smooth, places)
         found = [lamps]
         if len(lamps) < need:
@@ -148,11 +149,9 @@ class PointFinder:
 
     def _with(self, crossings: Crossings, found: Found) -> Crossings:
         """Crossings and points, the robot's tilt taken off the latter."""
-        view = self._calibration.level_view
-        principal = np.array([view.camera.cx_px, view.camera.cy_px])
-        uv = self._uv(found, crossings.tilt_rad)
+        focal_px, uv = self._calibration.level_view.focal_px, self._uv(found, crossings.tilt_rad)
         own = self._calibration.metres_per_px**2 * (
-            found.cov + _stretched((uv - principal) / view.focal_px, view.focal_px)
+            found.cov + _stretched((uv - self._principal_px) / focal_px, focal_px)
         )
         sure = crossings.psi_sigma_rad < VAGUE_RAD  # else a lamp's or a stain's outline was taken for lines
         return replace(
@@ -166,9 +165,8 @@ class PointFinder:
 
     def _uv(self, found: Found, tilt_rad: Array) -> Array:
         """(N, 2) px in the level view, the robot's tilt (2,) taken off."""
-        view = self._calibration.level_view
-        principal = np.array([view.camera.cx_px, view.camera.cy_px])
-        return np.asarray(_levelled(found.uv, tilt_rad, view.focal_px) + principal)
+        levelled = _levelled(found.uv, tilt_rad, self._calibration.level_view.focal_px)
+        return np.asarray(levelled + self._principal_px)
 
 
 def _at_one_instant(found: Found, readout: Readout, focal_px: float) -> Found:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ceilvo import se2
+from ceilvo.calibration import LEVEL_CEILING
 from ceilvo.config import Config, Features, Odometry
 from ceilvo.crossing_types import JOINTS
 from ceilvo.daemon.odometry.heights.odometry import HeightsOdometry
@@ -63,7 +64,7 @@ def _drive(hall: Hall, frames: int = 45) -> tuple[HeightsOdometry, float, list[s
     for k in range(frames):
         view = hall.seen(pose)
         if not odometry.wants_fixtures:
-            view = replace(view, fixtures_m=np.zeros((0, 2)))
+            view = replace(view, fixtures_m=None)
         placed = odometry.placed(view, odometry.expected(STEP_S))
         motion = odometry.step(placed, STEP_S)
         odometry.learn(motion, placed)
@@ -91,6 +92,31 @@ def test_fixtures_at_the_lines_height_or_lower_say_nothing(low_m: float, fixture
     odometry, too_long, said = _drive(Hall(0.0, low_m, fixtures, seed))
     assert not any(said) and not odometry.heights.several
     assert abs(too_long - 1.0) < 0.01
+
+
+def test_a_look_that_finds_nothing_is_a_look() -> None:
+    odometry, pose, looks, hall = HeightsOdometry(Odometry(), CALIBRATION), np.zeros(3), 0, Hall(0.0, 0.0, 0, 10)
+    for _ in range(100):
+        wanted = odometry.wants_fixtures
+        view = hall.seen(pose) if wanted else replace(hall.seen(pose), fixtures_m=None)
+        placed = odometry.placed(view, odometry.expected(STEP_S))
+        odometry.learn(odometry.step(placed, STEP_S), placed)
+        pose, looks = se2.compose(pose, MOVE), looks + wanted
+    print(f"{looks} looks in 2 m")
+    assert 1 <= looks <= 4
+
+
+def test_nothing_is_said_any_more_once_lines_tell_heights_or_a_map_is_loaded() -> None:
+    odometry, _, said = _drive(Hall(0.4, 0.0, 10, 11))
+    assert said[-1]
+    odometry.know(LEVEL_CEILING, np.zeros(3))
+    assert not odometry.suspicion
+    odometry.state.fixtures.slower = 0.2
+    assert odometry.suspicion
+    odometry.heights.state.levels.found(1.2, 0.01)
+    placed = odometry.placed(None, None)
+    odometry.learn(odometry.step(placed, STEP_S), placed)
+    assert "slower" not in odometry.suspicion
 
 
 def test_three_fixtures_are_too_few_to_found_a_height() -> None:
@@ -137,7 +163,8 @@ def test_fixtures_are_what_a_ceiling_shows_beside_its_lines(seed: int) -> None:
     finder, frame = CrossingFinder(CALIBRATION, Features()), Frame(0, 10**9, world.frame_at(1.0))
     without = finder(frame, None)
     seen = CrossingFinder(CALIBRATION, Features())(frame, None, fixtures=True)
-    assert seen is not None and without is not None and not len(without.fixtures_m)
+    assert seen is not None and seen.fixtures_m is not None
+    assert without is not None and without.fixtures_m is None
     joints = seen.xy_base_m[seen.crossing_type == JOINTS]
     apart = np.hypot(*(seen.fixtures_m[:, None] - joints).transpose(2, 0, 1))
     print(f"{len(seen.fixtures_m)} fixtures, {1e3 * apart.min():.0f} mm from a crossing of joints at least")

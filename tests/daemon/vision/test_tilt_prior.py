@@ -5,7 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from ceilvo.config import Config
+from ceilvo.daemon.pipeline import Pipeline
+from ceilvo.daemon.replay.snapshot import freeze, restore, snapshot_json
 from ceilvo.daemon.vision.tilt_prior import TiltTracker
+from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Lines
 
 SEED = 11
@@ -113,3 +117,15 @@ def test_a_scatter_that_is_the_frames_own_noise_is_no_rocking(seed: int) -> None
     assert tracker.scatter_rad() > np.radians(0.2)
     assert tracker.scatter_beyond_noise_rad() == 0.0
     assert tracker.prior() is None
+
+
+def test_a_state_that_knew_one_kind_of_frames_only_is_read() -> None:
+    pipeline = Pipeline(simulated_calibration(), Config(), np.random.default_rng(0))
+    tree = snapshot_json(freeze(pipeline), "pfcf")
+    tilt = tree["state"]["vision"]["tilt"]
+    for new in ("claimed", "of_faint"):
+        del tilt[new]
+    tilt["faint"] = True
+    again = Pipeline(simulated_calibration(), Config(), np.random.default_rng(0))
+    restore(again, tree)
+    assert len(again.vision.state.tilt.of_faint) == 0
