@@ -17,7 +17,7 @@ from ceilvo.types import Array, Crossings, Motion
 
 _LOOKS, _EVERY_M, _REST_M = 10, 0.05, 6.0
 """Looks at the start and after each rest, how far apart they are, and how far a rest takes the robot; chosen: a look
-costs as much as two frames."""
+costs 8 ms of a frame of 2.6."""
 _FEW_COUNT = 4
 """Looks that one counts for which shows too few fixtures; chosen: three of them end a burst."""
 _LEAST_M, _MOST_M = 0.12, 0.6

@@ -37,10 +37,9 @@ rendered lamps show."""
 
 def find_lamps(gray: Gray, smooth: Gray, places: Places) -> tuple[Found, Gray]:
     """Lamps in a picture (H, W) that is looked at, denoised() besides, and (H, W) 255 where anything is as bright."""
-    limit = _threshold(gray, smooth, places)
+    limit, bright = as_bright(gray, smooth, places)
     if limit is None:
-        return NONE, np.zeros_like(gray)
-    bright = np.asarray(cv2.threshold(gray, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
+        return NONE, bright
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=8)
     x, y, wide, high, area = stats.T
     whole = (x >= _BORDER_PX) & (y >= _BORDER_PX)
@@ -60,6 +59,14 @@ def find_lamps(gray: Gray, smooth: Gray, places: Places) -> tuple[Found, Gray]:
     if ends:
         found.append(places.found(np.concatenate(ends), END_SIGMA_PX, CORNER))
     return joined(found) if found else NONE, bright
+
+
+def as_bright(gray: Gray, smooth: Gray, places: Places) -> tuple[float | None, Gray]:
+    """Grey level from which a pixel is of a lamp, None without any, and (H, W) 255 where one is."""
+    limit = _threshold(gray, smooth, places)
+    if limit is None:
+        return None, np.zeros_like(gray)
+    return limit, np.asarray(cv2.threshold(gray, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
 
 
 def _threshold(gray: Gray, smooth: Gray, places: Places) -> float | None:

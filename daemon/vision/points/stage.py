@@ -15,7 +15,7 @@ import numpy as np
 from ceilvo.calibration import Calibration, to_ceiling
 from ceilvo.crossing_types import CeilingLines
 from ceilvo.daemon.vision.crossings import VAGUE_RAD, squares_with
-from ceilvo.daemon.vision.points.lamps import find_lamps
+from ceilvo.daemon.vision.points.lamps import as_bright, find_lamps
 from ceilvo.daemon.vision.points.places import Found, Gray, Places, denoised, joined
 from ceilvo.daemon.vision.points.spots import find_corners, find_spots, free_of_lamps
 from ceilvo.daemon.vision.rolling_shutter import Readout
@@ -92,7 +92,7 @@ class PointFinder:
         view, places = self._calibration.level_view, self._look_up()
         reduced = view.reduced(gray)
         smooth = denoised(reduced)
-        free = free_of_lamps(places, find_lamps(reduced, smooth, places)[1])
+        free = free_of_lamps(places, as_bright(reduced, smooth, places)[1])
         if crossings.lines is not None:
             free = np.asarray(cv2.subtract(free, self._on_lines(crossings, crossings.lines)), np.uint8)
         found = joined([find_corners(smooth, reduced, places, free), find_spots(reduced, places, free)])
