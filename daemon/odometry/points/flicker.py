@@ -25,7 +25,7 @@ steady again. Measured over 4 to 8 s (seed 221), median and least: tiles .90 to 
 .88 and .82, grilles .83 and .64, fibre tiles with bars .78 and .73; drawn hexagons .35 to .58 and .16, one .72 and .65;
 points .78 to .98."""
 _AGREE = 0.75
-"""Of the crossings, where so many bear out a motion they are taken to be seen again, all of them: .15 ms of a frame."""
+"""Of the crossings, where so many bear out a motion all are taken to be seen again, and not compared; chosen."""
 _MANY = 60.0
 """Crossings of a frame, in the mean, that flicker in crowds: among fewer those that move alike are found; chosen."""
 _BETTER = 0.15
