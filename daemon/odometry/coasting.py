@@ -88,9 +88,12 @@ class RecentTwists:
 
     def median(self, since_s: float) -> LastTwist:
         """What goes on since_s after the last of them; there is one at least."""
-        several = len(self.twists) == _RECENT
-        var = _OF_MEDIAN * np.sort(self.var, axis=0)[_RECENT // 2] if several else np.max(self.var, axis=0)
-        twist = np.sort(self.twists, axis=0)[_RECENT // 2] if several else self.twists[-1]
+        if len(self.twists) == _RECENT:
+            var = _OF_MEDIAN * np.sort(self.var, axis=0)[_RECENT // 2]
+            twist = np.sort(self.twists, axis=0)[_RECENT // 2]
+        else:  # where the first two differ, either may be mistaken
+            var = np.max(self.var, axis=0) + (self.twists[-1] - self.twists[0]) ** 2
+            twist = self.twists[-1]
         return LastTwist(twist, float(np.sum(self.span_s)), since_s, var)
 
 

@@ -13,6 +13,7 @@ from ceilvo.daemon.odometry.course import Course, Found
 from ceilvo.daemon.odometry.heights.by_map import AskMap, no_map
 from ceilvo.daemon.odometry.heights.slope import Slope
 from ceilvo.daemon.odometry.heights.stage import Heights
+from ceilvo.daemon.odometry.heights.tracks import Sharpness
 from ceilvo.daemon.odometry.points import fixtures, flicker
 from ceilvo.daemon.odometry.points.constellation import has_lines
 from ceilvo.daemon.odometry.points.fixtures import FixturesState
@@ -42,7 +43,8 @@ class HeightsOdometry(VisualOdometry):
         super().__init__(config)
         self.slope = Slope(calibration)
         self.heights = Heights(calibration)
-        self._sliding = Sliding(calibration.mount_xy_m, calibration.ceiling_height_m)
+        coarse = Sharpness.of(calibration).coarse
+        self._sliding = Sliding(calibration.mount_xy_m, calibration.ceiling_height_m, coarse)
         self._height_m = calibration.ceiling_height_m
         self.ask_map: AskMap = no_map
         self._mount = calibration.mount_xy_m

@@ -14,22 +14,20 @@ import numpy as np
 
 from ceilvo import se2
 from ceilvo.calibration import Calibration, to_ceiling
-from ceilvo.crossing_types import LINE_CROSSINGS, quarter_turns, turned_type
+from ceilvo.crossing_types import LINE_CROSSINGS
 from ceilvo.daemon.odometry.heights.leaning import (
     MOST_LEARNT,
     RASTER_M,
     direction_over_floor,
     lean_of,
-    lines_of,
     once,
     over_floor,
 )
 from ceilvo.daemon.odometry.heights.plane import HIGH_SIGMA, Plane, PlaneFit
 from ceilvo.daemon.odometry.heights.seen_lines import SeenLines
-from ceilvo.daemon.odometry.heights.similarity import Similarity, similarity
+from ceilvo.daemon.odometry.heights.similarity import of_views
 from ceilvo.daemon.odometry.heights.tiles import seen_high
 from ceilvo.daemon.odometry.lines.direction import direction_change
-from ceilvo.daemon.odometry.matching import mutual_nearest
 from ceilvo.types import Array, Crossings, Motion
 
 _AT_FIRST, _STEADY_RAD, _LEANS = 5, np.radians(0.1), math.tan(math.radians(2.5))
@@ -44,18 +42,13 @@ _OTHER_HIGH = 0.01
 taking its lean for the robot's does no harm until that turns."""
 _REACH_M = 15.0
 """From where the height was calibrated, at most; chosen, a hall: tiles that are further off by a rise are others."""
-_KEY_M, _KEY_RAD, _FEWEST = 0.3, math.radians(20.0), 8
-"""A view serves for so much way and turn, while so many crossings are in both; chosen: half of them stay in view."""
-_FEWEST_LINES = 6
-"""Of both axes, that those crossings must be of: between the edges of two lamps a scale is one number of two places,
-and nothing tells that one of them was taken for its neighbour; chosen: twice what scale and place are."""
+_KEY_M, _KEY_RAD = 0.3, math.radians(20.0)
+"""A view serves for so much way and turn; chosen: half of the crossings stay in view."""
 _PLAUSIBLE = 3.0 * HIGH_SIGMA
 """Of the height over the calibrated one: a plane that is further off is none; 99.7 %."""
 _SCALE_SIGMA = 0.0005
 """Least, of the ratio of two views' sizes; chosen: 0.5 mm on a metre, as errors of lens and lines that move past."""
 _TILE_SIGMA = 0.002  # of a height by tiles; chosen: errors of the lens are the same in all frames
-_NEAR_M, _NEARER_M = 0.06, 0.01
-"""Within which crossings of two views are the same: before and after their ratio is known; chosen."""
 _HIGH_KNOWN = 0.004
 """Standard deviation of the height over the calibrated one with which a way is good to half a per cent; chosen."""
 _BLIND_M = 0.3  # chosen: off the start by less, a height that is wrong by a twentieth makes 15 mm
@@ -257,31 +250,13 @@ class Slope:
         """What is known, with the size of this view against that of an earlier one."""
         s = self.state
         fit, way = s.fit, se2.between(s.key_pose, s.pose)
-        found = None if s.key is None else self._similar(s.key, crossings, way)
+        found = None if s.key is None else of_views(s.key, crossings, way, self._mount, self._high_m)
         if found is not None and s.key is not None:
             before, now = self._camera(s.key_pose), self._camera(s.pose)
             fit = s.fit.with_scale(found.scale, max(_SCALE_SIGMA, found.sigma), before, now, self._high_m)
         if found is None or np.hypot(*way[:2]) > _KEY_M or abs(way[2]) > _KEY_RAD:
             s.fit, s.key, s.key_pose = fit, crossings, s.pose
         return fit
-
-    def _similar(self, key: Crossings, crossings: Crossings, way: Array) -> Similarity | None:
-        """The earlier view from this one."""
-        turn = float(way[2])
-        kinds = turned_type(crossings.crossing_type, quarter_turns(crossings.psi_rad + turn, key.psi_rad))
-        lines = np.flatnonzero(crossings.crossing_type < LINE_CROSSINGS)
-        here, then = (
-            (c.xy_base_m - self._mount) @ over_floor(lean_of(c.tilt_rad))[0] for c in (crossings, key)
-        )  # else a rise that turns against base would pass for a scale
-        step = se2.rotation(turn) @ self._mount + way[:2] - self._mount
-        guess, radius_m = Similarity(1.0, turn, step, 0.0, 0), _NEAR_M
-        for _ in range(2):
-            i, j = mutual_nearest(guess.of(here[lines]), kinds[lines], then, key.crossing_type, radius_m)
-            found = similarity(here[lines[i]], then[j], _FEWEST)
-            if found is None or lines_of(key.of(j)) < _FEWEST_LINES:
-                return None
-            guess, radius_m = found, _NEARER_M
-        return guess
 
     def _by_tiles(self, crossings: Crossings, plane: Plane, tile_m: float) -> bool:
         """Take in the height by tiles, if they tell it."""

@@ -64,8 +64,9 @@ class Sliding:
         misplaced: (N, 2) in base, points of the last frame that were taken for the ceiling's until it.
     """
 
-    def __init__(self, mount_xy_m: Array, height_m: float) -> None:
-        self._mount, self._height_m = mount_xy_m, height_m
+    def __init__(self, mount_xy_m: Array, height_m: float, coarse: float = 1.0) -> None:
+        """coarse: how many times larger a camera's errors are than those that the constants are of."""
+        self._mount, self._height_m, self._coarse = mount_xy_m, height_m, coarse
         self._look: tuple[Crossings, Ints] | None = None
         self.misplaced = np.zeros((0, 2))
 
@@ -118,11 +119,11 @@ class Sliding:
         s.missing += 1
         s.missing[track] = 0
         s.xy[track], s.camera[track], s.last[track] = xy, camera, crossings.xy_base_m
-        far = track[~(np.hypot(*(camera - s.measured[track]).T) < _STEP_M)]
+        far = track[~(np.hypot(*(camera - s.measured[track]).T) < self._coarse * _STEP_M)]
         s.measured[far] = camera
         s.sums[far] += _sums(s.xy[far], camera, 0.0 if has_lines(crossings) else self._height_m**-2)
         before = s.slides.copy()
-        _judge(s, sway_m)
+        _judge(s, sway_m, self._coarse)
         found = np.flatnonzero((s.slides & ~before)[track])
         self.misplaced = crossings.xy_base_m[found]
 
@@ -130,10 +131,11 @@ class Sliding:
         """(N,) the track of each feature, or -1."""
         track = np.full(len(crossings), -1)
         if len(s):
-            share, sigma = _shares(s)[:2]
+            share, sigma = _shares(s, self._coarse)[:2]
             moved = np.where(sigma < _KNOWN, share, 0.0)[:, None] * (self._camera(pose) - s.camera)
             seen = se2.transform(pose, crossings.xy_base_m)
-            i, j = kernel.mutual_nearest(seen, _kind(crossings), s.xy + moved, s.kind, _GATE_M)
+            gate_m = self._coarse * _GATE_M
+            i, j = kernel.mutual_nearest(seen, _kind(crossings), s.xy + moved, s.kind, gate_m)
             track[i] = j
         return track
 
@@ -188,21 +190,21 @@ def _moved(s: SlidingState) -> tuple[Array, Array]:
     return n, np.maximum(s.sums[:, 5] - np.sum(s.sums[:, 1:3] ** 2, axis=1) / n, 0.0)
 
 
-def _shares(s: SlidingState) -> tuple[Array, Array, Bools]:
+def _shares(s: SlidingState, coarse: float) -> tuple[Array, Array, Bools]:
     """(T,) what part of the camera's way each moves with it; its standard deviation, infinite where not measured; and
     whether it moves evenly."""
     (n, way2), c, p, (cp, pp) = _moved(s), s.sums[:, 1:3], s.sums[:, 3:5], s.sums[:, 6:8].T
-    some = (s.sums[:, 0] >= _FEWEST) & (way2 > _STEP_M**2)
+    some = (s.sums[:, 0] >= _FEWEST) & (way2 > (coarse * _STEP_M) ** 2)
     way2 = np.where(some, way2, 1.0)
     share = np.where(some, (cp - np.sum(c * p, axis=1) / n) / way2, 0.0)
-    sigma = _SIGMA_M * np.sqrt(n / np.minimum(n, _INDEPENDENT) / way2)
+    sigma = coarse * _SIGMA_M * np.sqrt(n / np.minimum(n, _INDEPENDENT) / way2)
     left = pp - np.sum(p * p, axis=1) / n - share**2 * way2
-    return share, np.where(some, sigma, np.inf), some & (left <= n * _STEADY_M**2)
+    return share, np.where(some, sigma, np.inf), some & (left <= n * (coarse * _STEADY_M) ** 2)
 
 
-def _judge(s: SlidingState, sway_m: float) -> None:
+def _judge(s: SlidingState, sway_m: float, coarse: float) -> None:
     """Say which ones slide and which stay."""
-    share, sigma, even = _shares(s)
+    share, sigma, even = _shares(s, coarse)
     ceiling, own = _ceilings_share(s, share, sigma, even)
     told = max(1.0 - ceiling, _LEAST_TOLD)  # of the camera's way, by what it sees: the rest is what images did to it
     beyond = (share - ceiling) / told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -33,6 +34,10 @@ _MOST = 40
 _SIGMA_PX, _SIGMA_OF_SIZE = 0.05, 0.001
 """Error of a lamp's centre: and as a part of its diameter, for light is not the same on all of it; chosen above what
 rendered lamps show."""
+_BRIGHTER_HALF, _UNSURE = 0.5, 0.5
+"""Share of the brightest above which the middle is looked for once more; and of the way from there, the error that a
+lamp's centre has besides: light that is brighter on one side moves when more or less of it counts, as lamps that
+flicker and glow in varnish do; chosen."""
 
 
 def find_lamps(gray: Gray, smooth: Gray, places: Places) -> tuple[Found, Gray]:
@@ -81,6 +86,13 @@ def _threshold(gray: Gray, smooth: Gray, places: Places) -> float | None:
     return float(ceiling + _HALF * (lamp - ceiling))
 
 
+def _middle(weight: Array) -> Array:
+    """(2,) px of the middle of light (h, w) in a window."""
+    total = np.sum(weight)
+    row, column = np.arange(weight.shape[0]), np.arange(weight.shape[1])
+    return np.array([np.sum(weight, axis=0) @ column, np.sum(weight, axis=1) @ row]) / total
+
+
 def _centre(weight: Array, rows: slice, columns: slice, places: Places) -> Found | None:
     """The centre of the light (h, w) on the ceiling, where none of it comes from beyond the view."""
     uv, stretch = places.window(rows, columns)
@@ -90,10 +102,8 @@ def _centre(weight: Array, rows: slice, columns: slice, places: Places) -> Found
     mass = weight[on] * stretch[on]
     total = float(np.sum(mass))
     centre = mass @ uv[on] / total
-    light = weight[on] / np.sum(weight)
-    row, column = np.nonzero(on)
-    middle = np.array([[columns.start + light @ column, rows.start + light @ row]])
+    middle, brighter = _middle(weight), _middle(np.maximum(weight - _BRIGHTER_HALF * np.max(weight), 0.0))
     diameter = 2.0 * np.sqrt(np.count_nonzero(on) / np.pi)
-    sigma_px = float(np.hypot(_SIGMA_PX, _SIGMA_OF_SIZE * diameter))
-    at = places.found(middle, sigma_px, LAMP)
+    sigma_px = math.hypot(_SIGMA_PX, _SIGMA_OF_SIZE * diameter, _UNSURE * math.hypot(*(brighter - middle)))
+    at = places.found(middle[None] + [columns.start, rows.start], sigma_px, LAMP)
     return replace(at, uv=centre[None]) if len(at) else None

@@ -63,7 +63,7 @@ class Places:
         camera, k = self.view.camera, self.view.reduction
         self.width, self.height = camera.width_px // k, camera.height_px // k
         self._max_view_deg = max_view_deg
-        self._table = np.empty((self.height, self.width, 2))
+        self._table = np.empty((self.height, self.width, 2), np.float32)  # as the look-up is
         self._made = np.zeros(-(-self.height // _BAND), np.bool_)
         seen = np.isfinite(self.view.lookup(max_view_deg, LOOKUP_STEP_PX)[..., 0])
         self.known: Gray = np.uint8(255) * interpolated(seen, (self.height, self.width))
@@ -72,7 +72,7 @@ class Places:
         """(h, w, 2) level pixels and (h, w) the area of each of a window's pixels there."""
         top, left = max(rows.start - 1, 0), max(columns.start - 1, 0)
         self._make(np.arange(top // _BAND, min(rows.stop, self.height - 1) // _BAND + 1))
-        around = self._table[top : rows.stop + 1, left : columns.stop + 1]
+        around = self._table[top : rows.stop + 1, left : columns.stop + 1].astype(np.float64)
         down, right = np.gradient(around, axis=0), np.gradient(around, axis=1)
         area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
         inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
@@ -91,8 +91,8 @@ class Places:
         row = np.clip(np.floor(pixels[:, 1]).astype(np.int64), 0, self.height - 2)
         self._make(np.unique(np.concatenate([row, row + 1]) // _BAND))
         fx, fy = (pixels - np.column_stack([column, row])).T[:, :, None]
-        a, b = self._table[row, column], self._table[row, column + 1]
-        c, d = self._table[row + 1, column], self._table[row + 1, column + 1]
+        corners = ((row, column), (row, column + 1), (row + 1, column), (row + 1, column + 1))
+        a, b, c, d = (self._table[at].astype(np.float64) for at in corners)
         uv = (1.0 - fy) * ((1.0 - fx) * a + fx * b) + fy * ((1.0 - fx) * c + fx * d)
         return np.asarray(uv), np.stack([0.5 * (b - a + d - c), 0.5 * (c - a + d - b)], axis=2)
 
