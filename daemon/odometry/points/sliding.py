@@ -119,7 +119,7 @@ class Sliding:
         s.missing += 1
         s.missing[track] = 0
         s.xy[track], s.camera[track], s.last[track] = xy, camera, crossings.xy_base_m
-        far = track[~(np.hypot(*(camera - s.measured[track]).T) < self._coarse * _STEP_M)]
+        far = track[~(np.hypot(*(camera - s.measured[track]).T) < _STEP_M)]
         s.measured[far] = camera
         s.sums[far] += _sums(s.xy[far], camera, 0.0 if has_lines(crossings) else self._height_m**-2)
         before = s.slides.copy()
@@ -194,7 +194,7 @@ def _shares(s: SlidingState, coarse: float) -> tuple[Array, Array, Bools]:
     """(T,) what part of the camera's way each moves with it; its standard deviation, infinite where not measured; and
     whether it moves evenly."""
     (n, way2), c, p, (cp, pp) = _moved(s), s.sums[:, 1:3], s.sums[:, 3:5], s.sums[:, 6:8].T
-    some = (s.sums[:, 0] >= _FEWEST) & (way2 > (coarse * _STEP_M) ** 2)
+    some = (s.sums[:, 0] >= _FEWEST) & (way2 > _STEP_M**2)
     way2 = np.where(some, way2, 1.0)
     share = np.where(some, (cp - np.sum(c * p, axis=1) / n) / way2, 0.0)
     sigma = coarse * _SIGMA_M * np.sqrt(n / np.minimum(n, _INDEPENDENT) / way2)

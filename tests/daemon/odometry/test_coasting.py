@@ -138,6 +138,20 @@ def test_a_gap_after_few_crossings_is_as_wrong_as_it_says(mistaken: bool) -> Non
         assert rare < 16.3 / 3.0  # chi squared with 3 degrees of freedom: 1 in 1000
 
 
+@pytest.mark.parametrize("mistaken", [False, True], ids=["views", "a mistaken view"])
+def test_a_gap_after_the_first_two_views_is_as_wrong_as_it_says(mistaken: bool) -> None:
+    """A robot that stands, and whose second view may be taken for one by a bar of a grille: 13.8 mm."""
+    rate_hz, sigma, gap_s = 30.0, np.array([1e-3, 1e-3, 1e-3]), 0.1
+    for angle_rad in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
+        steps = np.zeros((2, 3))
+        steps[1, :2] = 0.0138 * mistaken * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        guess, cov = coast(Odometry(), twists_of(steps, sigma, rate_hz).median(0.0), gap_s)
+        far = float(guess[:2] @ np.linalg.solve(cov[:2, :2], guess[:2]))
+        print(f"{1e3 * np.hypot(*guess[:2]):.0f} mm, {far:.2f} of {9.21}, sigma {1e3 * np.sqrt(cov[0, 0]):.0f} mm")
+        assert far < 9.21  # chi squared with 2 degrees of freedom: 1 in 100
+        assert mistaken or np.sqrt(cov[0, 0]) < 0.01
+
+
 def test_a_turn_that_lines_told_since_replaces_what_views_said() -> None:
     recent = twists_of(np.array([[0.01, 0.0, 0.01]] * 4), np.full(3, 1e-3), 30.0).turning(-0.5)
     last = recent.median(0.2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from drawn_crossings import crossings_at
 
 from ceilvo import se2
 from ceilvo.crossing_types import crossing_type_of
+from ceilvo.daemon.odometry.heights.similarity import of_views
 from ceilvo.daemon.odometry.heights.slope import HEIGHT_UNKNOWN, Slope
 from ceilvo.daemon.odometry.heights.tiles import seen_high
 from ceilvo.sim.rig import simulated_calibration
@@ -223,7 +224,7 @@ def test_an_edge_in_place_of_its_neighbour_is_no_slope(
 
     Either rule alone refuses it, and without both it is one.
     """
-    monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._FEWEST_LINES", fewest_lines)
+    monkeypatch.setattr("ceilvo.daemon.odometry.heights.similarity._FEWEST_LINES", fewest_lines)
     monkeypatch.setattr("ceilvo.daemon.odometry.heights.slope._PLAUSIBLE", plausible)
     slope, rng, step_m = Slope(NO_SIZE), np.random.default_rng(SEED), 0.02
     for k in range(20):
@@ -233,3 +234,31 @@ def test_an_edge_in_place_of_its_neighbour_is_no_slope(
         slope.learn(Motion(Displacement(moved), 1e-6 * np.eye(3), len(crossings), 0.0, restarted=k == 0))
     print(f"seed {SEED}: {slope.state.used}")
     assert (slope.state.used is not None) == slopes
+
+
+def held_level(pose: Array, lean: Array, sigma_rad: float, rng: np.random.Generator) -> Crossings:
+    """A level ceiling seen by a robot that leans and does not know; most crossings are to one side of the camera."""
+    camera = se2.transform(pose, MOUNT[None])[0]
+    k = np.arange(-30, 31) * 0.3
+    grid = np.column_stack([v.ravel() for v in np.meshgrid(k, k)])
+    ray = (grid - camera) @ se2.rotation(float(pose[2])) / HIGH_M
+    ray = ray[(np.abs(ray[:, 0] - 0.35) < 0.25) & (np.abs(ray[:, 1]) < 0.4)]
+    level = _turned(ray, np.linalg.inv(_back(lean))) * HIGH_M + rng.normal(0.0, NOISE_M, ray.shape)
+    groove = np.zeros(len(ray), np.int64)
+    seen = crossings_at(MOUNT + level, crossing_type_of(groove, groove), 1e-3, psi_sigma_rad=1e-4)
+    return replace(seen, tilt_sigma_rad=np.full(2, sigma_rad))
+
+
+def test_a_scale_of_two_views_is_as_wrong_as_tilts_that_are_not_known_make_it() -> None:
+    """Tilts of .15 deg scale what is to one side of the camera; the ceiling is level."""
+    rng, sigma_rad, off = np.random.default_rng(SEED), float(np.radians(0.15)), []
+    way = np.array([0.12, 0.0, 0.0])
+    for _ in range(200):
+        key, here = (held_level(pose, rng.normal(0.0, sigma_rad, 2), sigma_rad, rng) for pose in (np.zeros(3), way))
+        found = of_views(key, here, way, MOUNT, HIGH_M)
+        if found is not None:
+            off.append((found.scale - 1.0) / found.sigma)
+    print(f"seed {SEED}: {len(off)} scales, {np.std(off):.2f} of what they claim, {np.max(np.abs(off)):.1f} at most")
+    assert len(off) > 150
+    assert np.std(off) < 1.2
+    assert np.max(np.abs(off)) < 4.5

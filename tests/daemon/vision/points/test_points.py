@@ -172,3 +172,26 @@ def test_noise_makes_no_point_and_hides_no_corner_that_stands_out() -> None:
             seen, _ = finder(gray, None, None)
             kinds = np.zeros(0) if seen is None else seen.crossing_type
             assert fewest <= np.count_nonzero(kinds == CORNER) and len(kinds) <= most, kinds
+
+
+@pytest.mark.parametrize("tail", [0.0, 1.0], ids=["round", "brighter on one side"])
+def test_a_light_whose_middle_moves_as_it_flickers_is_known_as_badly(tail: float) -> None:
+    """Glow in varnish trails off to one side; by how bright it is more or less of that counts."""
+    calibration = World(WorldSpec(seed=SEED)).calibration
+    finder, rng = PointFinder(calibration, VIEW_DEG), np.random.default_rng(SEED)
+    y, x = np.mgrid[: calibration.camera.height_px, : calibration.camera.width_px].astype(np.float64)
+    at, sigma_m = [], []
+    for light in np.linspace(0.7, 1.3, 7):
+        disc = 160.0 / (1.0 + np.exp(np.hypot(x - 330.0, y - 250.0) - 14.0))
+        glow = 70.0 * tail * np.exp(-(((x - 352.0) / 16.0) ** 2) - ((y - 250.0) / 9.0) ** 2)
+        gray = np.clip(light * (70.0 + disc + glow) + rng.normal(0.0, 1.0, x.shape), 0.0, 255.0).astype(np.uint8)
+        seen, _ = finder(gray, None, None)
+        assert seen is not None and np.count_nonzero(seen.crossing_type == LAMP) == 1
+        of = np.flatnonzero(seen.crossing_type == LAMP)[0]
+        at.append(seen.xy_base_m[of])
+        sigma_m.append(np.sqrt(0.5 * np.trace(seen.cov_base_m2[of])))
+    off = np.max(np.hypot(*(np.array(at) - np.mean(at, axis=0)).T)) / np.median(sigma_m)
+    px = np.median(sigma_m) / calibration.metres_per_px
+    print(f"seed {SEED}: {off:.2f} of what is claimed at most, {px:.2f} px")
+    assert off < 1.0
+    assert tail or px < 0.2
