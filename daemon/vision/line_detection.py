@@ -203,7 +203,7 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
         return fit, free
     level = problem.start(_LEVEL_RAD if vague else expected, tilt=False)
     if vague:  # so few lines that any tilt fits: then none is read from them, nor kept from one frame before
-        level.finish_held(scatter_rad=last.scatter_rad)
+        level.finish_held(held_rad=fit.held_rad(free, last.scatter_rad))
         return level, free
     return _best(problem, [(fit, free), (level, level.finish())], last.tilt_rad)
 

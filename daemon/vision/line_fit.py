@@ -9,8 +9,9 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel
 from ceilvo.daemon.vision.edge_points import Array32, Points
 from ceilvo.daemon.vision.kernel.arguments import Step
+from ceilvo.daemon.vision.kernel.of_lines import centred, distinct
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.daemon.vision.tilt_prior import TiltPrior, widened
+from ceilvo.daemon.vision.tilt_prior import HELD_RAD, TILT_CHI2, UNKNOWN, Borne, TiltPrior, is_tilt, is_weak, widened
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
 
@@ -25,11 +26,8 @@ _SIGMA_FLOOR_PX = 0.02
 """Least standard deviation of points and of offsets; chosen: more points do not average out what is no noise."""
 _DIRECTION_INFO = 1e-3
 """rad^-2, of the direction beforehand: as good as none, but no line may leave the equations singular."""
-_HELD_PRIOR_DEG, _HELD_RAD = 1e-6, np.radians(0.02)
-"""Standard deviation of a tilt that is held, as good as 0 in double precision; and that reported for it; chosen: below
-what a frame with few lines could tell, above 0."""
-_TILT_CHI2 = 9.21
-"""Frame and prior, or frame and a level robot, disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
+_HELD_PRIOR_DEG = 1e-6
+"""Standard deviation of a tilt that is held, as good as 0 in double precision."""
 _VAGUE_RAD, _LEVEL_RAD = np.radians(0.1), np.radians(0.05)
 """A tilt known worse tells nothing where a level robot may show it, by pieces of lines and by whole ones; chosen."""
 _SPREAD_STRIDE = 3
@@ -43,8 +41,6 @@ two lines half a pixel apart scatter by four times as much, and what they bent b
 _BENT_SIGMAS = 2.0
 """A direction by whole lines that is off that of lines without gaps by more, in standard deviations of the latter, is
 by pieces of several lines; chosen: 5 % of those that are right lose accuracy."""
-_ONE_PX = 1.0
-"""Pieces whose offsets differ by less are of one line; chosen: twice what a piece's own is off by."""
 _LEAST_OF_LONGEST = 0.25
 """A shorter piece, against the longest of its line, is none; chosen: clutter in a gap is of one or two points."""
 _PIECES_FACTOR = 4.0
@@ -82,6 +78,7 @@ class JointFit:
         self.psi = psi
         self._tilts: bool | None = None
         self._whole: tuple[float, Array, Array] | None = None
+        self._borne = UNKNOWN
         self.tilt = tilt_rad
         self.focal_px, self._config, self._readout, self._several = focal_px, config, readout, several
         self.correlated = 1.0 + _CORRELATED_POINTS * fraction
@@ -139,17 +136,17 @@ class JointFit:
     def is_vague(self, free: TiltPrior, prior: TiltPrior | None) -> bool:
         """Whether hardly anything is known of the tilt, from this frame, as finish() gave it, or from others."""
         open_rad = float(np.max(free.sigma_rad)) if prior is None else 0.0
-        tilts = self.tilts_for_sure() if open_rad > _VAGUE_RAD else _is_tilt(self.tilt, self.covariance)
+        tilts = self.tilts_for_sure() if open_rad > _VAGUE_RAD else is_tilt(self.tilt, self.covariance)
         return open_rad > _LEVEL_RAD and not tilts
 
     def tilts_for_sure(self) -> bool:
         """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""
-        if not len(self.line) or not _is_tilt(self.tilt, self.covariance):
+        if not len(self.line) or not is_tilt(self.tilt, self.covariance):
             return False
         if self._tilts is not None:
             return self._tilts
         moved, cov = self._step_by_pieces(*self._pieces())
-        return _is_tilt(self.tilt + moved[1:], widened(cov))
+        return is_tilt(self.tilt + moved[1:], widened(cov))
 
     def _step_by_pieces(self, pieces: NDArray[np.int32], count: int, tilt: bool = True) -> tuple[Array, Array]:
         """(3,) by how much direction and tilt are off by lines that end at their gaps, and (3, 3) the error of that."""
@@ -206,16 +203,11 @@ class JointFit:
         One step on (psi, tilt, twist); psi and tilt follow from the next solve().
         """
         assert self._readout is not None
-        n, half, c, s = len(self.offset), self.ends[2], np.cos(self.psi), np.sin(self.psi)
-        r, t = self.rho.astype(np.float64), self.tangent.astype(np.float64)
-        own, across = 1.0 + r * r, r * t
+        half, c, s = self.ends[2], np.cos(self.psi), np.sin(self.psi)
         by_x, by_y = self._readout.moved_by(self._x, self._y)
         first, second = c * by_x + s * by_y, c * by_y - s * by_x
-        about = np.column_stack([np.append(-across[:half], -own[half:]), np.append(own[:half], -across[half:])])
-        model = np.column_stack([r, t, about, np.vstack([first[:half], second[half:]])]) * self.focal_px
-        count = np.maximum(np.bincount(self.line, minlength=n), 1)
-        for k in range(model.shape[1]):
-            model[:, k] -= (np.bincount(self.line, model[:, k], n) / count)[self.line]
+        by_twist = np.vstack([first[:half], second[half:]])
+        model = centred(self.rho, self.tangent, self.line, half, len(self.offset), by_twist) * self.focal_px
         product = model.T @ model / (self.noise_px**2 * self.correlated)
         held = not (tilt and self._config.estimate_tilt)
         turn_info = np.radians(_HELD_PRIOR_DEG if held else self._config.tilt_prior_deg) ** -2
@@ -225,15 +217,29 @@ class JointFit:
         self._y = (self._y + by_y @ wrong).astype(np.float32)
         self._settle()
 
-    def finish_held(self, pieces: bool = True, scatter_rad: float = 0.0) -> None:
-        """The last round with the tilt where it is, known to scatter_rad; pieces: lines that are several are cut."""
+    def _borne_by(self) -> Borne:
+        """How lines bear the tilt."""
+        n, variance = len(self.offset), self.noise_px**2 * self.correlated
+        model = centred(self.rho, self.tangent, self.line, self.ends[2], n, np.zeros((len(self.line), 0)))
+        before = np.diag([_DIRECTION_INFO, *[np.radians(self._config.tilt_prior_deg) ** -2] * 2])
+        low, high = kernel.extents(self.tangent, self.line, n)
+        return Borne.by(model * self.focal_px / np.sqrt(variance), self.line, before, high - low)
+
+    def held_rad(self, free: TiltPrior, scatter_rad: float) -> float:
+        """To what a tilt is known that is held level: by scatter of tilts lately, and by this frame's, of finish(), where
+        enough lines bear that."""
+        told = self._borne.may_be(doubted=self._tilts is not None)
+        return max(scatter_rad, float(np.max(np.abs(free.mean_rad))) if told else 0.0)
+
+    def finish_held(self, pieces: bool = True, held_rad: float = 0.0) -> None:
+        """The last round with the tilt where it is, known to held_rad; pieces: lines that are several are cut."""
         if self._readout is not None:
             self._unbend(tilt=False)
         self.assign(self.last_gate_px())
         self.solve(tilt=False)
         if pieces and len(self.line):
             self._straighten()
-        self.covariance = self.covariance + np.diag([0.0, *[max(_HELD_RAD, scatter_rad) ** 2] * 2])
+        self.covariance = self.covariance + np.diag([0.0, *[max(HELD_RAD, held_rad) ** 2] * 2])
 
     def _straighten(self) -> None:
         """Lines that are no single ones cut in pieces: the outer edge of one lamp and the inner one of the next, taken
@@ -251,7 +257,7 @@ class JointFit:
         longest = np.zeros(lines, np.int64)
         np.maximum.at(longest, of_line, points)
         gate_px, long = self.last_gate_px(), points >= _LEAST_OF_LONGEST * longest[of_line]
-        self.restart([_apart(self.offset[long & (self.line_group == group)]) for group in range(4)])
+        self.restart([distinct(self.offset[long & (self.line_group == group)]) for group in range(4)])
         self.assign(gate_px)
         self.solve(tilt=False)
         if len(self.line):
@@ -267,7 +273,7 @@ class JointFit:
         a, b, c, d = cov[1][1] + sigma_x**2, cov[1][2], cov[2][1], cov[2][2] + sigma_y**2
         det = a * d - b * c
         a, b, c, d = d / det, -b / det, -c / det, a / det  # plain numbers: numpy takes longer to be asked
-        if (a * off_x + b * off_y) * off_x + (c * off_x + d * off_y) * off_y > _TILT_CHI2:
+        if (a * off_x + b * off_y) * off_x + (c * off_x + d * off_y) * off_y > TILT_CHI2:
             if self._whole is not None:
                 whole, self._whole = self._whole, None
                 self._be(*whole)
@@ -297,7 +303,9 @@ class JointFit:
         self.solve()
         if self._several and len(self.line):
             self._leave_out_double()
-        self.covariance = widened(self.covariance, rocking)
+        if self._config.estimate_tilt and len(self.line) and is_weak(self.covariance):
+            self._borne = self._borne_by()
+        self.covariance = widened(self.covariance, rocking, self._borne)
         free = TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
         vague = np.max(free.sigma_rad) > _VAGUE_RAD
         if vague and pieces and not self._several and self._config.estimate_tilt and len(self.line):
@@ -308,7 +316,7 @@ class JointFit:
         """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt."""
         moved, cov = self._step_by_pieces(*self._pieces())
         cov = _PIECES_FACTOR * cov
-        self._tilts = _is_tilt(self.tilt + moved[1:], cov)
+        self._tilts = is_tilt(self.tilt + moved[1:], cov)
         if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):
             self._whole = self.psi, self.tilt, self.covariance
             self._be(self.psi + float(moved[0]), self.tilt + moved[1:], cov)
@@ -335,16 +343,3 @@ class JointFit:
     def sigma_px(self) -> Array:
         """Standard deviations of the offsets."""
         return np.asarray(self.noise_px * np.sqrt(self.correlated / np.maximum(self.support, 1)) + _SIGMA_FLOOR_PX)
-
-
-def _apart(offset_px: Array) -> Array:
-    """Rising offsets, of those that are one the mean."""
-    offset = np.sort(offset_px)
-    number = np.concatenate([[0], np.cumsum(np.diff(offset) > _ONE_PX)])[: len(offset)].astype(np.int64)
-    return np.asarray(np.bincount(number, offset) / np.maximum(np.bincount(number), 1))
-
-
-def _is_tilt(tilt_rad: Array, covariance: Array) -> bool:
-    """Whether a robot as level as floors are would hardly show that; covariance: (3, 3) of psi and tilt."""
-    level = covariance[1:, 1:] + _HELD_RAD**2 * np.eye(2)
-    return float(tilt_rad @ np.linalg.solve(level, tilt_rad)) > _TILT_CHI2

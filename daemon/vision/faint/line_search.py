@@ -85,8 +85,9 @@ def find_faint(
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
         free = fit.finish(pieces=False, rocking=rocks(prior))
         if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
+            held_rad = fit.held_rad(free, scatter_rad)
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
-            fit.finish_held(pieces=False, scatter_rad=scatter_rad)
+            fit.finish_held(pieces=False, held_rad=held_rad)
         if prior is not None and config.estimate_tilt:
             fit.apply_prior(prior)
         off = abs(fit.psi - psi_rad) + float(np.max(np.abs(fit.tilt - tilt_rad)))

@@ -7,6 +7,9 @@ import numpy as np
 from ceilvo.daemon.vision.kernel.arguments import Arm, Array32, Bools, Int32s, Int64s, Step, Widths
 from ceilvo.types import Array, LineKind
 
+_ONE_PX = 1.0
+"""Pieces whose offsets differ by less are of one line; chosen: twice what a piece's own is off by."""
+
 
 def align(
     rho: Array32,
@@ -241,3 +244,27 @@ def _hits(points: Array32, row: Int32s, normal: Array, low: float, bin_px: float
     out = np.zeros(rows * bins, bool)
     out[row[mine[inside]] * bins + along[inside].astype(np.int64)] = True
     return out.reshape(shape)
+
+
+def centred(rho: Array32, tangent: Array32, line: Int32s, half: int, lines: int, more: Array) -> Array:
+    """(P, 4 + K) of points: rho, what direction and tilt add to it, the latter about axes that are turned by the
+    direction, and what more does, (P, K); each about the mean of its line, of so many lines.
+
+    Args:
+        half: points before this one belong to axis 0, the others to axis 1.
+    """
+    r, t = rho.astype(np.float64), tangent.astype(np.float64)
+    own, across = 1.0 + r * r, r * t
+    about = np.column_stack([np.append(-across[:half], -own[half:]), np.append(own[:half], -across[half:])])
+    model = np.column_stack([r, t, about, more])
+    count = np.maximum(np.bincount(line, minlength=lines), 1)
+    for k in range(model.shape[1]):
+        model[:, k] -= (np.bincount(line, model[:, k], lines) / count)[line]
+    return np.asarray(model)
+
+
+def distinct(offset_px: Array) -> Array:
+    """Rising offsets, of those that are one the mean."""
+    offset = np.sort(offset_px)
+    number = np.concatenate([[0], np.cumsum(np.diff(offset) > _ONE_PX)])[: len(offset)].astype(np.int64)
+    return np.asarray(np.bincount(number, offset) / np.maximum(np.bincount(number), 1))
