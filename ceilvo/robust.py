@@ -28,4 +28,4 @@ def leave_one_out(normal: NDArray[np.float64], right: NDArray[np.float64]) -> ND
         right: (N, K) their right sides, at the solution: their sum is 0.
     """
     moved = np.linalg.solve(np.sum(normal, axis=0) - normal, -right[..., None])[..., 0]
-    return np.asarray(moved.T @ moved)
+    return np.asarray(moved.T @ moved, np.float64)

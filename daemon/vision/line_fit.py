@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ceilvo.config import Features
-from ceilvo.daemon.vision import kernel
+from ceilvo.daemon.vision import kernel, tilt_prior
 from ceilvo.daemon.vision.edge_points import Array32, Points
 from ceilvo.daemon.vision.kernel.arguments import Step
 from ceilvo.daemon.vision.kernel.of_lines import centred, distinct
@@ -43,8 +43,6 @@ _BENT_SIGMAS = 2.0
 by pieces of several lines; chosen: 5 % of those that are right lose accuracy."""
 _LEAST_OF_LONGEST = 0.25
 """A shorter piece, against the longest of its line, is none; chosen: clutter in a gap is of one or two points."""
-_PIECES_FACTOR = 4.0
-"""On the variance of a tilt by lines that end at their gaps: twice the error, as of weak ones; chosen."""
 
 
 class JointFit:
@@ -226,8 +224,8 @@ class JointFit:
         return Borne.by(model * self.focal_px / np.sqrt(variance), self.line, before, high - low)
 
     def held_rad(self, free: TiltPrior, scatter_rad: float) -> float:
-        """To what a tilt is known that is held level: by scatter of tilts lately, and by this frame's, of finish(), where
-        enough lines bear that."""
+        """To what a tilt that is held level is known: by the scatter of those lately, and by this frame's, which
+        finish() gave, where enough lines bear it."""
         told = self._borne.may_be(doubted=self._tilts is not None)
         return max(scatter_rad, float(np.max(np.abs(free.mean_rad))) if told else 0.0)
 
@@ -303,23 +301,29 @@ class JointFit:
         self.solve()
         if self._several and len(self.line):
             self._leave_out_double()
-        if self._config.estimate_tilt and len(self.line) and is_weak(self.covariance):
+        estimated = self._config.estimate_tilt and len(self.line) > 0
+        if estimated and is_weak(self.covariance):
             self._borne = self._borne_by()
-        self.covariance = widened(self.covariance, rocking, self._borne)
+        wide, self.covariance = widened(self.covariance, rocking), widened(self.covariance, rocking, self._borne)
         free = TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
-        vague = np.max(free.sigma_rad) > _VAGUE_RAD
-        if vague and pieces and not self._several and self._config.estimate_tilt and len(self.line):
-            self._trust_pieces()
+        vague = np.max(wide[[1, 2], [1, 2]]) > _VAGUE_RAD**2
+        if vague and pieces and not self._several and estimated:
+            free = self._trust_pieces(free, wide)
         return free
 
-    def _trust_pieces(self) -> None:
-        """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt."""
+    def _trust_pieces(self, free: TiltPrior, wide: Array) -> TiltPrior:
+        """A tilt by lines without gaps, if those know it better: edges of two lamps, taken for one line, tilt. Several
+        do alike, so where pieces do not bear out that the robot tilts the error of whole lines is wide (3, 3) again."""
         moved, cov = self._step_by_pieces(*self._pieces())
-        cov = _PIECES_FACTOR * cov
+        apart, cov = tilt_prior.are_apart(moved[1:], cov), tilt_prior.PIECES_FACTOR * cov
         self._tilts = is_tilt(self.tilt + moved[1:], cov)
+        if apart and not self._tilts and is_tilt(self.tilt, self.covariance):
+            self.covariance = wide
+            free = TiltPrior(self.tilt, np.sqrt(wide[[1, 2], [1, 2]]))
         if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):
             self._whole = self.psi, self.tilt, self.covariance
             self._be(self.psi + float(moved[0]), self.tilt + moved[1:], cov)
+        return free
 
     def _be(self, psi: float, tilt: Array, covariance: Array) -> None:
         self.psi, self.tilt, self.covariance = psi, tilt, covariance

@@ -37,6 +37,11 @@ in 15 of 17 conditions. Edges of lamps keep more: what two of them mistake is wr
 _LONG = 0.5
 """Tangent of the angle over which a line is seen that bears a tilt by its ends; measured: sides of hexagons .2 to .4 in
 the median, which are off by up to four times as much, others .7 to 1.4."""
+_APART_CHI2 = 4.61
+"""Squared distance of a tilt by whole lines from that by pieces from which on the former is in doubt: 90 % of
+chi-square with 2 degrees of freedom."""
+PIECES_FACTOR = 4.0
+"""On the variance of a tilt by lines that end at their gaps: twice the error, as of weak ones; chosen."""
 HELD_RAD = np.radians(0.02)
 """Reported for a tilt that is held level; chosen: below what a frame with few lines could tell, above 0."""
 TILT_CHI2 = 9.21
@@ -102,7 +107,7 @@ class Borne:
         """
         n = len(length)
         products = [np.bincount(line, model[:, i] * model[:, j], n) for i in range(4) for j in range(4)]
-        sums = np.stack(products, axis=1).reshape(n, 4, 4)
+        sums: Array = np.stack(products, axis=1).reshape(n, 4, 4).astype(np.float64)
         normal = sums[:, 1:, 1:] + before / n
         cov = np.linalg.inv(np.sum(normal, axis=0))
         variance, axes = np.linalg.eigh(cov[1:, 1:])
@@ -235,3 +240,9 @@ def is_tilt(tilt_rad: Array, covariance: Array) -> bool:
     """Whether a robot as level as floors are would hardly show that; covariance: (3, 3) of psi and tilt."""
     level = covariance[1:, 1:] + HELD_RAD**2 * np.eye(2)
     return float(tilt_rad @ np.linalg.solve(level, tilt_rad)) > TILT_CHI2
+
+
+def are_apart(off_rad: Array, covariance: Array) -> bool:
+    """Whether a tilt by whole lines, from which one by pieces is off by (2,), is in doubt; covariance: (3, 3) of
+    the latter, with psi."""
+    return float(off_rad @ np.linalg.solve(covariance[1:, 1:], off_rad)) > _APART_CHI2
