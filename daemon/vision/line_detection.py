@@ -20,7 +20,7 @@ from ceilvo.daemon.vision.edges import Edges
 from ceilvo.daemon.vision.line_fit import LAST_GATE_PX, JointFit
 from ceilvo.daemon.vision.line_pairing import EdgeSet, fold_direction, pair_edges
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.daemon.vision.tilt_prior import TiltPrior, rocks
+from ceilvo.daemon.vision.tilt_prior import NOTHING_LATELY, Lately, TiltPrior, rocks
 from ceilvo.types import Array, Lines
 
 Array32 = NDArray[np.float32]
@@ -73,7 +73,7 @@ class LastFit:
     tilt_rad: Array
     noise_px: float
     several: bool = False
-    scatter_rad: float = 0.0
+    lately: Lately = NOTHING_LATELY
 
     @property
     def leans(self) -> bool:
@@ -203,7 +203,7 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
         return fit, free
     level = problem.start(_LEVEL_RAD if vague else expected, tilt=False)
     if vague:  # so few lines that any tilt fits: then none is read from them, nor kept from one frame before
-        level.finish_held(held_rad=fit.held_rad(free, last.scatter_rad))
+        level.finish_held(held_rad=fit.held_rad(free, last.lately))
         return level, free
     return _best(problem, [(fit, free), (level, level.finish())], last.tilt_rad)
 

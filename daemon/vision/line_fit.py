@@ -11,7 +11,7 @@ from ceilvo.daemon.vision.edge_points import Array32, Points
 from ceilvo.daemon.vision.kernel.arguments import Step
 from ceilvo.daemon.vision.kernel.of_lines import centred, distinct
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.daemon.vision.tilt_prior import HELD_RAD, TILT_CHI2, UNKNOWN, Borne, TiltPrior, is_tilt, is_weak, widened
+from ceilvo.daemon.vision.tilt_prior import UNKNOWN, Borne, Lately, TiltPrior, is_tilt, is_weak, widened
 from ceilvo.robust import MAD_TO_SIGMA
 from ceilvo.types import Array, Ints
 
@@ -223,11 +223,12 @@ class JointFit:
         low, high = kernel.extents(self.tangent, self.line, n)
         return Borne.by(model * self.focal_px / np.sqrt(variance), self.line, before, high - low)
 
-    def held_rad(self, free: TiltPrior, scatter_rad: float) -> float:
-        """To what a tilt that is held level is known: by the scatter of those lately, and by this frame's, which
-        finish() gave, where enough lines bear it."""
-        told = self._borne.may_be(doubted=self._tilts is not None)
-        return max(scatter_rad, float(np.max(np.abs(free.mean_rad))) if told else 0.0)
+    def held_rad(self, free: TiltPrior, lately: Lately) -> float:
+        """To what a tilt that is held level is known: by the scatter of those lately, and by how far this frame's (of
+        finish()) is off them, where enough lines bear it."""
+        if lately.about_rad is None or not self._borne.may_be(doubted=self._tilts is not None):
+            return lately.scatter_rad
+        return max(lately.scatter_rad, float(np.max(np.abs(free.mean_rad - lately.about_rad))))
 
     def finish_held(self, pieces: bool = True, held_rad: float = 0.0) -> None:
         """The last round with the tilt where it is, known to held_rad; pieces: lines that are several are cut."""
@@ -237,7 +238,7 @@ class JointFit:
         self.solve(tilt=False)
         if pieces and len(self.line):
             self._straighten()
-        self.covariance = self.covariance + np.diag([0.0, *[max(HELD_RAD, held_rad) ** 2] * 2])
+        self.covariance = self.covariance + np.diag([0.0, *[max(tilt_prior.HELD_RAD, held_rad) ** 2] * 2])
 
     def _straighten(self) -> None:
         """Lines that are no single ones cut in pieces: the outer edge of one lamp and the inner one of the next, taken
@@ -271,7 +272,7 @@ class JointFit:
         a, b, c, d = cov[1][1] + sigma_x**2, cov[1][2], cov[2][1], cov[2][2] + sigma_y**2
         det = a * d - b * c
         a, b, c, d = d / det, -b / det, -c / det, a / det  # plain numbers: numpy takes longer to be asked
-        if (a * off_x + b * off_y) * off_x + (c * off_x + d * off_y) * off_y > TILT_CHI2:
+        if (a * off_x + b * off_y) * off_x + (c * off_x + d * off_y) * off_y > tilt_prior.TILT_CHI2:
             if self._whole is not None:
                 whole, self._whole = self._whole, None
                 self._be(*whole)

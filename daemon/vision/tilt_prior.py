@@ -124,6 +124,18 @@ class Borne:
 UNKNOWN = Borne(0.0, 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Lately:
+    """Tilts of the last frames while none of them tells it: their scatter, rad, 0 where too few are known; and (2,)
+    what they are about, None before."""
+
+    scatter_rad: float = 0.0
+    about_rad: Array | None = None
+
+
+NOTHING_LATELY = Lately()
+
+
 @dataclass(slots=True)
 class TiltState:
     """The tilt about base x and y in the frames so far.
@@ -178,6 +190,14 @@ class TiltTracker:
         own_var_rad2 = np.maximum(s.var_rad2 - s.noise_var_rad2, 0.0)
         mean_var_rad2 = s.noise_var_rad2 / min(s.weight, _MEMORY_FRAMES)
         return TiltPrior(s.mean_rad, np.sqrt(_SPREAD_FACTOR * own_var_rad2 + mean_var_rad2 + _FLOOR_RAD**2))
+
+    def lately(self, beyond_noise: bool) -> Lately:
+        """What a tilt that is held level may be; beyond_noise: no scatter where what each frame is known to explains
+        it."""
+        if not self.scatter_rad():
+            return Lately()
+        scatter_rad = self.scatter_beyond_noise_rad() if beyond_noise else self.scatter_rad()
+        return Lately(scatter_rad, np.median(self.state.lately, axis=0))
 
     def scatter_rad(self) -> float:
         """Of the tilt in the last frames while none of them tells it: what it may be where it is held; 0 before."""

@@ -14,7 +14,7 @@ from ceilvo.daemon.vision.edge_points import Points
 from ceilvo.daemon.vision.faint.level_picture import Aligned, LevelPicture, rays_from_aligned
 from ceilvo.daemon.vision.faint.voting import RADIUS_PX, STRETCH_PX, Answers, Peaks, answers, peaks
 from ceilvo.daemon.vision.line_fit import JointFit
-from ceilvo.daemon.vision.tilt_prior import TiltPrior, rocks
+from ceilvo.daemon.vision.tilt_prior import NOTHING_LATELY, Lately, TiltPrior, rocks
 from ceilvo.types import Array, Ints, LineKind, Lines
 
 Array32 = NDArray[np.float32]
@@ -65,7 +65,7 @@ def find_faint(
     config: Features,
     prior: TiltPrior | None,
     sure: bool = False,
-    scatter_rad: float = 0.0,
+    lately: Lately = NOTHING_LATELY,
 ) -> Lines | None:
     """Lines along a direction and across it, None when fewer than two are seen.
 
@@ -74,7 +74,7 @@ def find_faint(
         psi_rad, tilt_rad: where to begin; the Lines have what was found, psi unfolded.
         prior: of the tilt.
         sure: direction and tilt are known to a fraction of a pixel at the rim.
-        scatter_rad: of tilts lately, to which one that is held is known.
+        lately: tilts, by which one that is held is known.
     """
     fit = None
     for k in range(1 if sure else 0, _ROUNDS):
@@ -85,7 +85,7 @@ def find_faint(
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
         free = fit.finish(pieces=False, rocking=rocks(prior))
         if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
-            held_rad = fit.held_rad(free, scatter_rad)
+            held_rad = fit.held_rad(free, lately)
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
             fit.finish_held(pieces=False, held_rad=held_rad)
         if prior is not None and config.estimate_tilt:

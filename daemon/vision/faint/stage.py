@@ -20,7 +20,7 @@ from ceilvo.daemon.vision.faint.level_picture import LevelPicture
 from ceilvo.daemon.vision.faint.line_search import find_faint
 from ceilvo.daemon.vision.faint.merging import folded, merged
 from ceilvo.daemon.vision.rolling_shutter import Readout
-from ceilvo.daemon.vision.tilt_prior import TiltPrior
+from ceilvo.daemon.vision.tilt_prior import NOTHING_LATELY, Lately, TiltPrior
 from ceilvo.types import Array, Lines
 
 _FEW = 10
@@ -77,7 +77,7 @@ class FaintLines:
         tilt_rad: Array,
         prior: TiltPrior | None,
         readout: Readout | None = None,
-        scatter_rad: float = 0.0,
+        lately: Lately = NOTHING_LATELY,
     ) -> Lines | None:
         """Lines of a frame that was searched whole, with faint ones where they help; state says whether they did.
 
@@ -88,7 +88,7 @@ class FaintLines:
             tilt_rad: (2,) of the last frame.
             prior: of the tilt.
             readout: of a rolling shutter.
-            scatter_rad: of tilts lately, see TiltTracker.
+            lately: tilts, see TiltTracker.
         """
         edge_places = self._places(found)
         few = edge_places < max(_FEW, _FEWER * state.places)
@@ -96,7 +96,7 @@ class FaintLines:
         if state.since_look < wait:
             return found
         state.since_look, state.places = 0, edge_places
-        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior, readout, scatter_rad)
+        both = self._look(gray, found, edge_places < _WEAK, again, tilt_rad, prior, readout, lately)
         factor = _STILL_MORE if state.helps else _MORE
         need = max(factor * edge_places, edge_places + _MORE_AT_LEAST)
         state.helps = self._places(both) >= need
@@ -116,7 +116,7 @@ class FaintLines:
         tilt_rad: Array,
         prior: TiltPrior | None,
         readout: Readout | None,
-        scatter_rad: float,
+        lately: Lately,
     ) -> Lines | None:
         if self._picture is None:
             self._picture = LevelPicture(self._calibration, self._config.max_view_deg)
@@ -128,7 +128,7 @@ class FaintLines:
         if psi is None:
             return found
         start_rad = tilt_rad if weak or found is None else found.tilt_rad
-        faint = find_faint(self._picture, level, usable, psi, start_rad, self._config, prior, not weak, scatter_rad)
+        faint = find_faint(self._picture, level, usable, psi, start_rad, self._config, prior, not weak, lately)
         if faint is None:
             return found
         if weak:

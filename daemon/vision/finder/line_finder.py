@@ -170,7 +170,7 @@ class LineFinder:
         edges = self._detector(gray, readout)
         on_stage_done("edges")
         focal_px = self._calibration.level_view.focal_px
-        last = LastFit(s.tilt_rad, s.best_noise_px, s.several, TiltTracker(s.tilt).scatter_rad())
+        last = LastFit(s.tilt_rad, s.best_noise_px, s.several, TiltTracker(s.tilt).lately(beyond_noise=False))
 
         def along(psi_rad: float | None, last: LastFit = last) -> Lines | None:
             found = detect(edges, self.config, focal_px, prior, last, readout, psi_rad, carried_rad)
@@ -197,7 +197,7 @@ class LineFinder:
             return lines
         skewed = readout if readout is not None and readout.skew_px(self._reach_px) > _SKEWED_PX else None
         return self._faint(
-            gray, lines, along, s.faint, s.tilt_rad, prior, skewed, TiltTracker(s.tilt).scatter_beyond_noise_rad()
+            gray, lines, along, s.faint, s.tilt_rad, prior, skewed, TiltTracker(s.tilt).lately(beyond_noise=True)
         )
 
     def _track(
