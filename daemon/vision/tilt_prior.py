@@ -48,9 +48,9 @@ TILT_CHI2 = 9.21
 """Frame and prior, or frame and a level robot, disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
 _MANY_LINES, _OF_EACH = 4.0, 2.0
 """Lines that bear a tilt, from which on it is off by so many times what noise and leaving out each of them say, at
-most. Measured over 5 to 8 s of 23 conditions (seeds 240 and 241, and draws): median and 90 % of the error are .07 to
-.65 and .2 to 1.4 of that where four to 17 lines bear it, and up to 7 of 100 frames are off by four times as much and
-more where three do (faint joints over a robot that rocks, hexagons)."""
+most. Measured over 3 to 8 s of 25 conditions (seeds 240 to 242, and draws): where four to 17 lines bear it median and
+90 % of the error are .07 to .65 and .2 to 2.1 of that; single frames of faint joints over a robot that rocks are off by
+8 and 13 times as much."""
 _SEVERAL_LINES = 3.0
 """The same from which on a tilt may be what a frame says where it is held level; measured: two are off by degrees."""
 _STEADY_RAD = np.radians(0.1)
