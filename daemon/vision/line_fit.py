@@ -9,7 +9,7 @@ from ceilvo.config import Features
 from ceilvo.daemon.vision import kernel, tilt_prior
 from ceilvo.daemon.vision.edge_points import Array32, Points
 from ceilvo.daemon.vision.kernel.arguments import Step
-from ceilvo.daemon.vision.kernel.of_lines import centred, distinct
+from ceilvo.daemon.vision.kernel.of_lines import centred, merged, neighbours
 from ceilvo.daemon.vision.rolling_shutter import Readout
 from ceilvo.daemon.vision.tilt_prior import UNKNOWN, Borne, Lately, TiltPrior, is_tilt, is_weak, widened
 from ceilvo.robust import MAD_TO_SIGMA
@@ -96,10 +96,7 @@ class JointFit:
         Args:
             new_of_old: (L,) of each line; -1 leaves its points out.
         """
-        points, line = kernel.picture(
-            self.rho, self.tangent, self.line, self.ends[2], self.psi, self.focal_px, new_of_old
-        )
-        return points, line
+        return kernel.picture(self.rho, self.tangent, self.line, self.ends[2], self.psi, self.focal_px, new_of_old)
 
     def extents(self) -> tuple[Array, Array]:
         """Where the points of every line (L,) begin and end along it, px."""
@@ -216,12 +213,13 @@ class JointFit:
         self._settle()
 
     def _borne_by(self) -> Borne:
-        """How lines bear the tilt."""
+        """How lines bear the tilt: those side by side, such as edges of one lamp, are mistaken alike."""
         n, variance = len(self.offset), self.noise_px**2 * self.correlated
         model = centred(self.rho, self.tangent, self.line, self.ends[2], n, np.zeros((len(self.line), 0)))
         before = np.diag([_DIRECTION_INFO, *[np.radians(self._config.tilt_prior_deg) ** -2] * 2])
         low, high = kernel.extents(self.tangent, self.line, n)
-        return Borne.by(model * self.focal_px / np.sqrt(variance), self.line, before, high - low)
+        part_of = neighbours(self.offset / self.focal_px, self.axis, tilt_prior.SIDE_BY_SIDE)
+        return Borne.by(model * self.focal_px / np.sqrt(variance), self.line, before, high - low, part_of)
 
     def held_rad(self, free: TiltPrior, lately: Lately) -> float:
         """To what a tilt that is held level is known: by the scatter of those lately, and by how far this frame's (of
@@ -256,7 +254,7 @@ class JointFit:
         longest = np.zeros(lines, np.int64)
         np.maximum.at(longest, of_line, points)
         gate_px, long = self.last_gate_px(), points >= _LEAST_OF_LONGEST * longest[of_line]
-        self.restart([distinct(self.offset[long & (self.line_group == group)]) for group in range(4)])
+        self.restart([merged(self.offset[long & (self.line_group == group)]) for group in range(4)])
         self.assign(gate_px)
         self.solve(tilt=False)
         if len(self.line):
@@ -303,13 +301,14 @@ class JointFit:
         if self._several and len(self.line):
             self._leave_out_double()
         estimated = self._config.estimate_tilt and len(self.line) > 0
-        if estimated and is_weak(self.covariance):
+        own = self.covariance
+        wide = self.covariance = widened(own, rocking)
+        if estimated and is_weak(own):
             self._borne = self._borne_by()
-        wide, self.covariance = widened(self.covariance, rocking), widened(self.covariance, rocking, self._borne)
+            self.covariance = widened(own, rocking, self._borne)
         free = TiltPrior(self.tilt, np.sqrt(self.covariance[[1, 2], [1, 2]]))
-        vague = np.max(wide[[1, 2], [1, 2]]) > _VAGUE_RAD**2
-        if vague and pieces and not self._several and estimated:
-            free = self._trust_pieces(free, wide)
+        if estimated and pieces and not self._several and np.max(wide[[1, 2], [1, 2]]) > _VAGUE_RAD**2:
+            return self._trust_pieces(free, wide)
         return free
 
     def _trust_pieces(self, free: TiltPrior, wide: Array) -> TiltPrior:

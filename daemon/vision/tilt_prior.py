@@ -35,24 +35,28 @@ _WEAK_ROCKING_RAD = 2.0 * _WEAK_RAD
 """The same of faint joints over a robot that rocks, measured: a tilt's squared error is .05 to 1.1 of its variance then
 in 15 of 17 conditions. Edges of lamps keep more: what two of them mistake is wrong by more."""
 _LONG = 0.5
-"""Tangent of the angle over which a line is seen that bears a tilt by its ends; measured: sides of hexagons .2 to .4 in
-the median, which are off by up to four times as much, others .7 to 1.4."""
+"""Tangent of the angle over which a line is seen that bears a tilt by its ends; measured, medians: sides of hexagons,
+which are off by up to four times as much, .2 and .4, lines of six other ceilings .7 to 1.4."""
 _APART_CHI2 = 4.61
 """Squared distance of a tilt by whole lines from that by pieces from which on the former is in doubt: 90 % of
 chi-square with 2 degrees of freedom."""
+SIDE_BY_SIDE = 0.06
+"""Tangent of the angle between lines from which on each is mistaken by itself; edges of a strip lamp are closer (12 cm,
+2.2 m up). Measured: .04 to .08 do alike (seeds 217 to 242); without, two edges of one lamp, bent alike, bear each other
+out (drawn-4 of seed 217)."""
 PIECES_FACTOR = 4.0
 """On the variance of a tilt by lines that end at their gaps: twice the error, as of weak ones; chosen."""
 HELD_RAD = np.radians(0.02)
 """Reported for a tilt that is held level; chosen: below what a frame with few lines could tell, above 0."""
 TILT_CHI2 = 9.21
 """Frame and prior, or frame and a level robot, disagree beyond this: 99 % of chi-square with 2 degrees of freedom."""
-_MANY_LINES, _OF_EACH = 4.0, 2.0
+_MANY_LINES, _OF_EACH = 3.0, 2.0
 """Lines that bear a tilt, from which on it is off by so many times what noise and leaving out each of them say, at
-most. Measured over 3 to 8 s of 25 conditions (seeds 240 to 242, and draws): where four to 17 lines bear it median and
-90 % of the error are .07 to .65 and .2 to 2.1 of that; single frames of faint joints over a robot that rocks are off by
-8 and 13 times as much."""
+most. Measured over 6 to 8 s of 21 conditions (seeds 217 to 242, and draws): where three to nine lines bear it, 90 % of
+errors are at most .67 of that, the largest 1.8."""
 _SEVERAL_LINES = 3.0
-"""The same from which on a tilt may be what a frame says where it is held level; measured: two are off by degrees."""
+"""The same from which on a tilt may be what a frame says where it is held level. Measured of two: one frame in ten is
+off by 6 times as much below hexagons, by 19 below strip lamps over a robot that rocks."""
 _STEADY_RAD = np.radians(0.1)
 """A robot whose prior is narrower than this does not rock; chosen: frames with many lines know the tilt better."""
 _NOTHING = 1e-12
@@ -85,8 +89,8 @@ class TiltPrior:
 
 @dataclass(frozen=True, slots=True)
 class Borne:
-    """How lines bear a tilt about the axis about which it is known least: how many do, of as much weight each; and how
-    far it moves without each of them, over noise."""
+    """How lines bear a tilt about the axis about which it is known least: how many do, of as much weight each and none
+    beside another; and how far it moves without each of them, over noise."""
 
     lines: float
     apart: float
@@ -96,7 +100,7 @@ class Borne:
         return self.lines >= (_MANY_LINES if doubted else _SEVERAL_LINES)
 
     @staticmethod
-    def by(model: Array, line: NDArray[np.int32], before: Array, length: Array) -> Borne:
+    def by(model: Array, line: NDArray[np.int32], before: Array, length: Array, part_of: NDArray[np.int64]) -> Borne:
         """Of the points (P,) of lines (N,).
 
         Args:
@@ -104,17 +108,20 @@ class Borne:
             line: (P,) of each.
             before: (3, 3) what is known of psi and tilt beforehand, rad^-2.
             length: (N,) how long lines seem, tangents of angles.
+            part_of: (N,) number of what each is part of, with others that are mistaken alike.
         """
-        n = len(length)
-        products = [np.bincount(line, model[:, i] * model[:, j], n) for i in range(4) for j in range(4)]
+        n, part = int(part_of.max()) + 1, part_of[line]
+        longest = np.zeros(n)
+        np.maximum.at(longest, part_of, length)
+        products = [np.bincount(part, model[:, i] * model[:, j], n) for i in range(4) for j in range(4)]
         sums: Array = np.stack(products, axis=1).reshape(n, 4, 4).astype(np.float64)
         normal = sums[:, 1:, 1:] + before / n
         cov = np.linalg.inv(np.sum(normal, axis=0))
         variance, axes = np.linalg.eigh(cov[1:, 1:])
         least_known = axes[:, -1]
         by = cov[:, 1:] @ least_known
-        part = np.einsum("i,nij,j->n", by, normal, by) / variance[-1]
-        lines = float(np.sum(part[length > _LONG])) ** 2 / max(float(np.sum(part**2)), _NOTHING)
+        share = np.einsum("i,nij,j->n", by, normal, by) / variance[-1]
+        lines = float(np.sum(share[longest > _LONG])) ** 2 / max(float(np.sum(share**2)), _NOTHING)
         if lines < _MANY_LINES:
             return Borne(lines, 0.0)
         moved = least_known @ leave_one_out(normal, -sums[:, 1:, 0])[1:, 1:] @ least_known
@@ -194,9 +201,11 @@ class TiltTracker:
     def lately(self, beyond_noise: bool) -> Lately:
         """What a tilt that is held level may be; beyond_noise: no scatter where what each frame is known to explains
         it."""
-        if not self.scatter_rad():
-            return Lately()
-        scatter_rad = self.scatter_beyond_noise_rad() if beyond_noise else self.scatter_rad()
+        scatter_rad = self.scatter_rad()
+        if not scatter_rad:
+            return NOTHING_LATELY
+        if beyond_noise:
+            scatter_rad = self.scatter_beyond_noise_rad()
         return Lately(scatter_rad, np.median(self.state.lately, axis=0))
 
     def scatter_rad(self) -> float:

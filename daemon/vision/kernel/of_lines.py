@@ -1,4 +1,5 @@
-"""The sums over the points of lines in NumPy: what the compiled ones compute, and what runs where there are none."""
+"""The sums over the points of lines in NumPy: what the compiled ones compute, and what runs where there are none; and
+what is asked for so seldom that it is not compiled."""
 
 from __future__ import annotations
 
@@ -108,7 +109,15 @@ def fit(
 
 
 def _sums(rho: Array32, tangent: Array32, line: Int32s, half: int, lines: int) -> tuple[Int64s, Array, Array]:
-    """Points of every line (L,), sums (L, 4) and products (4, 4) of rho, tangent, d rho / d tilt about either normal.
+    """Points of every line (L,), sums (L, 4) and products (4, 4) of rho, tangent, d rho / d tilt about either
+    normal."""
+    rows = _by_point(rho, tangent, half)
+    total: Array = np.stack([np.bincount(line, row, lines) for row in rows], axis=1).astype(np.float64)
+    return np.bincount(line, minlength=lines).astype(np.int64), total, np.asarray(rows @ rows.T)
+
+
+def _by_point(rho: Array32, tangent: Array32, half: int) -> Array:
+    """(4, P) rho, tangent, d rho / d tilt about either normal.
 
     A ray r seen by a tilted robot moves by -w x r, for small w about the normal of axis 0 and of axis 1.
     """
@@ -116,9 +125,7 @@ def _sums(rho: Array32, tangent: Array32, line: Int32s, half: int, lines: int) -
     across, own = r * t, 1.0 + r * r
     about_0 = np.concatenate([-across[:half], -own[half:]])
     about_1 = np.concatenate([own[:half], -across[half:]])
-    rows = np.stack([r, t, about_0, about_1])
-    total: Array = np.stack([np.bincount(line, row, lines) for row in rows], axis=1).astype(np.float64)
-    return np.bincount(line, minlength=lines).astype(np.int64), total, np.asarray(rows @ rows.T)
+    return np.stack([r, t, about_0, about_1])
 
 
 def picture(
@@ -253,18 +260,23 @@ def centred(rho: Array32, tangent: Array32, line: Int32s, half: int, lines: int,
     Args:
         half: points before this one belong to axis 0, the others to axis 1.
     """
-    r, t = rho.astype(np.float64), tangent.astype(np.float64)
-    own, across = 1.0 + r * r, r * t
-    about = np.column_stack([np.append(-across[:half], -own[half:]), np.append(own[:half], -across[half:])])
-    model = np.column_stack([r, t, about, more])
+    model = np.column_stack([_by_point(rho, tangent, half).T, more])
     count = np.maximum(np.bincount(line, minlength=lines), 1)
     for k in range(model.shape[1]):
         model[:, k] -= (np.bincount(line, model[:, k], lines) / count)[line]
     return np.asarray(model)
 
 
-def distinct(offset_px: Array) -> Array:
-    """Rising offsets, of those that are one the mean."""
-    offset = np.sort(offset_px)
-    number = np.concatenate([[0], np.cumsum(np.diff(offset) > _ONE_PX)])[: len(offset)].astype(np.int64)
-    return np.asarray(np.bincount(number, offset) / np.maximum(np.bincount(number), 1))
+def neighbours(offset: Array, axis: Int64s, apart: float) -> Int64s:
+    """(L,) number of what each is part of: neighbours of an axis that are less than `apart` off belong together."""
+    order = np.lexsort((offset, axis))
+    begins = (np.diff(axis[order]) != 0) | (np.diff(offset[order]) > apart)
+    number = np.zeros(len(order), np.int64)
+    number[order[1:]] = np.cumsum(begins)
+    return number
+
+
+def merged(offset_px: Array) -> Array:
+    """Offsets of one axis, of those that are one the mean."""
+    number = neighbours(offset_px, np.zeros(len(offset_px), np.int64), _ONE_PX)
+    return np.asarray(np.bincount(number, offset_px) / np.maximum(np.bincount(number), 1))
