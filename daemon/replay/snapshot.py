@@ -30,7 +30,7 @@ hypothesis about the place, and a filter that searched by itself."""
 _GONE: Mapping[str, frozenset[str]] = {
     "BridgeState": frozenset({"lean_var"}),
     "Doubt": frozenset({"aligned"}),
-    "TiltState": frozenset({"faint"}),
+    "TiltState": frozenset({"faint", "of_faint"}),
 }
 """Fields that programs of version 3 wrote and nothing reads any more, by class."""
 _LONGEST_NAME = 8

@@ -198,7 +198,7 @@ def _solve_steady(problem: _Problem, prior: TiltPrior | None, last: LastFit) -> 
     expected = last.tilt_rad if last.leans else _LEVEL_RAD if prior is None else prior.mean_rad
     if not problem.config.estimate_tilt:
         return fit, free
-    vague = fit.is_vague(free, prior)
+    vague = fit.is_vague(free, prior, last.lately.usual_rad(last.tilt_rad))
     if not vague and not fit.is_doubtful(expected, prior):
         return fit, free
     level = problem.start(_LEVEL_RAD if vague else expected, tilt=False)

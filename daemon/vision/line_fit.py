@@ -74,7 +74,7 @@ class JointFit:
     ) -> None:
         """several: the ceiling has several heights, so that a line may be two."""
         self.psi = psi
-        self._tilts: bool | None = None
+        self._by_pieces: tuple[Array, Array] | None = None  # the tilt, and the error of that
         self._whole: tuple[float, Array, Array] | None = None
         self._borne = UNKNOWN
         self.tilt = tilt_rad
@@ -105,15 +105,9 @@ class JointFit:
 
     def assign(self, gate_px: float) -> None:
         """Give every point the nearest line of its axis and polarity within the gate; drop points of no line."""
+        offset, gate = self.offset / self.focal_px, gate_px / self.focal_px
         self._x, self._y, self.rho, self.tangent, self.line, self.ends = kernel.assign(
-            self._x,
-            self._y,
-            self.rho,
-            self.tangent,
-            self.ends,
-            self.offset / self.focal_px,
-            self.line_group,
-            gate_px / self.focal_px,
+            self._x, self._y, self.rho, self.tangent, self.ends, offset, self.line_group, gate
         )
 
     def restart(self, starts: list[Array]) -> None:
@@ -128,20 +122,22 @@ class JointFit:
         spread = _DOUBT_RAD if prior is None else np.maximum(_DOUBT_SIGMAS * prior.sigma_rad, _DOUBT_RAD)
         return bool(np.any(off > spread))
 
-    def is_vague(self, free: TiltPrior, prior: TiltPrior | None) -> bool:
-        """Whether hardly anything is known of the tilt, from this frame, as finish() gave it, or from others."""
+    def is_vague(self, free: TiltPrior, prior: TiltPrior | None, usual_rad: Array) -> bool:
+        """Whether hardly anything is known of the tilt, from this frame, as finish() gave it, or from others;
+        usual_rad: (2,) what is none, but what these lines show as well."""
         open_rad = float(np.max(free.sigma_rad)) if prior is None else 0.0
-        tilts = self.tilts_for_sure() if open_rad > _VAGUE_RAD else is_tilt(self.tilt, self.covariance)
-        return open_rad > _LEVEL_RAD and not tilts
-
-    def tilts_for_sure(self) -> bool:
-        """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""
-        if not len(self.line) or not is_tilt(self.tilt, self.covariance):
+        if open_rad <= _LEVEL_RAD:
             return False
-        if self._tilts is not None:
-            return self._tilts
-        moved, cov = self._step_by_pieces(*self._pieces())
-        return is_tilt(self.tilt + moved[1:], widened(cov))
+        tilts = len(self.line) > 0 and is_tilt(self.tilt - usual_rad, self.covariance)
+        return not (self._tilts_for_sure(usual_rad) if tilts and open_rad > _VAGUE_RAD else tilts)
+
+    def _tilts_for_sure(self, usual_rad: Array) -> bool:
+        """Whether a level robot is hardly possible, however little is known of its tilt, by lines without gaps."""
+        if self._by_pieces is None:
+            moved, cov = self._step_by_pieces(*self._pieces())
+            self._by_pieces = self.tilt + moved[1:], widened(cov)
+        tilt, cov = self._by_pieces
+        return is_tilt(tilt - usual_rad, cov)
 
     def _step_by_pieces(self, pieces: NDArray[np.int32], count: int, tilt: bool = True) -> tuple[Array, Array]:
         """(3,) by how much direction and tilt are off by lines that end at their gaps, and (3, 3) the error of that."""
@@ -223,10 +219,11 @@ class JointFit:
 
     def held_rad(self, free: TiltPrior, lately: Lately) -> float:
         """To what a tilt that is held level is known: by the scatter of those lately, and by how far this frame's (of
-        finish()) is off them, where enough lines bear it."""
-        if lately.about_rad is None or not self._borne.may_be(doubted=self._tilts is not None):
+        finish()) is off them beyond its error, where enough lines bear it."""
+        if lately.about_rad is None or not self._borne.may_be(doubted=self._by_pieces is not None):
             return lately.scatter_rad
-        return max(lately.scatter_rad, float(np.max(np.abs(free.mean_rad - lately.about_rad))))
+        beyond2 = (free.mean_rad - lately.about_rad) ** 2 - free.sigma_rad**2
+        return max(lately.scatter_rad, float(np.sqrt(max(np.max(beyond2), 0.0))))
 
     def finish_held(self, pieces: bool = True, held_rad: float = 0.0) -> None:
         """The last round with the tilt where it is, known to held_rad; pieces: lines that are several are cut."""
@@ -316,8 +313,8 @@ class JointFit:
         do alike, so where pieces do not bear out that the robot tilts the error of whole lines is wide (3, 3) again."""
         moved, cov = self._step_by_pieces(*self._pieces())
         apart, cov = tilt_prior.are_apart(moved[1:], cov), tilt_prior.PIECES_FACTOR * cov
-        self._tilts = is_tilt(self.tilt + moved[1:], cov)
-        if apart and not self._tilts and is_tilt(self.tilt, self.covariance):
+        self._by_pieces = self.tilt + moved[1:], cov
+        if apart and not is_tilt(*self._by_pieces) and is_tilt(self.tilt, self.covariance):
             self.covariance = wide
             free = TiltPrior(self.tilt, np.sqrt(wide[[1, 2], [1, 2]]))
         if np.max(cov[[1, 2], [1, 2]]) < np.max(self.covariance[[1, 2], [1, 2]]):

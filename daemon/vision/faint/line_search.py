@@ -64,7 +64,7 @@ def find_faint(
     tilt_rad: Array,
     config: Features,
     prior: TiltPrior | None,
-    sure: bool = False,
+    known_rad: float | None = None,
     lately: Lately = NOTHING_LATELY,
 ) -> Lines | None:
     """Lines along a direction and across it, None when fewer than two are seen.
@@ -73,19 +73,21 @@ def find_faint(
         level, usable: as LevelPicture gives them.
         psi_rad, tilt_rad: where to begin; the Lines have what was found, psi unfolded.
         prior: of the tilt.
-        sure: direction and tilt are known to a fraction of a pixel at the rim.
+        known_rad: to what the tilt is known there, where it and the direction are to a fraction of a pixel at the rim.
         lately: tilts, by which one that is held is known.
     """
-    fit = None
-    for k in range(1 if sure else 0, _ROUNDS):
+    fit, usual_rad = None, lately.usual_rad(tilt_rad)
+    for k in range(0 if known_rad is None else 1, _ROUNDS):
         turned = picture.aligned(level, usable, psi_rad, tilt_rad)
         seen = _seen(turned, picture.focal_px, config, _REACH_PX[min(k, 1)])
         if len(seen.line_axis) < 2:
             return None
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
         free = fit.finish(pieces=False, rocking=rocks(prior))
-        if config.estimate_tilt and fit.is_vague(free, prior):  # as for edge points: no tilt is read from so little
-            held_rad = fit.held_rad(free, lately)
+        if config.estimate_tilt and fit.is_vague(
+            free, prior, usual_rad
+        ):  # as for edge points: no tilt is read from so little
+            held_rad = max(fit.held_rad(free, lately), known_rad or 0.0)
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
             fit.finish_held(pieces=False, held_rad=held_rad)
         if prior is not None and config.estimate_tilt:

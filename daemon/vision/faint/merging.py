@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ceilvo.daemon.vision.angles import pixels
 from ceilvo.daemon.vision.line_pairing import fold_direction, turn_axes
+from ceilvo.daemon.vision.tilt_prior import TELLS_RAD
 from ceilvo.types import Array, Ints, LineKind, Lines
 
 _SAME_DEG = 0.35
@@ -36,6 +37,8 @@ def merged(edge_lines: Lines, faint: Lines, focal_px: float, groove_deg: float) 
         edge_lines, free = seen_at(edge_lines, faint, focal_px), faint
     else:
         faint, free = seen_at(faint, edge_lines, focal_px), edge_lines
+    if np.max(free.free_tilt_sigma_rad) > TELLS_RAD:
+        free = min(edge_lines, faint, key=lambda lines: float(np.max(lines.free_tilt_sigma_rad)))
     partner, off = _nearest(faint, edge_lines)
     same = off < pixels(_SAME_DEG, focal_px)
     longer = faint.support > edge_lines.support[partner]

@@ -127,8 +127,10 @@ class FaintLines:
             psi = psi if common is None else common
         if psi is None:
             return found
-        start_rad = tilt_rad if weak or found is None else found.tilt_rad
-        faint = find_faint(self._picture, level, usable, psi, start_rad, self._config, prior, not weak, lately)
+        known_rad = None
+        if found is not None and not weak:
+            tilt_rad, known_rad = found.tilt_rad, float(np.max(found.tilt_sigma_rad))
+        faint = find_faint(self._picture, level, usable, psi, tilt_rad, self._config, prior, known_rad, lately)
         if faint is None:
             return found
         if weak:

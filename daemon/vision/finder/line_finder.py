@@ -144,7 +144,7 @@ class LineFinder:
                 s.detection_noise_px = s.edges.noise_px
         if s.faint.helps:
             s.edges = None
-        tilt.update(lines, s.faint.helps)
+        tilt.update(lines)
         return lines
 
     def tilt_prior(self) -> TiltPrior | None:
