@@ -135,18 +135,18 @@ UNKNOWN = Borne(0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Lately:
-    """Tilts of the last frames while none of them tells it: their scatter, rad, 0 where too few are known; (2,) what
-    they are about, None before; and whether they may be of a level robot, for what they are known to."""
+    """Tilts of the last frames while none of them tells it: scatter, rad, and (2,) what they are about, 0 and None
+    where too few are known; and (2,) how a level robot seems to lean, from the first on, None where it may not."""
 
     scatter_rad: float = 0.0
     about_rad: Array | None = None
-    may_be_level: bool = False
+    level_rad: Array | None = None
 
     def usual_rad(self, last_rad: Array) -> Array:
         """(2,) what is no tilt: level; but what lines show all the time where the last frame, of tilt last_rad (2,),
         was held level. Seams that are not parallel lean every frame by as much; believed now and then, it is a step."""
         held = float(np.max(np.abs(last_rad))) < HELD_RAD
-        return self.about_rad if held and self.may_be_level and self.about_rad is not None else np.zeros(2)
+        return self.level_rad if held and self.level_rad is not None else np.zeros(2)
 
 
 NOTHING_LATELY = Lately()
@@ -207,7 +207,9 @@ class TiltTracker:
         if s.weight >= _MIN_WEIGHT or not len(s.lately) or len(s.claimed) != len(s.lately):
             return NOTHING_LATELY
         scatter_rad = self.scatter_beyond_noise_rad() if beyond_noise else self.scatter_rad()
-        return Lately(scatter_rad, np.median(s.lately, axis=0), _may_be_level(s.lately, s.claimed))
+        about_rad = np.median(s.lately, axis=0)
+        level_rad = about_rad if _may_be_level(s.lately, s.claimed) else None
+        return Lately(scatter_rad, about_rad if len(s.lately) >= _FEWEST_LATELY else None, level_rad)
 
     def scatter_rad(self) -> float:
         """Of the tilt in the last frames while none of them tells it: what it may be where it is held; 0 before."""

@@ -46,7 +46,7 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path, caplog: pytest.
         assert not list(tmp_path.glob(".*")), f"kill {kill}: a half-written copy was not swept away (seed {SEED})"
         reached = now
     print(f"\n{KILLS} kills, {torn} of them left a log, {copying} half a copy; {reached} saves, none lost")
-    assert reached >= KILLS and torn > KILLS // 2
+    assert reached > KILLS // 2 and torn > KILLS // 2, "too few to say anything"
     assert not caplog.records, "nothing was damaged"
 
 
