@@ -220,7 +220,7 @@ class JointFit:
     def held_rad(self, free: TiltPrior, lately: Lately) -> float:
         """To what a tilt that is held level is known: by the scatter of those lately, and by how far this frame's (of
         finish()) is off them beyond its error, where enough lines bear it."""
-        if lately.about_rad is None or not self._borne.may_be(doubted=self._by_pieces is not None):
+        if lately.about_rad is None or not self._borne.by_many:
             return lately.scatter_rad
         beyond2 = (free.mean_rad - lately.about_rad) ** 2 - free.sigma_rad**2
         return max(lately.scatter_rad, float(np.sqrt(max(np.max(beyond2), 0.0))))

@@ -54,10 +54,8 @@ TILT_CHI2 = 9.21
 _MANY_LINES, _OF_EACH = 3.0, 2.0
 """Lines that bear a tilt, from which on it is off by so many times what noise and leaving out each of them say, at
 most. Measured over 6 to 8 s of 21 conditions (seeds 217 to 242, and draws): where three to nine lines bear it, 90 % of
-errors are at most .67 of that, the largest 1.8."""
-_SEVERAL_LINES = 3.0
-"""The same from which on a tilt may be what a frame says where it is held level. Measured of two: one frame in ten is
-off by 6 times as much below hexagons, by 19 below strip lamps over a robot that rocks."""
+errors are at most .67 of that, the largest 1.8. Measured of two lines: one frame in ten is off by 6 times as much below
+hexagons, by 19 below strip lamps over a robot that rocks."""
 _STEADY_RAD = np.radians(0.1)
 """A robot whose prior is narrower than this does not rock; chosen: frames with many lines know the tilt better."""
 _NOTHING = 1e-12
@@ -97,9 +95,10 @@ class Borne:
     lines: float
     apart: float
 
-    def may_be(self, doubted: bool) -> bool:
-        """Whether it may well be what they say; doubted: pieces of them do not."""
-        return self.lines >= (_MANY_LINES if doubted else _SEVERAL_LINES)
+    @property
+    def by_many(self) -> bool:
+        """Whether they are so many that leaving out each tells how far off it is."""
+        return self.lines >= _MANY_LINES
 
     @staticmethod
     def by(model: Array, line: NDArray[np.int32], before: Array, length: Array, part_of: NDArray[np.int64]) -> Borne:
@@ -160,7 +159,8 @@ class TiltState:
         weight: sum of the frames' weights, each at most 1.
         mean_rad, var_rad2: (2,) of the single-frame estimates.
         noise_var_rad2: (2,) the part of var_rad2 that is the estimates' own error.
-        lately, claimed: (N, 2) rad, the last single-frame estimates while there is no prior, and to what each is known.
+        lately, claimed: (N, 2) rad, the last single-frame estimates while there is no prior, and to what each is known;
+            forgotten where a state of a version before does not say that.
     """
 
     weight: float = 0.0
@@ -169,6 +169,10 @@ class TiltState:
     noise_var_rad2: Array = field(default_factory=lambda: np.zeros(2))
     lately: Array = field(default_factory=lambda: np.zeros((0, 2)))
     claimed: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        if len(self.claimed) != len(self.lately):
+            self.lately, self.claimed = np.zeros((0, 2)), np.zeros((0, 2))
 
 
 class TiltTracker:
@@ -204,7 +208,7 @@ class TiltTracker:
         """What a tilt that is held level may be; beyond_noise: no scatter where what each frame is known to explains
         it."""
         s = self.state
-        if s.weight >= _MIN_WEIGHT or not len(s.lately) or len(s.claimed) != len(s.lately):
+        if s.weight >= _MIN_WEIGHT or not len(s.lately):
             return NOTHING_LATELY
         scatter_rad = self.scatter_beyond_noise_rad() if beyond_noise else self.scatter_rad()
         about_rad = np.median(s.lately, axis=0)
@@ -223,7 +227,7 @@ class TiltTracker:
         that noise of a grey level turns it by .3 deg, below a robot that stands (ceiling_still)."""
         s = self.state
         scatter_rad = self.scatter_rad()
-        if not scatter_rad or len(s.claimed) != len(s.lately):
+        if not scatter_rad:
             return 0.0
         off2 = ((s.lately - np.median(s.lately, axis=0)) / s.claimed) ** 2
         told = np.mean(np.minimum(off2, _CAPPED), axis=0) >= _BEYOND
@@ -231,8 +235,8 @@ class TiltTracker:
 
     def _of_rocking(self) -> TiltPrior | None:
         """By frames that each leave the tilt open; None where they may be of a level robot."""
-        s, scatter_rad = self.state, self.scatter_beyond_noise_rad()
-        if len(s.lately) < _LATELY or scatter_rad < _ROCKS_RAD:
+        s = self.state
+        if len(s.lately) < _LATELY or (scatter_rad := self.scatter_beyond_noise_rad()) < _ROCKS_RAD:
             return None
         middle = np.median(s.lately, axis=0)
         return TiltPrior(np.zeros(2), np.sqrt(_SPREAD_FACTOR * scatter_rad**2 + middle**2))
@@ -268,7 +272,7 @@ def widened(covariance: Array, rocking: bool = False, borne: Borne = UNKNOWN) ->
     own = covariance[[1, 2], [1, 2]]
     most = np.maximum(_ANY_TILT_RAD / np.sqrt(own), 1.0)
     grow = np.append(1.0, np.minimum(1.0 + own / weak_rad**2, most))
-    if borne.lines >= _MANY_LINES:
+    if borne.by_many:
         grow = np.minimum(grow, _OF_EACH * math.hypot(1.0, borne.apart))
     return np.asarray(covariance * grow * grow[:, None])
 

@@ -84,9 +84,8 @@ def find_faint(
             return None
         fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=k > 0)
         free = fit.finish(pieces=False, rocking=rocks(prior))
-        if config.estimate_tilt and fit.is_vague(
-            free, prior, usual_rad
-        ):  # as for edge points: no tilt is read from so little
+        # as for edge points: no tilt is read from so little
+        if config.estimate_tilt and fit.is_vague(free, prior, usual_rad):
             held_rad = max(fit.held_rad(free, lately), known_rad or 0.0)
             fit = _fitted(seen, turned, picture.focal_px, config, _GATE_PX[min(k, 1)], tilt=False)
             fit.finish_held(pieces=False, held_rad=held_rad)

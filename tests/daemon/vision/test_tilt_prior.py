@@ -8,7 +8,7 @@ import pytest
 from ceilvo.config import Config
 from ceilvo.daemon.pipeline import Pipeline
 from ceilvo.daemon.replay.snapshot import freeze, restore, snapshot_json
-from ceilvo.daemon.vision.tilt_prior import NOTHING_LATELY, Lately, TiltTracker
+from ceilvo.daemon.vision.tilt_prior import NOTHING_LATELY, Lately, TiltState, TiltTracker
 from ceilvo.sim.rig import simulated_calibration
 from ceilvo.types import Lines
 
@@ -126,6 +126,9 @@ def test_a_state_that_knew_one_kind_of_frames_only_is_read() -> None:
     again = Pipeline(simulated_calibration(), Config(), np.random.default_rng(0))
     restore(again, tree)
     assert len(again.vision.state.tilt.claimed) == 0
+    kept = TiltState(lately=np.ones((3, 2)), claimed=np.ones((3, 2)))
+    assert len(kept.lately) == 3
+    assert len(TiltState(lately=np.ones((3, 2))).lately) == 0, "what tilts were known to is not told"
 
 
 def lately(tilts_deg: list[float], claimed_deg: list[float]) -> Lately:

@@ -21,6 +21,8 @@ from ceilvo.daemon.map.database.database import MapDatabase
 
 KILLS = int(os.environ.get("KILLS", "12"))
 """`make kill-test` sets 200."""
+MOST_KILLS = 10 * KILLS
+"""On a slow computer a kill may come before a save; chosen."""
 SEED = 31
 LONGEST_S = 0.15
 """From a word of the writer to its end; chosen: some saves."""
@@ -31,7 +33,9 @@ CHILD = Path(database_on_disk.__file__)
 def test_killed_at_random_moments_while_it_saves(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     rng, path = random.Random(SEED), tmp_path / "map.db"
     reached, torn, copying = 0, 0, 0
-    for kill in range(KILLS):
+    for kill in range(MOST_KILLS):
+        if kill >= KILLS and reached >= KILLS:
+            break
         about = f"kill {kill} (seed {SEED})"
         reached = killed(database_writer.write, path, rng.uniform(0.0, LONGEST_S), reached, about)
         log, half_written = path.with_name("map.db-wal"), list(tmp_path.glob(".*.tmp"))
@@ -45,8 +49,8 @@ def test_killed_at_random_moments_while_it_saves(tmp_path: Path, caplog: pytest.
         copying += len(half_written)
         assert not list(tmp_path.glob(".*")), f"kill {kill}: a half-written copy was not swept away (seed {SEED})"
         reached = now
-    print(f"\n{KILLS} kills, {torn} of them left a log, {copying} half a copy; {reached} saves, none lost")
-    assert reached > KILLS // 2 and torn > KILLS // 2, "too few to say anything"
+    print(f"\n{kill} kills, {torn} of them left a log, {copying} half a copy; {reached} saves, none lost")
+    assert reached >= KILLS and torn > KILLS // 2
     assert not caplog.records, "nothing was damaged"
 
 
